@@ -1,7 +1,5 @@
 """What all tests share: hypothesis settings, the rule for tests that need a GPU, a command line, a browser."""
 
-from __future__ import annotations
-
 import gc
 import os
 import shutil

@@ -1,7 +1,5 @@
 """What is installed is what lies in the checkout, and importing it stays cheap."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import shutil

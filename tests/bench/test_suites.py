@@ -1,7 +1,5 @@
 """``warpvox bench``: every suite at a tiny size, and that no time is printed of a wrong result."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

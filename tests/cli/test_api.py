@@ -1,7 +1,5 @@
 """Training and policies from Python: what the command does, in a process of one's own."""
 
-from __future__ import annotations
-
 import dataclasses
 import shutil
 import sys

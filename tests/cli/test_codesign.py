@@ -1,7 +1,5 @@
 """Design searches from end to end, on trainings of a moment."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

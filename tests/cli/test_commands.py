@@ -1,7 +1,5 @@
 """Commands from end to end, on runs of a second."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """From words to configurations."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 import signal

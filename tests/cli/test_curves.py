@@ -1,7 +1,5 @@
 """``warpvox curves``; the gallery of all tasks."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from pathlib import Path

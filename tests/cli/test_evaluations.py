@@ -1,7 +1,5 @@
 """Design searches whose designs one policy compares, and policies for voxels, from end to end."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable

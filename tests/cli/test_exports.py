@@ -1,7 +1,5 @@
 """Exports of a rollout: an estimate of what is to come, and ``every``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from io import StringIO
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Trainings, searches and plays that do not fit into memory are refused, with the key and the value that would."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Every mistake gets one clear line and exit code 2, and leaves nothing behind."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What is typed reaches the configuration: paths of any letters, single values where lists are expected."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What plays without a trained run: agents, recorded rollouts, the window."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

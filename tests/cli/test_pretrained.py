@@ -1,7 +1,5 @@
 """``warpvox train pretrained=``: trainings that begin with the policy of another one."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

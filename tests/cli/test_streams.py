@@ -1,7 +1,5 @@
 """Standard streams that nobody reads, that lack letters, or that were closed from the start."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

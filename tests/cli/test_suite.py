@@ -1,7 +1,5 @@
 """Suites of design searches: what their members are, what is left of them, and how they go on after an end."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import errno

@@ -1,7 +1,5 @@
 """Sweeps say in folders, tables and CSV what their runs differ by; one that fails does not end the others."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """``warpvox tasks``: the table, a task in detail, and the pictures of its world."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Code that a stored file names is imported only if the user names it again; a run carries its code along."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import shutil

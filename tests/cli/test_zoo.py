@@ -1,7 +1,5 @@
 """``warpvox zoo`` and what takes its robots."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Arguments of the wrong kind, size or sense: functions and command lines refuse them with errors of ours."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What depends on the operating system; other systems than Linux are imitated."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The fixed rollout of every task is the pinned one, and the same in any other process on this machine."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Results belong to an environment: its place, its neighbours, the size of the batch and threads change no bit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Training, searches and files: two processes, with other hashes, threads, folders and clocks, make the same bytes."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

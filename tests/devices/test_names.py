@@ -1,7 +1,5 @@
 """Which device is taken, and what is said when its memory runs out."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

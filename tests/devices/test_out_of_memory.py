@@ -1,7 +1,5 @@
 """Memory that runs out, on a GPU or in the machine: advice instead of a traceback, and nothing of the run is lost."""
 
-from __future__ import annotations
-
 import itertools
 import pkgutil
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Warp starts without its banner, and says in time that it compiles."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

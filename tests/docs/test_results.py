@@ -1,7 +1,5 @@
 """The page of results is what its command makes of the committed table, and the table what the archives say."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.util
 import json

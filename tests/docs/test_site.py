@@ -1,7 +1,5 @@
 """The documentation as a whole: every link leads somewhere, every command is described, pictures stay small."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import re

@@ -1,7 +1,5 @@
 """Documents: what is drawn becomes a body or a world, and comes back from a file unchanged."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The editor's server: it answers whoever holds the token, under its own name, within its limits; nobody else."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import json

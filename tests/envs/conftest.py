@@ -1,7 +1,5 @@
 """One thread of torch for the tests of environments."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """A different body in every environment, and other bodies for environments that run."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """What a user's terms may get wrong: found when environments are made, or caught and named when it happens."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import warnings

@@ -1,7 +1,5 @@
 """Bodies designed within the episode: stages, masks, invalid bodies, and control as with bodies given from outside."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """A simulation that diverges is ended alone: the others of its batch go on, equal to the last bit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """``nan_guard="dump"``: the last states before bad numbers, as a rollout."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every task under actions that no policy would take, with random bodies that are thrown now and then."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The tasks as gymnasium has them."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Many environments as gymnasium has them, compared with gymnasium's own way of stepping single ones."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

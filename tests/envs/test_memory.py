@@ -1,7 +1,5 @@
 """The memory that environments need is known before they are made, and what does not fit is refused."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 

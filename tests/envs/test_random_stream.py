@@ -1,7 +1,5 @@
 """Random tasks: every environment draws from a stream of its own, and what it draws can be set."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Task ids, specifications, rules and worlds."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import json

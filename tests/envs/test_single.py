@@ -1,7 +1,5 @@
 """The fast way of a single environment: the same numbers as torch, bit for bit, in every task."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

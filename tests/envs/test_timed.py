@@ -1,7 +1,5 @@
 """The time as an observation: it is the count of the time limit, and nothing else changes."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What every task must hold to, on the real simulator."""
 
-from __future__ import annotations
-
 from math import pi
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Observations voxel by voxel, compared with what plain numpy makes of the points of the simulator."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

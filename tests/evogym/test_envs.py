@@ -1,7 +1,5 @@
 """The drop-in's environments: ids, spaces, base classes for environments of one's own, what is random."""
 
-from __future__ import annotations
-
 import os
 import random
 import warnings

@@ -1,7 +1,5 @@
 """The drop-in's simulation: its record of the past, several robots, moved objects, errors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

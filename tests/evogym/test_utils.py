@@ -1,7 +1,5 @@
 """Constants, sampling and helpers of the drop-in."""
 
-from __future__ import annotations
-
 import random
 
 import numpy as np

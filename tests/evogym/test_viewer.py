@@ -1,7 +1,5 @@
 """The drop-in's viewer: what pictures show, how the camera follows, what is refused."""
 
-from __future__ import annotations
-
 import sys
 
 import gymnasium

@@ -1,7 +1,5 @@
 """Killed, interrupted, on a full disk, with damaged files: nothing is lost, and one line says what to do."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

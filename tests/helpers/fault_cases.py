@@ -1,7 +1,5 @@
 """Commands that tests of faults run, and what must be true of what these leave."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

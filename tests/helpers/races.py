@@ -4,8 +4,6 @@ A race is that a thread reads or writes what another has written since the last 
 read since they last met. Votes are no barriers: CUDA promises nothing about memory there.
 """
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess

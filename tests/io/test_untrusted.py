@@ -1,7 +1,5 @@
 """Files from elsewhere: none is unpickled or takes more memory than it has bytes, a damaged one gives one sentence."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import sqlite3

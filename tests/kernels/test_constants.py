@@ -1,7 +1,5 @@
 """The constants of the physics mean what they say: each is changed and its effect is known exactly."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

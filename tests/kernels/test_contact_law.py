@@ -1,7 +1,5 @@
 """Contact and friction forces against the law written plainly (paper section A.3, docs/physics.md)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

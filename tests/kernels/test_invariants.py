@@ -1,7 +1,5 @@
 """What the physics keeps whatever is done to it: momentum, energy, fixed points, terrain."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Every launch is on torch's current stream, and every kernel is compiled alike: shown with stand-ins for CUDA."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path

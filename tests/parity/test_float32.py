@@ -1,7 +1,5 @@
 """float32 is as close to float64 as float64 is to itself with its actions rounded to float32."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Open-loop policies of stored robots: what they compute, their files, their episodes."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

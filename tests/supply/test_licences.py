@@ -1,7 +1,5 @@
 """Whoever installs warpvox may use, change and sell what comes with it: the licences of all that it depends on."""
 
-from __future__ import annotations
-
 import re
 from email.message import Message
 from fnmatch import fnmatch

@@ -1,7 +1,5 @@
 """locks/ and constraints.txt say the same, and nothing is installed from a lock without its hash."""
 
-from __future__ import annotations
-
 import re
 import sys
 from importlib.metadata import distribution

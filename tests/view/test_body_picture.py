@@ -1,7 +1,5 @@
 """Bodies drawn cell by cell."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 

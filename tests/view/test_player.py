@@ -1,7 +1,5 @@
 """The page of the browser player: what it carries, and that it plays in a real browser."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

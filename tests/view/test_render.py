@@ -1,7 +1,5 @@
 """Pictures: right size, the robot in view in its colours, files whole or not at all."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path

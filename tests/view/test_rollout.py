@@ -1,7 +1,5 @@
 """Rollouts: what is recorded, what a file holds, and files that are none."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from collections.abc import Callable

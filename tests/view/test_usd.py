@@ -1,7 +1,5 @@
 """USD stages: they hold the rollout exactly, and USD's own validators have nothing to say."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Policies as modules and as files: the same actions as in training, and no file is trusted."""
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile

@@ -1,7 +1,5 @@
 """Design search from Python: from objects, with parts of one's own, and as the command makes it."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path

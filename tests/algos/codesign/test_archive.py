@@ -1,7 +1,5 @@
 """The archive: what is written is what is read, and files that are none are refused."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

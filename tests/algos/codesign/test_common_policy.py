@@ -1,7 +1,5 @@
 """Designs compared by one policy: what it learns and keeps, and that a killed search is the undisturbed one."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Designs whose learning diverges: the search goes on, they rank last, and nothing of it depends on the order."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Gaits that grow stage by stage: what is found is what a whole episode gives, and nothing good is lost."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json

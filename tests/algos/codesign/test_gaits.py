@@ -1,7 +1,5 @@
 """Designs compared by open-loop gaits: the formula, what descends from what, and that no design depends on others."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """The loop: what is trained, what is reused, and that an interrupted experiment is the undisturbed one."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

@@ -1,7 +1,5 @@
 """A generation trained at once: in any company, however often it is killed or halved."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import signal

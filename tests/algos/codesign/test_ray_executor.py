@@ -1,7 +1,5 @@
 """Evaluation on Ray: on two nodes, with workers that die, the results are those of this process."""
 
-from __future__ import annotations
-
 import functools
 import os
 import signal

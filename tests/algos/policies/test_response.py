@@ -1,7 +1,5 @@
 """The linear response of bodies: against a recursion in plain numpy, and against the simulator."""
 
-from __future__ import annotations
-
 import copy
 import math
 

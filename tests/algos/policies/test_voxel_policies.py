@@ -1,7 +1,5 @@
 """Policies for voxels: what a body has not takes no part, rsl-rl's PPO learns the same, and files bring them back."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import math

@@ -1,7 +1,5 @@
 """Population PPO against stock rsl-rl trainings, one for each design."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from population_cases import bodies, factory

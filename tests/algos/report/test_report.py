@@ -1,7 +1,5 @@
 """The report: it says what the archive says, and needs nothing from elsewhere."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Bayesian optimisation is the paper's: Table 4's process and its acquisitions, computed here a second time."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Mutation, neighbours and counts of bodies, against plain counting."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st

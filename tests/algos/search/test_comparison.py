@@ -5,8 +5,6 @@ same kind (passive or actuator), and as much again for every pair of neighbourin
 depend on each other, and there are plateaus and local optima.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """CPPN-NEAT is the paper's: Table 5, three inputs, five outputs; its randomness is its own."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 

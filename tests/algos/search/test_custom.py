@@ -1,7 +1,5 @@
 """Searches of the user, and the examples of docs/search.md, which have to work as they stand."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The genetic algorithm is the paper's: Algorithm 1 and Table 3, computed here a second time."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from math import ceil
 

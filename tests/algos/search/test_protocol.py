@@ -1,7 +1,5 @@
 """What holds for every search: valid and unique designs, turns, budget, seeds, replay, a true family tree."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 from functools import cache

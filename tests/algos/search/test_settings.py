@@ -1,7 +1,5 @@
 """Settings: the paper's values, the choices of the command line, and mistakes."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

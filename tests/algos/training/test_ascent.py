@@ -1,7 +1,5 @@
 """Training by gradients through the physics: it climbs, resumes exactly, and refuses what has no derivative."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

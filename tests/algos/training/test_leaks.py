@@ -1,7 +1,5 @@
 """Memory and open files of a training and of a design search stay what they are, however long they go on."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Metrics go to rsl-rl's writers where they are asked for."""
 
-from __future__ import annotations
-
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import SimpleNamespace

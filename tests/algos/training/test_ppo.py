@@ -1,7 +1,5 @@
 """Learning: schedules, time limits, and that a resumed run is the run that was not interrupted."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

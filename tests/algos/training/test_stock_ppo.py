@@ -1,7 +1,5 @@
 """Our PPO against rsl-rl's own, step by step and update by update: the same numbers drawn, the same things learned."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from learning import ENVS, ppo_settings, small_env
