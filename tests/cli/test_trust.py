@@ -108,7 +108,11 @@ REFUSED = [
 HARMLESS = [
     *("zoo folder=robots", "zoo folder=robots task=Walker-v0", "zoo folder=robots task=Gait-v0"),
     *("codesign report=search", "play agent=zero design=zoo:robots/Walker-v0.npz steps=1 window=off export=[]"),
-    *("export run=zoo:robots/Walker-v0.npz format=[jit]", "train design=zoo:robots/Walker-v0.npz --cfg job"),
+    *(
+        "export run=run format=[jit]",
+        "export run=zoo:robots/Walker-v0.npz format=[jit]",
+        "train design=zoo:robots/Walker-v0.npz --cfg job",
+    ),
 ]
 
 
