@@ -108,7 +108,9 @@ def test_states_that_no_file_can_hold_are_those_before(tmp_path: Path) -> None:
     throw(env, 0, "pos", float("inf"))
     throw(env, 1, "pos", 1e200)
     env.step(torch.ones((4, env.num_actions)))
-    for path in sorted(tmp_path.iterdir()):
+    paths = sorted(tmp_path.iterdir())
+    assert len(paths) == 2
+    for path in paths:
         rollout = Rollout.load(path)
         assert np.ptp(rollout.positions, axis=0).max() == 0.0
         assert rollout.metadata["states_not_finite"] == 1
