@@ -1,7 +1,5 @@
 """What all tests share: hypothesis settings, the rule for tests that need a GPU, a command line, a browser."""
 
-from __future__ import annotations
-
 import gc
 import os
 import shutil
@@ -24,12 +22,11 @@ settings.load_profile("repeatable")
 
 FIRST = (
     # While one process compiles kernels, the other one runs what needs none.
-    *("test_gpu_check", "test_config", "test_suites", "test_protocol", "test_comparison"),
+    *("test_gpu_check", "test_config", "test_suites", "test_protocol"),
     # Those that take longest, so that no process waits for another at the end.
-    *("test_ray_executor", "test_processes", "test_faults", "test_recordings", "test_cuda_build", "test_pages"),
-    *("test_codesign", "test_trust", "test_commands", "test_memory"),
-)
-"""Files that go first, in this order."""
+    *("test_ray_executor", "test_faults", "test_recordings", "test_cuda_build", "test_pages"),
+    *("test_population_evaluator", "test_evaluations", "test_codesign", "test_trust", "test_commands"),
+)  # files that go first, in this order
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE = 30.0  # seconds for anything in the browser; a shared machine may stall
 GRAVE = ("error", "warning")

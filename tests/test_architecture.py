@@ -1,7 +1,5 @@
 """The house has layers; these tests keep them. See CONTRIBUTING.md for what belongs where."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterable, Iterator
 from functools import cache

@@ -1,7 +1,5 @@
 """What is installed is what lies in the checkout, and importing it stays cheap."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import shutil
@@ -22,20 +20,7 @@ else:
     import tomli as tomllib
 
 DATA_SUFFIXES = {".pyi", ".yaml", ".cfg", ".html", ".js", ".css", ".h", ".typed", ".npz", ".csv", ".pt"}
-HEAVY = (
-    "torch",
-    "warp",
-    "botorch",
-    "neat",
-    "ribs",
-    "hydra",
-    "omegaconf",
-    "rsl_rl",
-    "gymnasium",
-    "matplotlib",
-    "pxr",
-    "tensorboard",
-)
+HEAVY = "torch warp botorch neat ribs hydra omegaconf rsl_rl gymnasium matplotlib pxr tensorboard".split()
 IMPORT_SECONDS = 1.0
 
 

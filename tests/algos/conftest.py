@@ -1,7 +1,5 @@
 """Precision and threads of torch, for tests that compare trainings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

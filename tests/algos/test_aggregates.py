@@ -1,7 +1,5 @@
 """Aggregates over tasks against scipy's, against values by hand, and against what intervals promise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st

@@ -1,7 +1,5 @@
 """Interrupts that wait, and those that the parent process ignores."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Confidence intervals against scipy's own, and against what they promise."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tables of packs of different bodies: which springs pull at which points, by a second way to find that out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

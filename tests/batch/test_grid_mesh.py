@@ -1,7 +1,5 @@
 """Meshes of different bodies in one pack, against the mesh of each body by itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st

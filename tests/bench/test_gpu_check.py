@@ -5,8 +5,6 @@ from __future__ import annotations
 import functools
 import json
 import os
-import runpy
-import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -19,14 +17,7 @@ import torch
 from rich.console import Console
 from simulated_cuda import SimulatedCuda
 
-from warpvox.bench import (
-    cases,
-    gpu,
-    gpu_checks,
-    gpu_rates,
-    gpu_tools,
-    report as report_module,
-)
+from warpvox.bench import cases, gpu, gpu_checks, gpu_rates, gpu_tools, report as report_module
 from warpvox.bench.report import Report
 from warpvox.cli.config import load
 from warpvox.configs.presets import training_preset
@@ -169,12 +160,6 @@ def test_a_sanitizer_that_is_there_is_used(errors: int, report: Report, monkeypa
     assert not errors or sample in said.read_text()
 
 
-def test_the_sample_for_tools_steps(capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["sample", '{"task": "Walker-v0", "num_envs": 8, "device": "cpu"}', "1", "2"])
-    runpy.run_module("warpvox.bench.sample", run_name="__main__")
-    assert capsys.readouterr().out == "finite\n"
-
-
 def test_the_time_ends_between_parts_and_within_one(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
     monkeypatch.setattr(report_module.time, "perf_counter", lambda: now[0])
@@ -200,18 +185,6 @@ def test_without_a_gpu_its_suite_says_so(warpvox: Callable, monkeypatch: pytest.
     assert not Path("outputs").exists()
 
 
-@pytest.mark.parametrize(
-    ("asked", "told"),
-    [
-        (("Walker-v0", "float32", 16384), "5.30 to 13.8 M"),
-        (("Walker-v0", "float64", 16384), "-"),
-        (("Climber-v0", "float32", 16384), "-"),
-    ],
-)
-def test_predictions_stand_beside_what_was_predicted_for(asked: tuple, told: str) -> None:
-    assert gpu_rates.predicted(*asked) == told
-
-
 @pytest.mark.parametrize("offset", [0.0, 1e-300])
 def test_equal_bit_for_bit_is_tested(offset: float, report: Report) -> None:
     one, other = ({"reward": torch.full((3,), value, dtype=torch.float64)} for value in (0.0, offset))
@@ -220,9 +193,7 @@ def test_equal_bit_for_bit_is_tested(offset: float, report: Report) -> None:
 
 
 @pytest.mark.parametrize("code", [0, 1])
-def test_the_tests_of_this_checkout_are_run(
-    code: int, report: Report, repository: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_tests_of_this_checkout_are_run(code: int, report: Report, repository: Path, monkeypatch) -> None:
     words: list[str] = []
 
     def tests(command: list[str], **_: object) -> SimpleNamespace:

@@ -1,7 +1,5 @@
 """``warpvox bench``: every suite at a tiny size, and that no time is printed of a wrong result."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys
@@ -10,16 +8,13 @@ from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from warpvox.bench import check, gradients, kernels, machine, reference, scaling
-from warpvox.bench.cases import full_body, sampled_or_full
+from warpvox.bench.cases import full_body
 from warpvox.bench.ptxas import find_program
-from warpvox.bench.report import number
 from warpvox.bench.runner import Runner
-from warpvox.configs.bench import BenchConfig, ScalingConfig
-from warpvox.design import check_design
+from warpvox.configs.bench import BenchConfig
 from warpvox.errors import ConfigError, SimulationError, WarpvoxError
 from warpvox.kernels.state import DATA
 from warpvox.kernels.step import STAGES
@@ -172,24 +167,10 @@ def test_scaling_in_three_ways(bench: Callable, fake_reference: Callable) -> Non
     assert plot.stat().st_size > 1000
 
 
-def test_a_quick_figure_2_has_fewer_sizes_robots_and_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And without any of that, the paper's protocol: n from 5 to 35, ten robots of each, ten seconds."""
-    seen: list[tuple[int, int, float]] = []
-    monkeypatch.setattr(scaling, "_one_size", lambda _, how, side, __: seen.append((side, how.bodies, how.seconds)))
-    monkeypatch.setattr(scaling, "_show_bodies", lambda *_: None)
-    for quick in (False, True):
-        config = SimpleNamespace(scaling=ScalingConfig(quick=quick))
-        scaling.scale_bodies(config, SimpleNamespace(status=lambda _: nullcontext()), None)
-    assert seen[:31] == [(side, 10, 10.0) for side in range(5, 36)]
-    assert seen[31:] == [(side, 3, 2.0) for side in range(5, 36, 5)]
-
-
 @pytest.mark.parametrize(
     ("envs", "limit", "left_out"), [([8, 4096], 4, "4,096 (memory"), ([8], 1e-9, "8 (over 1e-09 s a repetition)")]
 )
-def test_scaling_leaves_out_what_does_not_fit(
-    envs: list[int], limit: float, left_out: str, bench: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scaling_leaves_out_what_does_not_fit(envs: list[int], limit: float, left_out: str, bench, monkeypatch) -> None:
     monkeypatch.setattr(scaling, "available_memory", lambda _: 5e4)
     said, figures = bench("scaling", *FIGURE_2, "scaling.sizes=[2]", f"scaling.envs={envs}", f"limit={limit}")
     assert left_out in said
@@ -246,9 +227,7 @@ def test_a_document_gets_the_tables(bench: Callable) -> None:
 
 
 @pytest.mark.parametrize(("document", "words"), [("nowhere.md", "no file"), ("page.md", "no place for this suite")])
-def test_a_document_without_a_place_is_said_before_anything_is_measured(
-    warpvox: Callable, document: str, words: str
-) -> None:
+def test_a_document_without_a_place_is_said_before_anything_is_measured(warpvox, document: str, words: str) -> None:
     Path("page.md").write_text("<!-- bench tasks -->\n<!-- end -->\n")
     outcome = warpvox("bench", "suite=kernels", f"document={document}", *TINY)
     assert outcome.code == 2
@@ -280,29 +259,3 @@ def test_the_reference_is_made_once_and_whole(works: bool, monkeypatch: pytest.M
     reference.make_reference(made)
     assert calls.read_text().count("-m venv") == 1
     assert reference.PACKAGE in calls.read_text()
-
-
-@pytest.mark.parametrize(("side", "sampled"), [(5, True), (12, True), (35, False)])
-def test_bodies_are_sampled_where_they_can_be_and_full_beyond(side: int, sampled: bool) -> None:
-    bodies, found = sampled_or_full(side, 3, 0)
-    assert found is sampled
-    assert len({body.tobytes() for body in bodies}) == 3
-    assert np.array_equal(sampled_or_full(side, 3, 0)[0], bodies)
-    for body in bodies:
-        check_design(body)
-        assert (body > 0).all() != sampled
-
-
-def test_figures_keep_what_matters() -> None:
-    values = (None, float("nan"), 12345.6, 78.83, 0.0456, 2e-9, 0.0, 1234, [1.0, 3.0])
-    assert [number(value) for value in values] == [
-        "-",
-        "-",
-        "12,346",
-        "78.8",
-        "0.046",
-        "2.0e-09",
-        "0.000",
-        "1,234",
-        "2.00",
-    ]

@@ -1,7 +1,5 @@
 """A command line in an empty folder, with runs so small that they take a second."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

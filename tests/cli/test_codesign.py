@@ -1,19 +1,10 @@
 """Design searches from end to end, on trainings of a moment."""
 
-from __future__ import annotations
-
 import csv
-import dataclasses
 import io
 import json
 import math
-import os
-import random
 import re
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,13 +20,10 @@ from warpvox.algos.codesign import progress, results as results_of
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.codesign.progress import SearchProgress
 from warpvox.algos.codesign.results import Results
-from warpvox.algos.codesign.run import SearchRun, _archive
+from warpvox.algos.codesign.run import SearchRun
 from warpvox.algos.codesign.settings import Codesign
-from warpvox.algos.search import GA
-from warpvox.cli.config import load
 from warpvox.design import example_design, load_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
-from warpvox.errors import RunError
 from warpvox.runs import END
 from warpvox.view.cell_text import body_rows
 from warpvox.view.palette import cell_colour
@@ -46,8 +34,7 @@ TINY = (
     " device=cpu threads=1"
 ).split()
 
-ROUNDING = 1e-6
-"""Of the rewards in a rollout, which are summed up in float64 and stored one by one in float32."""
+ROUNDING = 1e-6  # of the rewards in a rollout, which are summed up in float64 and stored one by one in float32
 
 
 def digest(folder: Path) -> str:
@@ -110,9 +97,7 @@ def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) 
     assert summary(played)["mean_return"] == pytest.approx(other.fitness, abs=ROUNDING)
 
 
-def test_the_winner_of_a_random_task_is_judged_again_on_fresh_seeds(
-    search: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_winner_of_a_random_task_is_judged_again_on_fresh_seeds(search: Callable, warpvox, monkeypatch) -> None:
     monkeypatch.setattr(results_of, "FRESH", 12)  # of 64
     folder = search("task=Catcher-v0", "search.max_evaluations=5", "seed=3")
     fresh, text = summary(folder)["fresh_seeds"], (folder / "report.html").read_text()
@@ -154,38 +139,6 @@ def test_the_same_seed_gives_the_same_search_and_a_sweep_makes_several(search: C
     assert len(folders) == 3
     found = [digest(folder) for folder in folders]
     assert found.count(one) == 2
-
-
-@pytest.mark.parametrize(
-    ("number", "code"), [pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow), (signal.SIGTERM, 143)]
-)
-def test_an_interrupt_saves_and_the_search_goes_on_to_the_same(
-    search: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch, number: int, code: int
-) -> None:
-    whole = search()
-    shown = SearchProgress.progress
-
-    def interrupt(self: SearchProgress, batch: object, event: dict) -> None:
-        shown(self, batch, event)
-        if self.archive.count() > 5 and event["iteration"] == 1:
-            signal.raise_signal(number)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(SearchProgress, "progress", interrupt)
-        parts = search(code=code)
-    assert summary(parts)["status"] == "interrupted"
-    assert digest(parts) != digest(whole)
-    saved = list((parts / "training").iterdir())
-    assert len(saved) == 1
-    outcome = warpvox("codesign", "resume=latest", "top=1")
-    assert outcome.code == 0, outcome.err
-    assert digest(parts) == digest(whole)
-    assert summary(parts)["status"] == "done"
-    assert len(list((parts / "generations").iterdir())) == len(list((whole / "generations").iterdir()))
-    # done is done
-    outcome = warpvox("codesign", f"resume={parts}")
-    assert (outcome.code, "nothing is left to do" in outcome.out) == (0, True)
-    assert digest(parts) == digest(whole)
 
 
 def test_resuming_refuses_what_would_be_another_search(search: Callable, warpvox: Callable) -> None:
@@ -277,20 +230,6 @@ def test_the_time_left_counts_control_steps(watched: Callable) -> None:
     assert said[2] == ["-", "0:00:35"]  # 400 steps in 10 s, and 1400 of 2 * 1000 are left
 
 
-def test_what_was_done_before_an_interrupt_does_not_count_as_fast(watched: Callable) -> None:
-    make, news, archive = watched
-    watch, asked = make(), pair(0)
-    archive.propose(asked, 0)
-    watch.proposed(0, asked, 2)
-    news(watch, 10.0, asked, 20)
-    assert news(watch, 10.0, asked, 40) == "0:03:00"  # 20 of 400 steps in 10 s
-    assert watch.under_way == "; 2 more under way, iteration 1/10 and 40 control steps"
-    again = make()
-    again.proposed(0, asked, 2)
-    assert news(again, 1.0, asked, 60) == "-"
-    assert news(again, 10.0, asked, 80) == "0:02:40"
-
-
 def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None:
     console = Console(force_terminal=True, color_system="truecolor", width=120, file=io.StringIO())
     bodies = [example_design("walker"), sample_design((5, 5), 0)]
@@ -322,59 +261,6 @@ def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None
         for cell in body[line]
         if cell
     ]
-
-
-def test_an_archive_of_other_settings_is_refused(tmp_path: Path) -> None:
-    settings = Codesign(device="cpu").resolved()
-    _archive(tmp_path, settings).close()
-    _archive(tmp_path, dataclasses.replace(settings, threads=3, name="other")).close()  # the same search
-    with pytest.raises(RunError, match="another value of 'search'"):
-        _archive(tmp_path, dataclasses.replace(settings, search=GA(mutation_rate=0.2)))
-
-
-def test_presets_are_those_of_the_paper() -> None:
-    paper = load("codesign", ["search=paper"])
-    assert (paper.search.population, paper.search.max_evaluations, paper.shape) == (25, 250, [5, 5])
-    training = paper.training
-    assert training.iterations * training.envs * training.ppo.steps == 512_000
-    assert (training.iterations, training.eval_interval, training.rungs, training.inherit) == (1000, 50, [], False)
-    quick = load("codesign", ["search=quick"])
-    cost = quick.search.max_evaluations * quick.training.iterations * quick.training.envs * quick.training.ppo.steps
-    assert cost < 250 * 512_000 / 5
-
-
-# ------------------------------------------------------------------------------------------------------- slow
-
-
-def command(folder: Path, *words: str) -> subprocess.Popen:
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    line = [sys.executable, "-m", "warpvox", "codesign", *words]
-    return subprocess.Popen(line, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("whole_episodes")  # as in other processes
-def test_killed_three_times_the_real_search_is_the_undisturbed_one(tmp_path: Path, search: Callable) -> None:
-    words = [word for word in TINY if not word.startswith("training.iterations")]
-    words += ["training.iterations=40", "training.save_interval=5"]
-    whole = search("training.iterations=40", "training.save_interval=5")
-    place = tmp_path / "killed"
-    place.mkdir()
-    rng = random.Random(0)
-    for attempt in range(3):
-        process = command(place, *(words if attempt == 0 else ["resume=latest"]))
-        archives = []
-        while not archives and process.poll() is None:
-            archives = list(place.glob("outputs/codesign/*/*/training/*.pt"))
-            time.sleep(0.05)
-        time.sleep(rng.uniform(0.0, 3.0))
-        process.kill()
-        process.communicate()
-    (folder,) = place.glob("outputs/codesign/*/*")
-    process = command(place, "resume=latest")
-    out = process.communicate()[0]
-    assert process.returncode == 0, out
-    assert digest(folder) == digest(whole)
 
 
 @pytest.mark.slow  # tests/algos/codesign/test_ray_executor.py compares in the default run

@@ -1,12 +1,9 @@
 """Commands from end to end, on runs of a second."""
 
-from __future__ import annotations
-
 import json
-import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,7 +14,6 @@ from learning import rows
 import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.training.metrics import COLUMNS, read_metrics
-from warpvox.cli import main
 from warpvox.design import example_design
 from warpvox.view.rollout import Rollout
 
@@ -79,36 +75,6 @@ def test_resuming_refuses_what_would_be_another_run(train: Callable, warpvox: Ca
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 
 
-@pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
-)
-def test_an_interrupt_saves_and_the_run_goes_on(
-    train: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch, number: int, code: int
-) -> None:
-    from warpvox.algos.training.progress import Terminal
-
-    whole = train("max_iterations=4")
-    shown = Terminal.__call__
-
-    def interrupt(self: Terminal, row: Mapping[str, float]) -> None:
-        shown(self, row)
-        if row["iteration"] == 2:
-            signal.raise_signal(number)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Terminal, "__call__", interrupt)
-        outcome = warpvox("train", f"config={whole}")
-    assert outcome.code == code
-    assert "interrupted, state saved" in outcome.out
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-    (parts,) = set(Path("outputs/train/Walker-v0").iterdir()) - {whole}
-    assert summary(parts)["status"] == "interrupted"
-    assert warpvox("train", f"resume={parts}").code == 0
-    assert rows(parts) == rows(whole)
-    assert summary(parts)["status"] == "done"
-
-
 def test_several_designs_train_together_and_play(train: Callable, warpvox: Callable) -> None:
     folder = train("max_iterations=1", "design=[mini,worm]")
     outcome = warpvox("play", f"run={folder}", "num_envs=2", "steps=3", "threads=1")
@@ -137,14 +103,6 @@ def test_play_repeats_the_best_evaluation(train: Callable, warpvox: Callable) ->
     assert warpvox("play", f"run={run}", "num_envs=1", "threads=1").code == 0
     (folder,) = Path("outputs/play/Catcher-v0").iterdir()
     assert summary(folder)["mean_return"] == pytest.approx(summary(run)["best_return"], abs=1e-6)
-
-
-def test_export_one_format_of_a_checkpoint(train: Callable, warpvox: Callable) -> None:
-    run = train("max_iterations=2", "save_interval=1")
-    outcome = warpvox("export", f"run={run / 'model_1.pt'}", "format=html", "steps=5", "threads=1")
-    assert outcome.code == 0, outcome.err
-    (folder,) = Path("outputs/export/Walker-v0").iterdir()
-    assert (folder / "rollout.html").stat().st_size > 1000
 
 
 def test_latest_is_the_newest_run(train: Callable, warpvox: Callable) -> None:
@@ -206,29 +164,6 @@ def test_info_names_versions_devices_and_the_cache(warpvox: Callable) -> None:
     assert outcome.err == ""
     for word in ("warpvox", "warp-lang", "cpu", "cuda", "kernel cache"):
         assert word in outcome.out
-
-
-def test_a_reference_without_evogym_says_how_to_get_it(warpvox: Callable, tmp_path: Path) -> None:
-    script = tmp_path / "python"
-    script.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')  # without site-packages
-    script.chmod(0o755)
-    outcome = warpvox("bench", "design=mini", "num_envs=8", f"peer.python={script}")
-    assert outcome.code == 2
-    assert "evogym==2.0.0" in outcome.err
-    assert not Path("outputs").exists()
-
-
-def test_python_m_warpvox(tmp_path: Path) -> None:
-    import runpy
-
-    with pytest.raises(SystemExit) as exit_info:
-        sys_argv, sys.argv = sys.argv, ["warpvox", "--version"]
-        try:
-            runpy.run_module("warpvox", run_name="__main__")
-        finally:
-            sys.argv = sys_argv
-    assert exit_info.value.code == 0
-    assert main(["--version"]) == 0
 
 
 def test_help_lists_and_mistakes_do_not_wait_for_torch_and_warp() -> None:

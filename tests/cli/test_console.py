@@ -1,7 +1,5 @@
 """Text of files is shown as text, advice can be pasted, names fit into a folder."""
 
-from __future__ import annotations
-
 import io
 import shlex
 import subprocess

@@ -1,7 +1,5 @@
 """``warpvox curves``; the gallery of all tasks."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Callable
@@ -107,21 +105,6 @@ def test_one_run_by_any_name(runs: str, warpvox: Callable) -> None:
     outcome = warpvox("curves", f"runs={runs}")
     assert outcome.code == 0, outcome.err
     assert len(Path("curves.csv").read_text().splitlines()) == 2
-
-
-@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
-def test_curves_of_several_runs(warpvox: Callable, suffix: str) -> None:
-    pytest.importorskip("matplotlib")
-    for name, top in (("a", 3.0), ("b", 4.0)):
-        make_run(Path(name), [(10, 0.0), (20, top)])
-    words = ("curves", "runs=[a,b]", f"file=out/curves{suffix}", "size=[500,300]")
-    assert warpvox(*words).code == 0
-    first = Path(f"out/curves{suffix}").read_bytes()
-    assert warpvox(*words).code == 0
-    assert first == Path(f"out/curves{suffix}").read_bytes()  # no date, no chance
-    if suffix == ".png":
-        with Image.open(f"out/curves{suffix}") as picture:
-            assert picture.size == (500, 300)
 
 
 def test_curves_that_cannot_be_drawn(warpvox: Callable) -> None:

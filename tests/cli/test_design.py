@@ -1,7 +1,5 @@
 """``warpvox design`` as a process: it says where it is, answers there, and ends when it is interrupted."""
 
-from __future__ import annotations
-
 import re
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Many bodies for one policy on the command line: what can be named, and a run from training to evaluation."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Callable

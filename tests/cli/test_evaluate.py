@@ -1,7 +1,5 @@
 """Policies are evaluated with intervals that mean what they say; play says where episodes are one and the same."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """Design searches whose designs one policy compares, and policies for voxels, from end to end."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable
@@ -37,8 +35,7 @@ OF = {
     "shared": ["evaluation.finalists=2", "evaluation.envs=8", "evaluation.iterations=1"],
 }
 ROUNDING = 1e-6
-ROUNDS = "evaluation.final_passes=0"
-"""Finalists of evaluation=gaits have rounds alone."""
+ROUNDS = "evaluation.final_passes=0"  # finalists of evaluation=gaits have rounds alone
 TRAINED = "designs=random:4:3x3", "policy=grid", "num_envs=8", "max_iterations=2", "network={width:8}", "lanes=8"
 
 
@@ -50,10 +47,12 @@ def tiny(*words: str) -> list[str]:
 
 
 def search(warpvox: Callable, *words: str) -> Path:
+    before = set(Path("outputs").glob("codesign/*/*"))
     outcome = warpvox("codesign", *tiny(*words))
     assert outcome.code == 0, outcome.err
     assert "generation 0: 3 designs to evaluate" in outcome.out
-    return max(Path("outputs/codesign/Walker-v0").iterdir())
+    (folder,) = set(Path("outputs").glob("codesign/*/*")) - before
+    return folder
 
 
 def settings(*words: str) -> Codesign:
@@ -120,36 +119,11 @@ def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -
     assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
 
 
-def test_a_search_that_tunes_by_gradients(warpvox: Callable, train: Callable) -> None:
-    network = "network={width:8,heads:2,layers:1}"
-    how = (
-        "policy=cpg",
-        "method=gradients",
-        "obs=timed",
-        network,
-        "ppo.steps=4",
-        "ppo.epochs=1",
-        "designs.held_out=random:2:3x3",
-    )
-    train(*(word for word in TRAINED if not word.startswith(("policy", "network"))), *how)
-    words = (
-        "preset=universal_cpg",
-        "evaluation.pretrained=latest",
-        "evaluation.iterations=2",
-        "evaluation.ppo={steps:4}",
-        "evaluation.envs=1",
-    )
-    folder = search(warpvox, *words)
-    one = max(records_of(folder)[:5], key=lambda record: abs(record.fitness))
-    assert 2 * 4 < one.steps <= 2 * 4 + 500
-    assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
-    # on CUDA another layout would be chosen, through which gradients do not go
+def test_gradients_go_through_lanes() -> None:
+    """On CUDA another layout would be chosen, through which they do not go."""
     job = Codesign(evaluation="shared")
     assert Shared(policy="cpg").factory(job).sim.layout == "lanes"
     assert Shared().factory(job).sim.layout is None
-    refused = warpvox("codesign", *tiny("evaluation=shared", "evaluation.policy=cpg", "task=AreaMaximizer-v0"))
-    assert refused.code == 2
-    assert "those of AreaMaximizer-v0 are made of hull_area, too" in refused.err
 
 
 def test_a_search_by_gaits(warpvox: Callable) -> None:
@@ -178,9 +152,7 @@ def test_a_search_by_gaits(warpvox: Callable) -> None:
         "evaluation=shared evaluation.eval_envs=3 training.eval_envs=2",
     ],
 )
-def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(
-    warpvox: Callable, monkeypatch: pytest.MonkeyPatch, words: str
-) -> None:
+def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(warpvox, monkeypatch, words: str) -> None:
     short = dataclasses.replace(registry.get_task("BidirectionalWalker-v0"), max_episode_steps=50)
     monkeypatch.setitem(registry._TASKS, short.id, short)
     outcome = warpvox("codesign", *tiny("task=BidirectionalWalker-v0", "seed=3", *words.split()))
@@ -195,13 +167,7 @@ def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(
 
 
 def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
-    gaits = (
-        "evaluation=gaits",
-        "evaluation.gaits=8",
-        "evaluation.rounds=1",
-        "evaluation.final_rounds=2",
-        "dtype=float64",
-    )
+    gaits = "evaluation=gaits evaluation.gaits=8 evaluation.rounds=1 evaluation.final_rounds=2 dtype=float64".split()
     first = search(warpvox, *gaits, ROUNDS)
     assert warpvox("zoo", f"add={first}", "folder=mine").code == 0
     file = Path("mine/Walker-v0.npz")
@@ -274,16 +240,11 @@ def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path
             "evaluation=gaits evaluation.gaits=7 task=Catcher-v0 evaluation.final_passes=0",
             3 * 7 * 4,
         ),  # a random task: four episodes of each gait
-        ("evaluation=gaits evaluation.gaits=9 evaluation.finalists=6 evaluation.final_passes=0", 6 * 9),
-        (
-            "evaluation=gaits evaluation.gaits=9 evaluation.finalists=6 batch=2 evaluation.final_passes=0",
-            2 * 9,
-        ),
+        ("evaluation=gaits evaluation.gaits=9 evaluation.finalists=6 batch=2 evaluation.final_passes=0", 2 * 9),
         (
             "evaluation=gaits evaluation.gaits=7 evaluation.passes=1 evaluation.beam=20 evaluation.final_passes=0",
             3 * 20,
         ),
-        ("evaluation=gaits evaluation.final_passes=1 evaluation.final_beam=30 evaluation.finalists=2", 2 * 30),
     ],
 )
 def test_environments_that_are_stepped_together(words: str, count: int) -> None:
@@ -304,17 +265,13 @@ def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
     [
         ("policy=grid", "policy=grid needs training.method=sequential"),
         ("network={width:8}", "mlp has training.ppo.hidden"),
-        ("policy=grd training.method=sequential", "Did you mean 'grid'"),
         ("policy=grid network={widht:8} training.method=sequential", "Did you mean 'width'"),
         ("evaluation=few_shot", "evaluation=few_shot needs evaluation.pretrained"),
-        ("evaluation.pretrained=latest", "Unknown key 'evaluation.pretrained'"),
         ("evaluation=shared training.inherit=true", "training.inherit does not go with evaluation=shared"),
         ("evaluation=gaits training.inherit=true", "training.inherit does not go with evaluation=gaits"),
-        ("evaluation=gaits evaluation.pretrained=latest", "Unknown key 'evaluation.pretrained'"),
         ("evaluation=shared executor=ray", "one policy that learns in one process"),
         ("evaluation=shared batch=2", "leave batch away"),
         ("evaluation=shared evaluation.policy=mlp", "evaluation.policy must see voxels"),
-        ("evaluation=shared evaluation.ppo={epoch:2}", "Did you mean 'evaluation.ppo.epochs'"),
         ("evaluation=shared evaluation.ppo={epochs:two}", "evaluation.ppo.epochs must be an integer, got 'two'"),
         ("evaluation=shared evaluation.ppo={epochs:0}", r"evaluation\.ppo\.epochs"),
         ("evaluation=shared training=paper", "cannot decay linearly"),

@@ -1,7 +1,5 @@
 """Exports of a rollout: an estimate of what is to come, and ``every``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from io import StringIO
 from pathlib import Path
@@ -21,14 +19,6 @@ def test_a_long_film_is_announced(monkeypatch: pytest.MonkeyPatch) -> None:
     for number in (100, 250, 260):
         tell(number, 250_000)
     assert shown.getvalue() == "rollout.mp4: 250,000 pictures, about 42 minutes more; every=N makes fewer\n"
-
-
-def test_a_short_film_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = iter([0.0, 3.0])
-    monkeypatch.setattr("warpvox.cli.exports.time.monotonic", lambda: next(clock))
-    shown = StringIO()
-    Estimate("rollout.gif", Console(file=shown, width=200))(100, 200)
-    assert shown.getvalue() == ""
 
 
 def test_every_reaches_every_format(warpvox: Callable, tmp_path: Path) -> None:

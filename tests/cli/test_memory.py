@@ -1,10 +1,7 @@
 """Trainings, searches and plays that do not fit into memory are refused, with the key and the value that would."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
@@ -23,17 +20,12 @@ def free(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     [
         (20, "num_envs", "train num_envs=10000000"),
         (1, "num_envs", "train designs=random:64 policy=transformer num_envs=200000"),
-        (1, "num_envs", "train designs=[mini] designs.grid=[100,100] num_envs=1024"),
         (1, "batch", "codesign training.envs=4096 training.ppo.steps=64"),
-        (0.1, "training.envs", "codesign training.envs=4096 training.method=sequential training.ppo.steps=64"),
         (2, "search.population", "codesign evaluation=shared evaluation.envs=4096"),
         (8, "evaluation.beam", "codesign evaluation=gaits evaluation.beam=10000000 evaluation.passes=1"),
-        (8, "evaluation.final_beam", "codesign evaluation=gaits evaluation.final_beam=10000000"),
     ],
 )
-def test_what_does_not_fit_is_refused_with_what_does(
-    warpvox: Callable, tmp_path: Path, free: Callable, size: float, key: str, words: str
-) -> None:
+def test_what_does_not_fit_is_refused_with_what_does(warpvox, tmp_path, free, size, key: str, words: str) -> None:
     free(size)
     outcome = warpvox(*words.split(), "device=cpu")
     assert outcome.code == 2, outcome

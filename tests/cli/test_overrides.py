@@ -1,8 +1,7 @@
 """What is typed reaches the configuration: paths of any letters, single values where lists are expected."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -66,11 +65,8 @@ def test_lists_are_values_not_sweeps() -> None:
     ("command", "word", "name", "value"),
     [
         ("play", "export=gif", "export", ["gif"]),
-        ("curves", "runs=latest", "runs", ["latest"]),
-        ("codesign", "export=csv", "export", ["csv"]),
         ("train", "ppo.hidden=64", "ppo.hidden", [64]),
         ("codesign", "training.rungs=0.5", "training.rungs", [0.5]),
-        ("bench", "tasks=Walker-v0", "tasks", ["Walker-v0"]),
         ("train", "name=007", "name", "007"),
         ("train", "name=1e3", "name", "1e3"),
         ("play", "checkpoint=50", "checkpoint", "50"),
@@ -88,14 +84,6 @@ def test_a_sweep_of_single_values_where_lists_are_expected() -> None:
     assert [load("play", words).export for words in runs] == [["gif"], ["usd"]]
 
 
-def test_texts_of_other_scripts_are_judged_by_their_content() -> None:
-    with pytest.raises(ConfigError, match="rules must be one of evogym, paper"):
-        load("train", ["rules=pàper"])
-
-
-# ------------------------------------------------------------------------------------------------ config=FILE
-
-
 def test_a_stored_configuration_runs_again(tmp_path: Path) -> None:
     first = load("train", ["ppo=evogym", "seed=3", "design=[[3,3],[4,4]]", "physics.gravity=80", "name=x"])
     file = tmp_path / "config (1).yaml"
@@ -110,6 +98,12 @@ def test_a_stored_configuration_runs_again(tmp_path: Path) -> None:
     search = load("codesign", ["search=map_elites", "search.bins=3", "evaluation=shared", *mappings])
     file.write_text(to_yaml(search))
     assert load("codesign", [f"config={file}"]) == search
+    assert load("codesign", [f"config={file}", "evaluation.envs=3"]).evaluation == replace(search.evaluation, envs=3)
+    gaits = load("codesign", [f"config={file}", "evaluation=gaits"])
+    assert gaits == replace(search, evaluation=load("codesign", ["evaluation=gaits"]).evaluation)
+    file.write_text(to_yaml(search).replace("name: shared", "name: shard"))
+    with pytest.raises(ConfigError, match=r"evaluation must be one of .*got 'shard'"):
+        load("codesign", [f"config={file}"])
 
 
 def test_a_few_keys_in_a_file(tmp_path: Path) -> None:
@@ -122,9 +116,6 @@ def test_a_few_keys_in_a_file(tmp_path: Path) -> None:
     ("text", "phrase"),
     [
         ("sede: 1\n", "Unknown key 'sede'. Did you mean 'seed'?"),
-        ("ppo:\n  gama: 1\n", "'ppo.gama'"),
-        ("seed: abc\n", "seed"),
-        ("num_envs: 0\n", "at least 1"),
         ("- 1\n", "holds no KEY: VALUE"),
         ("task: !!python/name:os.system\n", "could not determine a constructor"),
         ("search: {algorithm: ga}\n", "Unknown key 'search.algorithm'"),
@@ -146,9 +137,6 @@ def test_a_file_and_a_preset_are_two_beginnings(tmp_path: Path) -> None:
 def test_no_such_file() -> None:
     with pytest.raises(ConfigError, match=r"config must be a YAML file or the folder of a run; nowhere\.yaml"):
         load("train", ["config=nowhere.yaml"])
-
-
-# ----------------------------------------------------------------------------------------------- --config-dir
 
 
 @pytest.mark.parametrize("text", ["gamma: 0.5\n", "# @package _global_\nppo:\n  gamma: 0.5\nnum_envs: 8\n"])

@@ -1,7 +1,5 @@
 """``warpvox train pretrained=``: trainings that begin with the policy of another one."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable
@@ -11,7 +9,7 @@ import pytest
 import torch
 import yaml
 
-from warpvox.algos.checkpoints.files import load_checkpoint, save_checkpoint
+from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.cli.application import prepared
 from warpvox.cli.commands.train import make_job
 
@@ -102,10 +100,7 @@ def test_a_body_takes_the_place_of_those_of_a_preset() -> None:
     ("words", "message"),
     [
         ("policy=mlp", "policy=mlp is not that of the policy in .*: policy=grid"),
-        ("obs=timed", "obs=timed is not that of the policy in .*: obs=voxel"),
         ("ppo.action_scale=0.1", "ppo.action_scale=0.1 is not that of the policy in .*: ppo.action_scale=0.5"),
-        ("method=gradients", "method=gradients is not that of the policy in .*: method=ppo"),
-        ("design=random:4x4", "There are bodies of 4x4, and designs.grid is 3x3"),
         ("designs.grid=[4,4]", r"designs.grid=\[4, 4\]: the grid of the pretrained policy is \[3, 3\]"),
         ("task=Thrower-v0 design=mini", "The pretrained policy has another layout"),
         ("design=worm designs=random:3", "design is one body, designs are many for one policy"),
@@ -113,36 +108,10 @@ def test_a_body_takes_the_place_of_those_of_a_preset() -> None:
         ("pretrained=nowhere", "There is no run at nowhere"),
     ],
 )
-def test_what_does_not_go_with_the_policy_is_refused(
-    warpvox: Callable, train: Callable, words: str, message: str
-) -> None:
+def test_what_does_not_go_with_the_policy_is_refused(warpvox, train: Callable, words: str, message: str) -> None:
     run = train(*VOXELS, "max_iterations=1")
     words = words.split() if "pretrained" in words else ["pretrained=latest", *words.split()]
     outcome = warpvox("train", *words, "num_envs=4", "max_iterations=1", "device=cpu")
     assert outcome.code != 0
     assert re.search(message, " ".join(outcome.err.split()))
     assert list(Path("outputs/train/Walker-v0").iterdir()) == [run]  # nothing was written
-
-
-def test_a_critic_of_another_kind_is_refused(warpvox: Callable, train: Callable) -> None:
-    run = train("max_iterations=1")
-    content = load_checkpoint(run / "model_best.pt")
-    names = list(content["critic_state_dict"])
-    for value, message in (
-        (torch.ones(1), "another kind of network"),
-        (3, "a value function of another kind (the weights are no tensors)"),
-        (torch.ones(1) / 0, "a value function of another kind (the weights are not finite numbers)"),
-        (torch.ones(1).expand(9), "a value function of another kind (the weights are views of other tensors)"),
-    ):
-        content["critic_state_dict"] = dict.fromkeys(names, value)
-        save_checkpoint(Path("other.pt"), content)
-        outcome = warpvox("train", "pretrained=other.pt", "design=mini", "num_envs=4", "max_iterations=1", "device=cpu")
-        assert outcome.code != 0
-        assert message in " ".join(outcome.err.split())
-
-
-def test_other_observations_are_refused(warpvox: Callable, train: Callable) -> None:
-    train("max_iterations=1")
-    outcome = warpvox("train", "pretrained=latest", "design=worm", "num_envs=4", "max_iterations=1", "device=cpu")
-    assert outcome.code != 0
-    assert "The pretrained policy has another num_obs" in outcome.err

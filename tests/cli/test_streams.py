@@ -1,7 +1,5 @@
 """Standard streams that nobody reads, that lack letters, or that were closed from the start."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -14,9 +12,7 @@ from fault_cases import TRAIN
 from warpvox.cli import main
 
 
-def test_a_training_goes_on_when_its_reader_has_gone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture
-) -> None:
+def test_a_training_goes_on_when_its_reader_has_gone(tmp_path: Path, monkeypatch, capfd: pytest.CaptureFixture) -> None:
     monkeypatch.chdir(tmp_path)
     theirs, ours = os.pipe()
     os.close(theirs)

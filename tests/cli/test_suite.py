@@ -1,7 +1,5 @@
 """Suites of design searches: what their members are, what is left of them, and how they go on after an end."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import errno
@@ -59,9 +57,6 @@ def digests(folder: Path) -> dict[str, str]:
         with Archive.read(folder / row["folder"] / FILE) as archive:
             found[row["folder"]] = archive.digest()
     return found
-
-
-# ------------------------------------------------------------------------------------------------------- members
 
 
 def members(*words: str) -> list[Any]:
@@ -129,8 +124,7 @@ def test_budgets_by_task() -> None:
     # of search=auto the finalists take gaits and trainings; Walker-v0 has 500, Catcher-v0 400 steps, four at random
     words = ["tasks=[Walker-v0,Catcher-v0]", "searches=[auto,ga]", "seeds=[0]", "control_steps=5000000"]
     walker, _, catcher, plain = members(
-        *words,
-        *(f"evaluation.{key}" for key in ("gaits=10", "rounds=2", "final_rounds=5", "final_passes=0")),
+        *words, *(f"evaluation.{key}" for key in ("gaits=10", "rounds=2", "final_rounds=5", "final_passes=0"))
     )
     last = [2 * (5 * 10 * steps + steps_of_training(training, 2)) for steps in (500, 4 * 400)]
     budgets = [int((5_000_000 - spent) // (2 * 10 * steps)) for spent, steps in zip(last, (500, 4 * 400), strict=True)]
@@ -141,20 +135,14 @@ def test_budgets_by_task() -> None:
 @pytest.mark.parametrize(
     ("changes", "phrase"),
     [
-        ({"tasks": ["benchmark1"]}, "Did you mean 'benchmark10'"),
-        ({"tasks": ["Walker-v0", "Wolker-v0"]}, "Did you mean 'Walker-v0'"),
         ({"tasks": []}, "got \\[\\]"),
-        ({"searches": ["gaa"]}, "Did you mean 'ga'"),
         ({"seeds": []}, "seeds must be how many"),
         ({"seeds": [-1]}, "seeds must be an integer >= 0"),
         ({"evaluations": {"esay": 3}}, "Did you mean 'easy'"),
         ({"evaluations": {"hard": 3}}, "says nothing of Walker-v0"),
-        ({"evaluations": 0}, "evaluations must be an integer >= 1"),
         ({"control_steps": 10}, "must be at least"),
         ({"codesign": ["search.mutation_rate=0.1"]}, "It is a setting of search=ga and search=map_elites"),
         ({"codesign": ["seed=3"]}, "seed is set by the suite for each search. Did you mean 'seeds'"),
-        ({"codesign": ["training.iteration=3"]}, "Did you mean 'training.iterations'"),
-        ({"shape": [5]}, "shape must be two integers"),
     ],
 )
 def test_mistakes_in_what_members_are(quick_keys: Any, changes: dict[str, Any], phrase: str) -> None:
@@ -167,9 +155,6 @@ def test_what_a_design_costs_with_successive_halving() -> None:
     settings.ppo.steps = 16
     # of 5 designs all train 10 iterations, 3 ten more, 2 the last 20
     assert steps_of_training(settings, 5) == (5 * 10 + 3 * 10 + 2 * 20) * 8 * 16 / 5
-
-
-# ------------------------------------------------------------------------------------------------ without training
 
 
 class Evaluator:
@@ -266,9 +251,7 @@ def test_a_suite_leaves_one_folder(quick: Callable) -> None:
         ("evaluation=few_shot", "evaluation=few_shot needs evaluation.pretrained"),
     ],
 )
-def test_what_does_not_go_with_a_recipe_is_refused_before_anything_is_made(
-    quick: Callable, words: str, phrase: str
-) -> None:
+def test_what_does_not_go_with_a_recipe_is_refused_before_anything_is_made(quick, words: str, phrase: str) -> None:
     outcome = quick("searches=[ga,auto]", words)
     assert (outcome.code, phrase in outcome.err) == (2, True), outcome.err
     assert not Path("outputs").exists()
@@ -343,9 +326,7 @@ def test_an_interrupt_saves_what_there_is(quick: Callable, monkeypatch: pytest.M
     monkeypatch.undo()
 
 
-def test_a_full_disk_stops_a_suite_which_goes_on_when_there_is_room(
-    quick: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_stops_a_suite_which_goes_on_when_there_is_room(quick: Callable, monkeypatch) -> None:
     full = [StorageError("x.pt cannot be written: no space is left.", OSError(errno.ENOSPC, ""))]
     failing(monkeypatch, lambda config: full[0] if full and config.task == "Thrower-v0" else None)
     outcome = quick()
@@ -374,17 +355,6 @@ def test_report_again(quick: Callable) -> None:
     assert quick(f"report={folder}").code == 0
     assert (folder / CURVES).read_text() == before
     assert "1 done" in (folder / "report.html").read_text()
-
-
-def test_code_that_a_stored_file_names_is_not_imported(quick: Callable) -> None:
-    Path("evil.py").write_text("open('imported', 'w')\n")
-    assert quick("seeds=1", "tasks=[Walker-v0]").code == 0
-    (folder,) = Path("outputs/suite").iterdir()
-    config = folder / "config.yaml"
-    config.write_text(config.read_text().replace("[Walker-v0]", "[Walker-v0, 'evil.py:X']"))
-    outcome = quick("resume=latest")
-    assert (outcome.code, "only if you name it yourself" in outcome.err) == (2, True), outcome.err
-    assert not Path("imported").exists()
 
 
 def test_the_command_that_goes_on_names_the_code_of_the_suite(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,5 @@
 """``warpvox tasks``: the table, a task in detail, and the pictures of its world."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Callable
@@ -55,21 +53,6 @@ def test_a_task_in_detail_says_where_everything_lies(warpvox: Callable, task: st
         assert about_of(term.function), f"{term.function.__name__} does not say what it is"
         assert term.formula in outcome.out
     assert "{" not in outcome.out
-
-
-def test_formulas_hold_the_numbers_of_the_task(warpvox: Callable) -> None:
-    detail = warpvox("tasks", "Carrier-v1", "rules=paper").out
-    assert "reward   - 2 Δ|4.85 - x_package|\n" in detail
-    assert "         - Δ|4 - x_robot|\n" in detail
-    assert "         + 10 [y_package < (0.6 if x_package <= 2 else 0.4)] Δy_package\n" in detail
-    detail = warpvox("tasks", "UpStepper-v0").out
-    assert (
-        "ends     x_robot > 6.9: +2\n         75° < θ_robot < 285°: -3\n         the robot folds into itself: -3"
-        in detail
-    )
-    assert "θ_robot" in detail
-    assert "0 to 6.283" in detail
-    assert "rules=paper changes: observations" in detail
 
 
 def test_a_task_names_the_examples_that_fit_it(warpvox: Callable) -> None:

@@ -1,7 +1,5 @@
 """Code that a stored file names is imported only if the user names it again; a run carries its code along."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import shutil
@@ -102,11 +100,7 @@ REFUSED = [
     ),
     *("export run=zoo:robots/Walker-v0.npz", "export run=zoo:robots/Gait-v0.npz format=[jit]"),
     *("zoo add=[run] folder=new", "zoo add=[search] folder=new", "zoo add=[run/model_best.pt] folder=new"),
-    *(
-        "train resume=run max_iterations=2",
-        "train -m resume=run max_iterations=2,3",
-        "train config=run",
-    ),
+    *("train resume=run max_iterations=2", "train -m resume=run max_iterations=2,3", "train config=run"),
     *("train config=own_network", "train resume=own_network max_iterations=2", "codesign config=search"),
     *("codesign resume=search", "codesign resume=own_search", "codesign config=own_search"),
     *("suite config=suite name=x", "suite config=suite/config.yaml name=x", "suite resume=suite"),
@@ -114,14 +108,16 @@ REFUSED = [
 HARMLESS = [
     *("zoo folder=robots", "zoo folder=robots task=Walker-v0", "zoo folder=robots task=Gait-v0"),
     *("codesign report=search", "play agent=zero design=zoo:robots/Walker-v0.npz steps=1 window=off export=[]"),
-    *("export run=zoo:robots/Walker-v0.npz format=[jit]", "train design=zoo:robots/Walker-v0.npz --cfg job"),
+    *(
+        "export run=run format=[jit]",
+        "export run=zoo:robots/Walker-v0.npz format=[jit]",
+        "train design=zoo:robots/Walker-v0.npz --cfg job",
+    ),
 ]
 
 
 @pytest.mark.parametrize("words", [*REFUSED, *HARMLESS])
-def test_no_command_runs_code_that_a_file_names(
-    words: str, foreign: Path, warpvox: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_command_runs_code_that_a_file_names(words: str, foreign: Path, warpvox: Callable, monkeypatch) -> None:
     monkeypatch.chdir(foreign)
     before = set(Path().rglob("*"))
     outcome = warpvox(*words.split())
@@ -188,9 +184,6 @@ def test_only_these_modules_can_run_what_they_read(repository: Path) -> None:
         assert text.count("torch.load(") == text.count("weights_only=True)"), path
 
 
-# --------------------------------------------------------------------------------------------- code of one's own
-
-
 @pytest.fixture
 def own_task(tmp_path: Path) -> str:
     """A task with neighbours in a folder."""
@@ -201,9 +194,7 @@ def own_task(tmp_path: Path) -> str:
     return "mine/own.py:MINE"
 
 
-def test_a_run_of_a_custom_task_plays_from_anywhere(
-    train: Callable, warpvox: Callable, own_task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_of_a_custom_task_plays_from_anywhere(train, warpvox, own_task: str, tmp_path, monkeypatch) -> None:
     run = train(f"task={own_task}", "max_iterations=1")
     copied = {path.name for path in (run / "code" / "task").iterdir()}
     assert copied == {"n.txt", "own.py", "steps.py"}

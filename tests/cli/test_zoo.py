@@ -1,7 +1,5 @@
 """``warpvox zoo`` and what takes its robots."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable
@@ -102,24 +100,6 @@ def test_a_gait_is_listed_shown_played_and_loaded(warpvox: Callable) -> None:
     assert round(summary("play/Balancer-v0/*/summary.json")["mean_return"], 9) == robot.mean_return
     policy = load_policy("zoo:mine/Balancer-v0.npz")
     assert (policy.metadata["obs"], policy.num_actions) == ("timed", 8)
-
-
-@pytest.mark.slow
-def test_a_search_by_gaits_becomes_an_open_loop_entry(warpvox: Callable) -> None:
-    small = "search.max_evaluations=8 search.population=4 evaluation.gaits=4 evaluation.final_rounds=2"
-    small += " evaluation.finalists=1 training.iterations=1"
-    small += " training.envs=4 training.ppo.steps=4 device=cpu threads=1 shape=[3,3]"
-    found = warpvox("codesign", "evaluation=gaits", "task=UpStepper-v0", *small.split())
-    assert found.code == 0, found.err
-    added = warpvox("zoo", "add=outputs/codesign/UpStepper-v0/*", "folder=mine")
-    assert "no entry before; written to" in added.out, added.err
-    robot = read_robot("mine/UpStepper-v0.npz")
-    assert isinstance(robot.policy, Gait)
-    assert robot.mean_return == pytest.approx(robot.about["fitness"], abs=0.2)  # that of float32
-    exported = warpvox("export", "zoo=mine/UpStepper-v0.npz", "format=[gif,usd,onnx]", "steps=5")
-    assert exported.code == 0, exported.err
-    (file,) = Path("outputs").glob("export/*/*/policy.onnx")
-    assert load_policy(file).metadata["obs"] == "timed"
 
 
 @pytest.mark.parametrize(

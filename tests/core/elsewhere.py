@@ -3,8 +3,6 @@
 What only Linux has is taken away once the libraries are loaded, whose own ways with systems are not ours to test.
 """
 
-from __future__ import annotations
-
 import builtins
 import os
 import pkgutil

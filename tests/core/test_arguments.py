@@ -1,7 +1,5 @@
 """Arguments of the wrong kind, size or sense: functions and command lines refuse them with errors of ours."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -22,21 +20,15 @@ SMALL = {"device": "cpu", "threads": 1}
 @pytest.mark.parametrize(
     ("words", "error"),
     [
-        ({"physics": []}, ConfigError),
-        ({"rules": np.zeros((2, 2))}, ConfigError),
-        ({"dtype": []}, SimulationError),
-        ({"obs": np.zeros((2, 2))}, ConfigError),
-        ({"connections": 5}, ConfigError),
-        ({"seed": -1}, ConfigError),
-        ({"seed": 1.5}, ConfigError),
-        ({"lanes": []}, SimulationError),
-        ({"threads": True}, SimulationError),
-        ({"device": "cuda:²"}, DeviceError),
-        ({"designs": Stranger()}, DesignError),
-        ({"designs": np.array(False)}, DesignError),
+        ({"physics": []}, ConfigError), ({"rules": np.zeros((2, 2))}, ConfigError), ({"dtype": []}, SimulationError),
+        ({"obs": np.zeros((2, 2))}, ConfigError), ({"connections": 5}, ConfigError), ({"seed": -1}, ConfigError),
+        ({"seed": 1.5}, ConfigError), ({"lanes": []}, SimulationError), ({"lanes": 7}, SimulationError),
+        ({"dtype": "float16"}, SimulationError), ({"threads": 0}, SimulationError),
+        ({"threads": True}, SimulationError), ({"device": "cuda:²"}, DeviceError),
+        ({"designs": Stranger()}, DesignError), ({"designs": np.array(False)}, DesignError),
         ({"num_envs": float("nan")}, ConfigError),
     ],
-)
+)  # fmt: skip
 def test_make_vec_refuses(words: dict, error: type[Exception]) -> None:
     with pytest.raises(error):
         warpvox.make_vec(**{"task": "Walker-v0", "designs": "mini", **SMALL, **words})

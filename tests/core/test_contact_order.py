@@ -74,16 +74,6 @@ def test_the_set_is_gone_through_as_a_chained_hash_table(changes):
     assert list(ours) == chained.numbers()
 
 
-def test_the_set_turns_round_when_it_grows():
-    small, grown = HashSet(), HashSet()
-    for n in range(13):
-        small.add(n)
-    for n in range(16):
-        grown.add(n)
-    assert list(small) == list(range(12, -1, -1))
-    assert list(grown) == [15, 14, 13, *range(13)]
-
-
 def compiled(seed, shape=(5, 5)):
     world = World(20, 12)
     world.add_from_array("ground", np.full((1, 20), 5), 0, 0)

@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 import itertools
-import json
 from collections import Counter
 from pathlib import Path
 
@@ -12,7 +9,7 @@ from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
 import warpvox as wv
-from warpvox.design import are_valid, full_connections, has_actuator, is_connected
+from warpvox.design import are_valid, full_connections, is_connected
 
 GRIDS = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=7), elements=st.integers(0, 4))
 # Mostly filled: random grids of this size are hardly ever connected.
@@ -37,9 +34,6 @@ def is_valid(grid: np.ndarray) -> bool:
     return flood_fill(grid) and bool(((grid == 3) | (grid == 4)).any())
 
 
-# ---------------------------------------------------------------------- checks
-
-
 @given(GRIDS | DENSE)
 def test_connectivity_equals_a_flood_fill(grid: np.ndarray) -> None:
     assert is_connected(grid) == flood_fill(grid)
@@ -57,16 +51,10 @@ def test_check_design_accepts_exactly_the_valid_bodies(grid: np.ndarray) -> None
         assert body.dtype == np.int8
         assert np.array_equal(body, grid)
         assert np.array_equal(wv.check_design(grid.tolist()), grid)
+        assert not np.shares_memory(wv.check_design(grid), grid)
     else:
         with pytest.raises(wv.DesignError):
             wv.check_design(grid)
-
-
-def test_check_design_returns_a_copy() -> None:
-    given_body = wv.example_design("walker")
-    body = wv.check_design(given_body)
-    body[0, 0] = 0
-    assert given_body[0, 0] == 1
 
 
 @pytest.mark.parametrize(
@@ -76,20 +64,14 @@ def test_check_design_returns_a_copy() -> None:
         ([[3, 0], [0, 4]], "not connected: it falls into 2 pieces"),
         ([[1, 2], [2, 1]], "no actuator"),
         ([[1, 3], [7, 1]], "unknown cell type 7 at row 1, column 0"),
-        ([[1, 3], [1, -1]], "unknown cell type -1 at row 1, column 1"),
         ([[1, 3.5]], "unknown cell type 3.5 at row 0, column 1"),
-        ([[1, float("nan")]], "unknown cell type nan"),
         ([[3, 3], [5, 3]], r"fixed cell \(5\) at row 1, column 0"),
         ([3, 3], r"two dimensions \[rows, columns\], got shape \(2,\)"),
         (np.zeros((0, 5)), "no cells"),
         ([[3, 3], [3]], "ragged"),
         ([["h", "v"]], "must hold numbers"),
-        ([[True, True]], "must hold numbers"),
         ("walker", "must hold numbers"),
-        (None, "must hold numbers"),
-        (["x" * 100, 1], "must hold numbers"),
         ([["3", 4]], "must hold numbers"),
-        ([[[3], 4]], "two dimensions"),
         (Stranger(), "cannot be read as an array"),
     ],
 )
@@ -97,9 +79,6 @@ def test_check_design_says_what_is_wrong(body: object, words: str) -> None:
     with pytest.raises(wv.DesignError, match=words) as caught:
         wv.check_design(body)
     assert "\n" not in str(caught.value)
-
-
-# ---------------------------------------------------------------------- connections
 
 
 @given(GRIDS)
@@ -114,9 +93,6 @@ def test_full_connections_are_all_neighbours_in_row_major_order(grid: np.ndarray
     assert pairs.dtype == np.int32
     assert pairs.shape == (len(expected), 2)
     assert pairs.tolist() == expected
-
-
-# ---------------------------------------------------------------------- sampling
 
 
 @given(st.tuples(st.integers(1, 6), st.integers(1, 6)), st.integers(0, 2**32 - 1))
@@ -158,31 +134,18 @@ def test_samples_follow_the_law_of_independent_cells_given_validity() -> None:
     assert chi_square(counts, law) < 4.0
 
 
-def test_probabilities_are_relative_weights() -> None:
-    body = wv.sample_design((4, 4), seed=1, probabilities=[0, 0, 0, 7, 0])
-    assert (body == 3).all()
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ({"shape": (0, 5)}, "shape"),
-        ({"shape": 5}, "shape"),
         ({"shape": np.array(5)}, "shape"),
-        ({"shape": (2.5, 3)}, "shape"),
-        ({"shape": (5, 5, 5)}, "shape"),
         ({"seed": -1}, "seed"),
-        ({"seed": "x"}, "seed"),
         ({"probabilities": [1, 1, 1]}, "five weights"),
         ({"probabilities": [1, 1, 1, 0, 0]}, "actuator"),
         ({"probabilities": [1, 1, 1, -1, 3]}, "not negative"),
         ({"probabilities": [1, 1, float("nan"), 1, 1]}, "finite"),
-        ({"probabilities": [1, 1, float("inf"), 1, 1]}, "finite"),
         ({"probabilities": [0, 0, 0, 0, 0]}, r"all zero.*got \(0\.0, 0\.0, 0\.0, 0\.0, 0\.0\)"),
-        ({"shape": (1, float("inf"))}, "shape"),
-        ({"probabilities": [1, "x", 1, 1, 1]}, "must be"),
         ({"probabilities": [1, 1e308, 1e308, 1e308, 1]}, "must be"),
-        ({"probabilities": [1, 1, 1, 1e-9, 0]}, "must leave"),
         ({"probabilities": Stranger()}, "must be"),
         ({"probabilities": "walker"}, "must be"),
         ({"shape": (25, 25), "probabilities": [8, 1, 1, 1, 1]}, "No valid 25x25 body"),
@@ -191,9 +154,6 @@ def test_probabilities_are_relative_weights() -> None:
 def test_sampling_refuses_what_it_cannot_do(arguments: dict[str, object], words: str) -> None:
     with pytest.raises(wv.DesignError, match=words):
         wv.sample_design(**arguments)
-
-
-# ---------------------------------------------------------------------- examples, files, text
 
 
 def test_examples_are_valid_distinct_and_fresh() -> None:
@@ -210,11 +170,6 @@ def test_examples_are_valid_distinct_and_fresh() -> None:
         assert np.array_equal(wv.check_design(body), wv.example_design(name))
         body[:] = 0
         assert wv.example_design(name).any()
-
-
-def test_an_unknown_example_names_the_nearest() -> None:
-    with pytest.raises(wv.DesignError, match="Did you mean 'walker'"):
-        wv.example_design("walkr")
 
 
 @given(DENSE.filter(is_valid), st.sampled_from([".json", ".npz", ".npy"]))
@@ -311,18 +266,6 @@ def test_nothing_is_written_for_a_bad_body_or_suffix(tmp_path: Path) -> None:
     with pytest.raises(wv.DesignError, match=r"use one of \.json"):
         wv.save_design(tmp_path / "x.txt", [[3]])
     assert not list(tmp_path.iterdir())
-
-
-def test_saved_json_is_readable_by_people(tmp_path: Path) -> None:
-    path = wv.save_design(tmp_path / "mini.json", wv.example_design("mini"))
-    assert json.loads(path.read_text()) == {"body": [[3, 3, 3], [4, 4, 4], [4, 0, 4]]}
-    assert "[4, 0, 4]" in path.read_text()
-
-
-def test_has_actuator() -> None:
-    assert has_actuator([[1, 3]])
-    assert has_actuator([[1, 4]])
-    assert not has_actuator([[1, 2]])
 
 
 @given(bodies=st.lists(DENSE.filter(is_valid), min_size=1, max_size=2), rows=st.integers(1, 3))

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 import warpvox
@@ -38,9 +36,3 @@ def test_every_error_has_a_public_name() -> None:
 )
 def test_did_you_mean(given: object, sentence: str) -> None:
     assert errors.did_you_mean(given, ["Walker-v0", "Climber-v0", "Carrier-v0"]) == sentence
-
-
-def test_listing_is_cut_and_never_empty() -> None:
-    assert errors.listing(["a", "b"]) == "a, b"
-    assert errors.listing(range(5), limit=3) == "0, 1, 2, ... (2 more)"
-    assert errors.listing([]) == "(none)"

@@ -241,23 +241,6 @@ def test_contact_with_terrain_has_the_derivative_of_a_gradual_push(place):
     assert checked >= 8
 
 
-def test_gradients_make_a_gait(grads):
-    """Descent on a table of actions for each body: it repeats every 10 steps, and in the end they have gone farther."""
-    table = noise(grads.sim.actions[:, None].expand(-1, 10, -1)).mul_(0.5).requires_grad_()
-    optimizer, gone = torch.optim.Adam([table], 0.2), []
-    for _ in range(12):
-        grads.sim.reset()
-        state = grads.state()
-        for k in range(60):
-            state = grads.step(state, 1.1 + 0.5 * torch.tanh(table[:, k % 10]))
-        gone.append(grads.com(state, "robot")[:, 0].mean())
-        optimizer.zero_grad()
-        (-gone[-1]).backward()
-        optimizer.step()
-    assert gone[-1] > gone[0] + 0.5 * VOXEL
-    assert grads.velocity(state, "robot").any()
-
-
 def test_who_stands_still_keeps_its_state_and_its_derivative(grads):
     sim = grads.sim
     sim.set_frozen(torch.arange(8) == 2)

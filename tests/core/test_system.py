@@ -1,7 +1,5 @@
 """What depends on the operating system; other systems than Linux are imitated."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys
@@ -49,9 +47,6 @@ def lines_about_systems(path: Path) -> list[int]:
         if asks and node.attr in OF_SYSTEMS.get(node.value.id, ()):
             lines.append(node.lineno)
     return lines
-
-
-# ---------------------------------------------------------------------------------------------------------- memory
 
 
 def write(root: Path, **files: str) -> None:

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -37,9 +35,6 @@ def walker_world() -> wv.World:
     world.add_from_array("ground", np.full((1, 20), 5), 0, 0)
     world.add_from_array("robot", wv.example_design("walker"), 1, 1)
     return world
-
-
-# ---------------------------------------------------------------------- placing
 
 
 @given(OBJECTS)
@@ -100,15 +95,12 @@ def test_moving() -> None:
         (("\ud800", [[3]], 0, 9), "half of a character"),
         (("a", [[0]], 0, 9), "no cells"),
         (("a", [[9]], 0, 9), "object 'a' holds an unknown cell type 9 at row 0, column 0"),
-        (("a", [3], 0, 9), "two dimensions"),
         (("a", [[3]], -1, 9), r"'a' must not be negative, got \(-1, 9\)"),
         (("a", [[3]], 0.5, 9), "integers"),
         (("a", [[3]], 2, 2), r"overlaps 'robot' at cell \(2, 2\)"),
         (("a", [[3, 3]], 0, 9, [[0], [1, 2]]), "ragged"),
         (("a", [[3, 3]], 0, 9, [[0], [2]]), "not two neighbouring filled cells"),
-        (("a", [[3, 0, 3]], 0, 9, [[0], [1]]), "not two neighbouring filled cells"),
         (("a", [[3, 3]], 0, 9, [[0, 1], [1, 0], [0, 1]]), r"shape \[2, k\]"),
-        (("a", [[3, 3]], 0, 9, [[0.5], [1]]), "not two neighbouring filled cells"),
     ],
 )
 def test_bad_objects_change_nothing(arguments: tuple[object, ...], words: str) -> None:
@@ -133,28 +125,11 @@ def test_unknown_names_and_sizes() -> None:
         wv.World(5, 2.5)
 
 
-# ---------------------------------------------------------------------- objects
-
-
-def test_object_properties() -> None:
-    world = walker_world()
-    robot, ground = world.objects["robot"], world.objects["ground"]
-    assert (robot.width, robot.height, robot.num_actuators) == (5, 5, 21)
-    assert robot.is_robot
-    assert not robot.is_static
-    assert ground.is_static
-    assert not ground.is_robot
-    mixed = world.add_from_array("gate", [[5, 2]], 10, 3)
-    assert not mixed.is_static
-    for array in (robot.grid, robot.connections):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0, 0] = 0
-
-
 @given(CELLS)
 def test_default_connections_are_all_neighbours_sorted(cells: np.ndarray) -> None:
     obj = wv.WorldObject.from_array("a", cells)
     assert obj.connections.dtype == np.int32
+    assert not any(array.flags.writeable for array in (obj.grid, obj.connections))
     pairs = obj.connections.tolist()
     assert pairs == sorted(pairs)
     assert sorted(full_connections(cells).tolist()) == pairs
@@ -166,19 +141,6 @@ def test_given_connections_are_sorted_and_unique() -> None:
     alone = wv.WorldObject.from_array("a", [[1, 1]], 0, 0, np.empty((2, 0)))
     assert alone.connections.shape == (0, 2)
     assert alone != wv.WorldObject.from_array("a", [[1, 1]])
-
-
-# ---------------------------------------------------------------------- identity
-
-
-@given(worlds())
-def test_copies_are_equal_and_independent(world: wv.World) -> None:
-    other = world.copy()
-    assert other == world
-    assert other.key() == world.key()
-    other.add_from_array("new", [[1]], 30, 30)
-    assert other != world
-    assert "new" not in world
 
 
 def test_keys_tell_worlds_apart_but_not_orders() -> None:
@@ -209,9 +171,6 @@ def test_drawing() -> None:
     assert world.pretty() == ".HV.\n.RS.\nFFF."
     assert repr(world) == "World(4x3: ground 3x1 at (0, 0), robot 2x2 at (1, 1))"
     assert repr(world.objects["robot"]) == "WorldObject('robot', 2 wide, 2 high, at (1, 1))"
-
-
-# ---------------------------------------------------------------------- files
 
 
 @given(worlds())
@@ -258,21 +217,16 @@ def broken(**changes: object) -> dict[str, object]:
     ("source", "words"),
     [
         ("{", "not valid JSON"),
-        ('{"grid_width": 1}', "it lacks grid_height, objects"),
         ('{"grid_width": 1, "grid_height": 1, "objects": {"a": 1, "a": 2}}', "'a' occurs twice"),
         (r'{"grid_width": 1, "grid_height": 1, "objects": {"\udfff": 1}}', "half of a character"),
         ("nowhere.json", "There is no world file 'nowhere.json'"),
         (7, "got int"),
         (HAND_MADE | {"grid_width": 0}, "grid_width must be an integer >= 1"),
         (HAND_MADE | {"objects": []}, "must map names to objects"),
-        (HAND_MADE | {"objects": {"a": []}}, "needs the entries"),
         (broken(types=[1, 2]), "as many types and neighbors as indices"),
         (broken(types=[1, 2, 3, 0]), "the cell type 0 of 'peg' at index 10"),
         (broken(types=[1, 2, 3, 6]), "the cell type 6 of 'peg' at index 10"),
-        (broken(indices=[9, 5, 6, 12]), "different integers from 0 to 11"),
-        (broken(indices=[9, 5, 6, 9]), "different integers from 0 to 11"),
         (broken(indices=5), "lists of indices"),
-        (broken(indices=[], types=[], neighbors={}), "at least one"),
         (broken(neighbors={"5": [6], "6": [5], "9": [], "11": []}), "the neighbors of index 10"),
         (broken(neighbors={"5": [0], "6": [5], "9": [], "10": []}), "the neighbors of index 5"),
         (broken(neighbors={"5": [10], "6": [5], "9": [], "10": []}), "not two neighbouring filled cells"),

@@ -5,8 +5,6 @@
 A part whose packages are not installed is left out.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json

@@ -5,8 +5,6 @@ the C library (the hyperbolic tangent of friction, the arc cosine of orientation
 therefore known by the machine and by a fingerprint of that library; which vectors the CPU has does not matter.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

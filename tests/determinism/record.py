@@ -4,8 +4,6 @@ Other platforms' records are kept. Where the results of a platform change on pur
 remove those that cannot be.
 """
 
-from __future__ import annotations
-
 import json
 
 import torch

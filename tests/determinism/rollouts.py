@@ -6,8 +6,6 @@ options that it is given::
     python rollouts.py '{"threads": 2}' [TASK ...]
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

@@ -1,7 +1,5 @@
 """On CUDA, too, results are the same bits in every run, batch, order and process. Needs a GPU: ``pytest -m gpu``."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

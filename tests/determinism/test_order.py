@@ -1,7 +1,5 @@
 """Results belong to an environment: its place, its neighbours, the size of the batch and threads change no bit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -19,8 +17,14 @@ PLACES = st.permutations(range(len(BODIES)))
 
 STILL = ["UpStepper-v0", "Carrier-v0", "Climber-v0"]  # nothing is drawn
 DRAWN = ["Catcher-v0", "BidirectionalWalker-v0"]
-TASKS = pytest.mark.parametrize("task", STILL + DRAWN)
-BOTH = pytest.mark.parametrize("precision", PRECISIONS)
+EACH_TASK = pytest.mark.parametrize(
+    ("task", "precision"),
+    [
+        pytest.param(task, precision, marks=() if (number + which) % 2 else pytest.mark.slow)
+        for number, task in enumerate(STILL + DRAWN)
+        for which, precision in enumerate(PRECISIONS)
+    ],
+)
 
 
 def make(task: str, precision: str, bodies: list[np.ndarray], count: int, seeds: object, **options) -> VoxelVecEnv:
@@ -35,13 +39,10 @@ def assert_rows(one: list[dict], other: list[dict], rows: list[int]) -> None:
             assert torch.equal(a[name][rows], b[name]), (step, name)
 
 
-@TASKS
-@BOTH
+@EACH_TASK
 @settings(max_examples=2)
 @given(places=PLACES, swapped=st.lists(st.booleans(), min_size=len(BODIES), max_size=len(BODIES)))
-def test_results_move_with_their_design_and_seed(
-    task: str, precision: str, places: list[int], swapped: list[bool]
-) -> None:
+def test_results_move_with_their_design_and_seed(task, precision: str, places: list[int], swapped: list[bool]) -> None:
     count = EACH * len(BODIES)
     env = make(task, precision, BODIES, count, SEEDS)
     moved = make(task, precision, [BODIES[d] for d in places], count, [SEEDS[d] for d in places])
@@ -52,8 +53,7 @@ def test_results_move_with_their_design_and_seed(
     assert_rows(walk(env, actions), walk(moved, actions[:, rows]), rows)
 
 
-@TASKS
-@BOTH
+@EACH_TASK
 def test_the_size_of_a_batch_does_not_matter(task: str, precision: str) -> None:
     many = 5 * LANES - 3  # five packs, the last of which is not full
     whole = make(task, precision, [BODIES[0]], many, 5)
@@ -64,8 +64,7 @@ def test_the_size_of_a_batch_does_not_matter(task: str, precision: str) -> None:
         assert_rows(seen, walk(part, actions[:, :few]), list(range(few)))
 
 
-@TASKS
-@BOTH
+@EACH_TASK
 def test_the_number_of_threads_does_not_matter(task: str, precision: str) -> None:
     found = []
     for threads in (1, 2, 3):

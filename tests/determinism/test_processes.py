@@ -1,7 +1,5 @@
 """Training, searches and files: two processes, with other hashes, threads, folders and clocks, make the same bytes."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -27,8 +25,7 @@ PARTS = {
     "file: rollout.npz": None,
     **{f"file: {FILES.get(name, f'rollout.{name}')}": package for name, package in FORMATS.items()},
     **{f"search: {name}": NEEDS.get(name) for name in ALGORITHMS if name != "custom"},
-}
-"""What is made, and the package that it needs."""
+}  # what is made, and the package that it needs
 
 
 @pytest.mark.slow

@@ -1,9 +1,6 @@
 """Which device is taken, and what is said when its memory runs out."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -65,14 +62,7 @@ def test_a_factory_has_one_device_for_batches_of_all_sizes() -> None:
         (False, "12.6", None, "torch finds no device (it is built for CUDA 12.6), Warp finds no driver (NVIDIA driver"),
     ],
 )
-def test_the_half_of_cuda_that_is_missing_is_named(
-    torch_has: bool,
-    built: str | None,
-    driver: tuple | None,
-    said: str,
-    monkeypatch: pytest.MonkeyPatch,
-    warpvox: Callable,
-) -> None:
+def test_the_half_of_cuda_that_is_missing_is_named(torch_has, built, driver, said: str, monkeypatch, warpvox) -> None:
     monkeypatch.setattr(torch, "__version__", "2.13.0+cpu")
     monkeypatch.setattr(torch.version, "cuda", built)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: torch_has)

@@ -1,7 +1,5 @@
 """Memory that runs out, on a GPU or in the machine: advice instead of a traceback, and nothing of the run is lost."""
 
-from __future__ import annotations
-
 import itertools
 import pkgutil
 from collections.abc import Callable, Iterator
@@ -76,9 +74,7 @@ def raised_at(monkeypatch: pytest.MonkeyPatch, place: str, call: int, error: Exc
         yield
 
 
-def test_a_training_says_how_many_fewer_environments_and_goes_on(
-    warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_training_says_how_many_fewer_environments_and_goes_on(warpvox: Callable, tmp_path, monkeypatch) -> None:
     assert warpvox(*TRAIN, f"output_dir={tmp_path / 'whole' / 'outputs'}").code == 0
     with raised_at(monkeypatch, "warpvox.algos.training.ppo.PPO.update", 3, ERRORS["torch on CUDA"]):
         outcome = warpvox(*TRAIN)
@@ -89,9 +85,7 @@ def test_a_training_says_how_many_fewer_environments_and_goes_on(
     check_training(run, only(tmp_path / "whole", "train"))
 
 
-def test_environments_that_do_not_fit_leave_nothing_behind(
-    warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_environments_that_do_not_fit_leave_nothing_behind(warpvox: Callable, tmp_path: Path, monkeypatch) -> None:
     with raised_at(monkeypatch, "warpvox.simulation.Simulation.__init__", 1, ERRORS["Warp on CUDA"]):
         check_complaint(
             warpvox(*TRAIN), "Memory has run out", "num_envs=4 instead of 8", "8 GiB more could not be had on cuda:0"
@@ -103,9 +97,7 @@ def test_environments_that_do_not_fit_leave_nothing_behind(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["population", "sequential"])
-def test_a_search_says_what_to_take_less_of_and_goes_on(
-    method: str, warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_search_says_what_to_take_less_of_and_goes_on(method: str, warpvox: Callable, tmp_path, monkeypatch) -> None:
     words = [*CODESIGN, f"training.method={method}"]
     assert warpvox(*words, f"output_dir={tmp_path / 'whole' / 'outputs'}").code == 0
     place = {"population": "population.ppo.PopulationPPO.update", "sequential": "training.ppo.PPO.update"}[method]

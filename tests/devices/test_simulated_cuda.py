@@ -5,6 +5,7 @@ Its arithmetic is that of the group layout on the CPU, which equals the lanes bi
 
 from __future__ import annotations
 
+import functools
 import math
 import warnings
 from collections.abc import Callable, Iterator
@@ -15,15 +16,18 @@ import gymnasium
 import pytest
 import torch
 import warp as wp
-from simulated_cuda import SimulatedCuda
+from rsl_rl.algorithms import PPO as StockPPO
+from simulated_cuda import SimulatedCuda, Stream
 
 from warpvox.algos import evaluate as evaluation
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.codesign import sequential_evaluator
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.population.training import PopulationTraining
-from warpvox.algos.training.ppo import PPO
+from warpvox.algos.training.ppo import PPO, rsl_rl_config
+from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.batch.options import SimOptions
+from warpvox.cli.config import load
 from warpvox.configs.presets import training_preset
 from warpvox.design import example_design
 from warpvox.devices import names
@@ -46,9 +50,6 @@ TRAIN = (
 def cuda() -> Iterator[SimulatedCuda]:
     with SimulatedCuda() as found:
         yield found
-
-
-# ------------------------------------------------------------------------------------------------ environments
 
 
 def life(task: str, device: str, step: Callable[[VoxelVecEnv, torch.Tensor], tuple], **options: Any) -> list:
@@ -81,6 +82,7 @@ def check_life(task: str, cuda: SimulatedCuda, **options: Any) -> None:
         return env.step(actions)
 
     def watched(env: VoxelVecEnv, actions: torch.Tensor) -> tuple:
+        cuda.stream = Stream(number=cuda.stream.cuda_stream + 1)  # launches must be on torch's current one
         capturing = env._graph is not None and not env._graph.recorded
         with cuda.watched() as waits:
             found = env.step(actions)
@@ -101,6 +103,7 @@ def check_life(task: str, cuda: SimulatedCuda, **options: Any) -> None:
         ("Walker-v0", {"obs": "timed_voxel"}),
         ("Catcher-v0", {"auto_reset": False}),
         ("Balancer-v1", {}),
+        ("UpStepper-v0", {"rules": "paper"}),
     ],
 )
 def test_environments_do_what_they_do_on_the_cpu(task: str, options: dict, cuda: SimulatedCuda) -> None:
@@ -108,7 +111,7 @@ def test_environments_do_what_they_do_on_the_cpu(task: str, options: dict, cuda:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [{}, {"auto_reset": False}, {"obs": "voxel"}], ids=str)
+@pytest.mark.parametrize("options", [{}, {"auto_reset": False}, {"obs": "voxel"}, {"rules": "paper"}], ids=str)
 @pytest.mark.parametrize("task", task_ids())
 def test_all_tasks_do_what_they_do_on_the_cpu(task: str, options: dict, cuda: SimulatedCuda) -> None:
     check_life(task, cuda, **options)
@@ -127,9 +130,7 @@ def test_the_group_kernel_of_cuda_has_room_for_its_worlds(task: str) -> None:
         assert bool(torch.isfinite(obs).all())
 
 
-def test_a_capture_that_fails_is_said_once_and_steps_go_on(
-    cuda: SimulatedCuda, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_capture_that_fails_is_said_once_and_steps_go_on(cuda: SimulatedCuda, monkeypatch) -> None:
     @contextmanager
     def failing(graph: Any, stream: Any, capture_error_mode: str) -> Iterator[None]:
         cuda.stream = stream  # which torch leaves current
@@ -187,15 +188,10 @@ def test_what_does_not_fit_is_refused_before_it_is_made(cuda: SimulatedCuda, mon
     assert not cuda.operations["zeros"]
 
 
-# ---------------------------------------------------------------------------------------------------- training
-
-
 @pytest.mark.parametrize(
     ("words", "graphs"), [("policy=mlp cuda_graph=true", 1), ("policy=grid", 0), ("policy=transformer obs=timed", 0)]
 )
-def test_a_training_ends_and_no_step_of_it_waits(
-    words: str, graphs: int, cuda: SimulatedCuda, warpvox: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_training_ends_and_no_step_of_it_waits(words, graphs: int, cuda: SimulatedCuda, warpvox, monkeypatch) -> None:
     """The key ``cuda_graph`` reaches the environments; policies for voxels bring no tables; the CPU evaluates."""
     evaluated, waits = [], []
 
@@ -219,6 +215,7 @@ def test_a_training_ends_and_no_step_of_it_waits(
 
     evaluation_of = evaluation.evaluate
     watched(PPO, "act")
+    watched(PPO, "process_env_step")
     watched(RslRlVecEnv, "step")
     monkeypatch.setattr(evaluation, "evaluate", evaluate)
     outcome = warpvox(*TRAIN, *words.split())
@@ -231,23 +228,83 @@ def test_a_training_ends_and_no_step_of_it_waits(
     assert cuda.launches["group_step"] > 0
 
 
-def test_a_population_is_trained_and_evaluated_on_one_device(
-    cuda: SimulatedCuda, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def settings(steps: int = STEPS) -> Any:
+    return load("train", [f"ppo.steps={steps}"]).ppo
+
+
+def runner(num_envs: int = ENVS) -> Runner:
+    env = make_vec("Walker-v0", [BODY], num_envs, device="cuda", max_episode_steps=3, cuda_graph=False)
+    return Runner(adapt(env, settings()), settings(), Schedule(total=10, evaluate=10**9))
+
+
+def stock(env: RslRlVecEnv) -> StockPPO:
+    """rsl-rl's own PPO with the same settings."""
+    config = rsl_rl_config(settings(), 10) | {"multi_gpu": None}
+    wanted = set(StockPPO.__init__.__code__.co_varnames)
+    config["algorithm"] = {k: v for k, v in config["algorithm"].items() if k in wanted} | {"class_name": "PPO"}
+    for name in ("actor", "critic"):
+        config[name] |= {"class_name": "MLPModel"}
+    config["actor"]["distribution_cfg"] = {"class_name": "GaussianDistribution", "init_std": 1.0}
+    return StockPPO.construct_algorithm(env.get_observations(), env, config, "cuda:0")
+
+
+def counted(cuda: SimulatedCuda, part: Callable[[], Any]) -> tuple[int, int, int]:
+    """Waits, operations and launches, once buffers are made."""
+    part()
+    before = cuda.operations.total(), cuda.launches.total()
+    with cuda.watched() as waits:
+        part()
+    return waits.total(), cuda.operations.total() - before[0], cuda.launches.total() - before[1]
+
+
+def test_an_update_waits_no_more_often_than_rsl_rls(cuda: SimulatedCuda) -> None:
+    found, env = [], runner().env
+    for algorithm in (runner().alg, stock(env)):
+
+        def update(algorithm: Any = algorithm) -> None:
+            obs = env.get_observations()
+            with torch.inference_mode():
+                for _ in range(STEPS):
+                    obs, rewards, dones, extras = env.step(algorithm.act(obs))
+                    algorithm.process_env_step(obs, rewards, dones, extras)
+                algorithm.compute_returns(obs)
+            algorithm.update()
+
+        found.append(counted(cuda, update))
+    ours, theirs = found
+    assert theirs[0] >= settings().epochs * settings().minibatches
+    assert ours[0] <= theirs[0]
+
+
+def test_launches_do_not_depend_on_the_number_of_environments(cuda: SimulatedCuda) -> None:
+    found = []
+    for num_envs in (8, 32):
+        made = runner(num_envs)
+        made.alg.schedule = "fixed"  # rsl-rl's other one compares the divergence with one bound or with two
+        found.append(counted(cuda, functools.partial(made.learn, 1)))
+    assert found[0] == found[1]
+
+
+def test_a_population_is_trained_and_evaluated_on_one_device(cuda: SimulatedCuda, monkeypatch) -> None:
     """With ``auto`` its few evaluations would otherwise be on the CPU, and its networks on the device."""
     monkeypatch.setattr(names, "enough", lambda: 10)
     monkeypatch.setattr(evaluation.VoxelVecEnv, "max_episode_steps", 3)
     settings = training_preset("fast", {"steps": 2}, envs=8)
     factory = EnvFactory("Walker-v0", max_episode_steps=3, sim=SimOptions(threads=1))
-    training = PopulationTraining(factory, [BODY] * 2, [0, 1], settings)
-    training.iterate()
+    waits = []
+    for steps in (2, 4):
+        settings.ppo.steps = steps
+        training = PopulationTraining(factory, [BODY] * 2, [0, 1], settings)
+        training.iterate()  # in the first iteration buffers are made
+        with cuda.watched() as seen:
+            training.iterate()
+        waits.append(dict(seen))
+    assert waits[0] == waits[1], "more steps, and as many waits"
     assert training.env.device == training._judge.device == "cuda:0"
     assert bool(torch.isfinite(training.evaluate()).all())
 
 
-def test_designs_that_are_trained_one_by_one_are_evaluated_on_the_cpu(
-    cuda: SimulatedCuda, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_designs_that_are_trained_one_by_one_are_evaluated_on_the_cpu(cuda: SimulatedCuda, monkeypatch) -> None:
     made: list[str] = []
     judge = sequential_evaluator.evaluator
     monkeypatch.setattr(
@@ -260,9 +317,6 @@ def test_designs_that_are_trained_one_by_one_are_evaluated_on_the_cpu(
     assert math.isfinite(outcomes[0].fitness)
     assert {value.device.type for value in outcomes[0].policy.values()} == {"cpu"}
     assert cuda.launches["group_step"] == 2
-
-
-# ------------------------------------------------------------------------------------------- the device itself
 
 
 def test_what_a_gpu_does_not_allow_is_refused(cuda: SimulatedCuda) -> None:

@@ -1,13 +1,9 @@
 """Warp starts without its banner, and says in time that it compiles."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
 from pathlib import Path
-
-import pytest
 
 PROBE = """
 import sys
@@ -59,13 +55,6 @@ def test_compilation_is_announced_once_and_only_where_there_is_any(tmp_path: Pat
     assert lines[2:] == ["ours"]
     assert cold.stdout == ""  # neither the banner nor a line for every module
     assert "Compiling" not in probe(tmp_path).stderr  # they are in the cache
-
-
-@pytest.mark.parametrize("before", ["wp.config.log_level = wp.LOG_DEBUG", "wp.init()"])
-def test_who_asked_for_messages_of_warp_gets_them(tmp_path: Path, before: str) -> None:
-    done = probe(tmp_path, before, PROBE.split("array = ")[0] + "\nprint(wp.config.log_level)")
-    assert "Kernel cache:" in done.stdout
-    assert int(done.stdout.splitlines()[-1]) <= 20
 
 
 def test_a_simulation_starts_without_a_banner(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Every command line of the pages that is not run is one that the parser takes."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

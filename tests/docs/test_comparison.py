@@ -1,7 +1,5 @@
 """The comparison of searches is what its command makes of the committed rows, and these what suites have found."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The scripts of ``examples/`` are up to date: all compile, the quick ones run."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Figures that README and the FAQ repeat are those of the tables, which commands have written."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from collections.abc import Iterator

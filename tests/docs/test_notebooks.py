@@ -1,7 +1,5 @@
 """The notebooks run as they are printed, and keep small pictures of what they show."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import re

@@ -1,7 +1,5 @@
 """The code of the pages under ``docs/`` runs as it is printed, one page in one empty folder."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import shlex

@@ -1,7 +1,5 @@
 """``docs/paper.md`` names every task and every part of it that ``rules=paper`` changes, and no other."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

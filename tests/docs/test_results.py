@@ -1,7 +1,5 @@
 """The page of results is what its command makes of the committed table, and the table what the archives say."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.util
 import json
@@ -88,9 +86,7 @@ def make_search(
         archive.finish([Finished(0, Outcome(fitness, [], 500), policy and "model.pt")])
 
 
-def test_the_table_keeps_the_best_of_searches_and_prefers_the_zoo(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_table_keeps_the_best_of_searches_and_prefers_the_zoo(tmp_path: Path, monkeypatch) -> None:
     (robot, *_) = zoo_tasks()
     monkeypatch.setattr(results, "zoo_tasks", lambda: [robot])
     gait = {"policy": {"gait": {"stages": 2}}, "actor_state_dict": {}}

@@ -1,7 +1,5 @@
 """The documentation as a whole: every link leads somewhere, every command is described, pictures stay small."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import re
@@ -11,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import is_dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -30,8 +27,7 @@ MEGABYTES = 5  # of which up to 3 are the animation of the zoo
 """Of all pictures together: everybody who clones the repository gets them."""
 
 
-WORDS = 1500
-"""Of a page at most, but for those of reference."""
+WORDS = 1500  # of a page at most, but for those of reference
 REFERENCE = {"commands", "figures", "results", "search"}
 
 
@@ -107,9 +103,7 @@ def test_the_site_has_commands_tasks_and_public_names(site: Path) -> None:
         assert "<h2" in (site / "tasks" / f"{task}.html").read_text(encoding="utf-8")
 
 
-def test_the_site_is_searched_from_disk(
-    site: Path, open_page: Callable[..., Any], wait_for: Callable[..., None]
-) -> None:
+def test_the_site_is_searched_from_disk(site: Path, open_page, wait_for: Callable[..., None]) -> None:
     page = open_page((site / "index.html").as_uri())
     page.click("[data-md-component=search-query]")
     page.keyboard.type("load_policy")

@@ -1,7 +1,5 @@
 """A running editor on a free port."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from collections.abc import Iterator

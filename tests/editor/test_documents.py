@@ -1,7 +1,5 @@
 """Documents: what is drawn becomes a body or a world, and comes back from a file unchanged."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -104,16 +102,9 @@ WORLD = world_document([[3, 0], [5, 5]], [[0, 0], [1, 1]], ["robot", "ground"])
     [
         ({}, "a body or a world"),
         (BODY | {"kind": "both"}, "a body or a world"),
-        (BODY | {"types": [[0, 0], [0, 0]]}, "empty"),
-        (BODY | {"types": [[3, 0], [0, 3]]}, "not connected"),
-        (BODY | {"types": [[1, 1], [1, 1]]}, "no actuator"),
-        (BODY | {"types": [[3, 5], [1, 1]]}, "fixed cell"),
-        (BODY | {"types": [[3, 9], [1, 1]]}, "unknown cell type 9"),
         (BODY | {"types": "33"}, "rows of cells"),
         (BODY | {"types": [[3] * 33]}, "room for 32 columns"),
         (BODY | {"types": [[3, 3], [3]]}, "same number of cells"),
-        (BODY | {"types": [[3, "x"]]}, "must hold numbers"),
-        (BODY | {"types": [[[3]]]}, "two dimensions"),
         (WORLD | {"types": [[0, 0], [0, 0]]}, "world is empty"),
         (WORLD | {"types": [[5] * 401], "owners": [[0] * 401]}, "room for 400 columns"),
         (WORLD | {"owners": [[0, 0], [1, 2]]}, "number of one of the names"),
@@ -183,15 +174,6 @@ def test_cut_connections_are_refused_not_lost(tmp_path: Path) -> None:
     world.to_json(tmp_path / "cut.json")
     with pytest.raises(WarpvoxError, match="not connected"):
         read_file(tmp_path / "cut.json")
-
-
-def test_a_missing_file_has_a_nearest_one(tmp_path: Path) -> None:
-    save_file(BODY, tmp_path, "walker")
-    with pytest.raises(WarpvoxError, match=r"Did you mean 'walker\.json'"):
-        read_file(tmp_path / "wakler.json")
-
-
-# ------------------------------------------------------------------------------------------------------- trials
 
 
 def test_a_world_is_tried_out_as_it_stands() -> None:

@@ -1,7 +1,5 @@
 """The editor in a real browser: painting, validity, files, a rollout."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from typing import Any

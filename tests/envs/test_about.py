@@ -1,7 +1,5 @@
 """What terms say about themselves is what they do: their formulas are computed and compared."""
 
-from __future__ import annotations
-
 import re
 from math import radians
 

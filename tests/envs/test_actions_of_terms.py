@@ -1,7 +1,5 @@
 """Terms see actions: as they are applied, without those that a body does not have, also after a resume."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

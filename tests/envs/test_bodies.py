@@ -1,7 +1,5 @@
 """A different body in every environment, and other bodies for environments that run."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -11,7 +9,6 @@ from warpvox.design import example_design, full_connections, sample_design
 from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError, DesignError, SimulationError, WorldError
-from warpvox.view.rollout import record
 
 LANES = 8
 OPTIONS = dict(device="cpu", threads=1, lanes=LANES)
@@ -101,21 +98,6 @@ def test_a_changed_batch_is_a_new_one_bit_for_bit(task: str, obs: str) -> None:
     assert torch.equal(env.action_mask[env.design_index], fresh.action_mask[fresh.design_index])
 
 
-def test_a_change_begins_an_episode_and_leaves_the_others_alone() -> None:
-    env = make_vec("Walker-v0", sampled(4), 8, grid=(5, 5), device="cpu", threads=1)
-    env.reset()
-    for move in actions_of(env, 3):
-        env.step(move)
-    mask = torch.tensor([True, False] * 4)
-    env.set_designs([np.array([[3, 4]])], mask)
-    assert env.episode_length.tolist() == [0, 3] * 4
-    assert env.sim.time.tolist() == [0, 3] * 4
-    info = env.step(actions_of(env, 1)[0])[4]
-    assert info["episode"]["length"].tolist() == [1, 4] * 4
-    rollout = record(env, "sine", num_steps=2)
-    assert len(rollout.scenes) == len(env.designs)
-
-
 def test_what_cannot_be_given_is_refused_before_anything_changes() -> None:
     env = make_vec("Walker-v0", sampled(2), 4, grid=(5, 5), device="cpu", threads=1)
     all_of_them = torch.ones(4, dtype=torch.bool)
@@ -156,17 +138,6 @@ def test_a_state_of_other_bodies_is_refused() -> None:
         env.set_state(state)
     env.set_designs(sampled(1, 1), mask)  # as they were
     env.set_state(state)
-
-
-def test_rewards_and_resets_of_a_changed_environment_are_its_own() -> None:
-    """Auto-reset after the change begins with the new body."""
-    env = make_vec("Walker-v0", sampled(1), 2, grid=(5, 5), max_episode_steps=3, **OPTIONS | {"lanes": 8})
-    env.reset()
-    first = env.set_designs(sampled(1, 9), torch.tensor([False, True]))
-    for move in actions_of(env, 3):
-        obs, _, _, truncated, _ = env.step(move)
-    assert truncated.all()
-    assert torch.equal(obs[1], first[1])
 
 
 def test_auto_is_the_example_made_for_the_task() -> None:

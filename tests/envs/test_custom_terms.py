@@ -1,7 +1,5 @@
 """What a user's terms may get wrong: found when environments are made, or caught and named when it happens."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import warnings
@@ -14,7 +12,6 @@ import pytest
 import torch
 
 from warpvox.envs.about import about
-from warpvox.envs.adapters.gym import register_task
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import Memory, TaskSpec, observes, rewards, terminates
@@ -47,12 +44,8 @@ def x_of(state: Any, name: str = "robot") -> torch.Tensor:
 
 REWARDS = {
     "a column": (lambda b, a, name: x_of(a)[:, None], r"numbers \[3\] on cpu.*float64 \[3, 1\].*value\[:, 0\]"),
-    "too many": (lambda b, a, name: torch.zeros(4), r"got float32 \[4\]"),
     "one for all": (lambda b, a, name: x_of(a).mean(), r"got float64 \[\]"),
-    "a number": (lambda b, a, name: 1.0, r"got float 1\.0"),
-    "an array": (lambda b, a, name: np.zeros(3), "got ndarray"),
     "nothing": (lambda b, a, name: None, "got NoneType None"),
-    "complex": (lambda b, a, name: x_of(a) * 1j, r"got complex128 \[3\]"),
     "elsewhere": (lambda b, a, name: torch.zeros(3, device="meta"), "on meta"),
     "0 by 0": (
         lambda b, a, name: (x_of(a) - x_of(b)) / (x_of(a) - x_of(b)).abs(),
@@ -71,15 +64,11 @@ def test_rewards_are_checked_when_environments_are_made(kind: str) -> None:
 
 OBSERVATIONS = {
     "no columns": (lambda s, name: x_of(s), r"numbers \[3, k\].*got float64 \[3\].*value\[:, None\]"),
-    "too many": (lambda s, name: torch.zeros(4, 2), r"got float32 \[4, 2\]"),
-    "empty": (lambda s, name: torch.zeros(3, 0), r"got float32 \[3, 0\]"),
     "transposed": (
         lambda s, name: s.positions(name),
         r"\[3, \d+, 2\] on cpu, which must be x and y .* 'robot' has \d+ points",
     ),
-    "four axes": (lambda s, name: torch.zeros(3, 2, 2, 2), r"got float32 \[3, 2, 2, 2\]"),
     "infinite": (lambda s, name: s.com(name) / 0, "not finite"),
-    "a list": (lambda s, name: [[0.0]] * 3, "got list"),
     "undeclared": (about("x, y")(lambda s, name: s.com(name)), r"gives 2 columns, and its @about declares 1"),
 }
 
@@ -117,10 +106,7 @@ def test_terminations_are_checked_when_environments_are_made(function: Callable,
     ("start", "update", "words"),
     [
         (lambda d: torch.zeros(4, 1), None, r"memory 'odd' .* begin with a tensor \[3, ...\] on cpu.*float32 \[4, 1\]"),
-        (lambda d: 3, None, "got int 3"),
-        (lambda d: torch.full((3, 1), torch.nan), None, "not finite"),
         (lambda d: d.zeros(1), lambda s: s.memory("odd").double(), r"must give .*int64 \[3, 1\].*got float64 \[3, 1\]"),
-        (lambda d: d.zeros(1), lambda s: s.memory("odd")[:, 0], r"got int64 \[3\]"),
         (lambda d: d.zeros(1), lambda s: s.memory("od"), r"update .* failed: .* no memory 'od'.*Did you mean 'odd'"),
         (lambda d: d.integers(5, 5, 1), None, r"start .* 'odd' has failed: .*from 5 to 4"),
         (lambda d: 1 // 0, None, r"start .* 'odd' has failed: ZeroDivisionError.*test_custom_terms.py, line"),
@@ -148,10 +134,8 @@ def lookup(state: Any, name: str) -> torch.Tensor:
     ("observation", "words"),
     [
         (observes(velocity, "robbot"), r"No object named 'robbot'; there are robot.* Did you mean 'robot'\?"),
-        (observes(velocity, "ground"), "made of fixed cells only"),
         (observes(velocity, nme="robot"), r"TypeError: .*unexpected keyword argument 'nme'"),
         (observes(lookup), r"KeyError: 'robot' \(test_custom_terms.py, line \d+\)"),
-        (observes(lambda state, name: state.memory("goal")), "no memory 'goal'"),
     ],
 )
 def test_errors_within_a_term_name_it(observation: Any, words: str) -> None:
@@ -186,26 +170,13 @@ def test_a_lack_of_memory_stays_one() -> None:
         make(replace(BASE, rewards=(rewards(greedy),)))
 
 
-def test_gymnasium_checks_tasks_of_ones_own() -> None:
-    import gymnasium
-
-    name = register_task(replace(BASE, id="Column-v0", rewards=(rewards(odd(REWARDS["a column"][0])),)), "wrong")
-    for make_one in (gymnasium.make, gymnasium.make_vec):
-        with pytest.raises(TaskError, match="The reward 'odd_robot'"):
-            make_one(name, body="mini")
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"rewards": (displacement,)}, r"rewards\[0\] .* must be a Reward: rewards\(displacement"),
         ({"rewards": rewards(displacement, axis="x")}, "rewards of the task 'Mine-v0' must be a tuple of Reward"),
-        ({"observations": (rewards(displacement, axis="x"),)}, r"observations\[0\] .* must be an Observation"),
         ({"terminations": (3,)}, r"terminations\[0\] .* must be a Termination"),
-        ({"memory": (("goal", None),)}, r"memory\[0\] .* must be a Memory"),
         ({"rewards": (rewards(displacement, axis="x", weight=float("nan")),)}, "weight .* finite number, got nan"),
-        ({"terminations": (terminates(lookup, bonus="1"),)}, "bonus .* finite number, got '1'"),
-        ({"unstable_penalty": float("inf")}, "unstable_penalty .* finite number, got inf"),
         ({"max_episode_steps": 2.5}, "max_episode_steps .* integer"),
     ],
 )
@@ -213,8 +184,6 @@ def test_a_specification_is_made_of_what_it_should(change: dict, words: str) -> 
     with pytest.raises(TaskError, match=words):
         replace(BASE, **change)
 
-
-# ---------------------------------------------------------------------------------------- while they run
 
 AT = 4
 
@@ -312,42 +281,16 @@ def test_a_reward_about_the_state_before_sees_it() -> None:
         assert torch.equal(env.step(acting(env))[4]["reward_terms"]["began_robot"], x)
 
 
-def test_training_counts_and_names_it() -> None:
-    env = RslRlVecEnv(make(blinking("reward", float("nan"), [0, 2])))
-    env.env._on_cpu = False
-    for _ in range(AT):
-        _, rewards_, dones, extras = env.step(torch.zeros((ENVS, env.num_actions)))
-        assert torch.isfinite(rewards_).all()
-    assert dones.tolist() == [True, False, True]
-    assert float(extras["log"]["Episode/diverged"]) == pytest.approx(2 / 3)
-    with pytest.warns(RuntimeWarning, match="'faulty_robot' .* in 2 environments"):
-        assert env.pop_episodes()["diverged"] == 2
-
-
 def test_a_first_observation_that_is_not_finite_is_marked() -> None:
-    def start(draws: Any) -> torch.Tensor:
-        return torch.where(draws.integers(0, 2, 1) == 0, 0.0, 1.0).double()
-
     def unlucky(state: Any, name: str) -> torch.Tensor:
-        return 1.0 / state.memory("luck") * state.com(name)[:, :1] * 0 + state.memory("luck") / state.memory("luck")
+        return 1.0 / state.memory("luck")
 
-    spec = replace(BASE, memory=(Memory("luck", start),), observations=(*BASE.observations, observes(unlucky)))
-    seeds = []
-    for seed in range(20):
-        try:
-            env = make(spec, seed=seed, max_episode_steps=1)
-        except TaskError:
-            continue
-        with warnings.catch_warnings(record=True) as heard:
-            warnings.simplefilter("always")
-            env.reset()
-            for _ in range(20):
-                obs, *_ = env.step(acting(env))
-                assert torch.isfinite(obs).all()
-        seeds.append(seed)
-        assert any("'unlucky_robot'" in str(entry.message) for entry in heard)
-        break
-    assert seeds
+    luck = Memory("luck", lambda draws: draws.zeros(1).double() + 1)
+    env = make(replace(BASE, memory=(luck,), observations=(*BASE.observations, observes(unlucky))))
+    with pytest.warns(RuntimeWarning, match="'unlucky_robot'"):
+        obs, _ = env.reset(memory={"luck": [[1.0], [0.0], [1.0]]})
+    assert torch.isfinite(obs).all()
+    assert env.not_finite()["observation unlucky_robot"] == 1
 
 
 def test_what_a_term_does_to_its_values_is_its_own_affair() -> None:
@@ -388,26 +331,6 @@ def test_what_a_term_does_to_its_values_is_its_own_affair() -> None:
         assert torch.equal(env.memory["m"], calm.memory["m"])
 
 
-def test_tasks_of_warpvox_pay_nothing_for_that() -> None:
-    assert all(not get_task(name).has_code for name in ("Walker-v0", "Traverser-v0", "Catcher-v0"))
-    env = make(get_task("Walker-v0"))
-    env.reset()
-    state = env._snapshot()
-    assert state.com("robot") is state.com("robot")
-
-
-def test_what_ended_earns_nothing_more() -> None:
-    def alive(before: Any, after: Any, name: str) -> torch.Tensor:
-        return torch.ones(len(x_of(after)), dtype=torch.float64)
-
-    env = make(replace(BASE, rewards=(rewards(alive),)), auto_reset=False, max_episode_steps=2)
-    env.reset()
-    assert [env.step(acting(env))[1].tolist()[0] for _ in range(4)] == [1.0, 1.0, 0.0, 0.0]
-
-
-# ------------------------------------------------------------------------------------------------- states
-
-
 @pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0"])
 def test_a_state_that_does_not_fit_is_refused_by_name(task: str) -> None:
     env = make(get_task(task))
@@ -418,7 +341,9 @@ def test_a_state_that_does_not_fit_is_refused_by_name(task: str) -> None:
     without = lambda values, name: {k: v for k, v in values.items() if k != name}  # noqa: E731
     wrong: list[tuple[str, Any]] = [(name, without(good, name)) for name in good if name not in ("world", "actions")]
     for name in flat:
-        wrong += [(name, good | {name: value}) for value in (None, 3, good[name][:2], good[name].to(torch.float16))]
+        wrong += [(name, good | {name: value}) for value in (None, 3, good[name][:2])]
+        if name != "actions":  # which may be of another precision
+            wrong.append((name, good | {name: good[name].to(torch.float16)}))
     for group in ("sim", "memory"):
         wrong.append((group, good | {group: 7}))
         for name, value in good[group].items():
@@ -443,27 +368,3 @@ def test_a_state_of_training_that_does_not_fit_is_refused_by_name() -> None:
     with pytest.raises(SimulationError, match=r"reward_norm\.moments"):
         env.set_state(good | {"reward_norm": {"return": good["reward_norm"]["return"]}})
     env.set_state(good)
-
-
-def test_a_single_environment_keeps_its_records() -> None:
-    one, many = (make_vec("Walker-v0", ["mini"], 1, device="cpu", threads=1, auto_reset=False) for _ in range(2))
-    one.reset()
-    many.reset()
-    for _ in range(3):
-        one.step_one(acting(one))
-        many.step(acting(many))
-    ours, theirs = one.state(), many.state()
-    for name in ("length", "return", "terminated", "truncated"):
-        assert torch.equal(ours[name], theirs[name]), name
-
-
-@pytest.mark.parametrize(
-    ("value", "got"),
-    [(None, "None"), ([[0.0]], r"\[\[0.0\]\]"), (torch.zeros(2, 9), r"float32 \[2, 9\]"), (np.zeros((3, 9)), "array")],
-)
-def test_the_state_of_a_simulation_is_refused_by_name(value: object, got: str) -> None:
-    sim = make(get_task("Walker-v0")).sim
-    with pytest.raises(SimulationError, match=rf"'vel' is not that .* expected float64 \[3, \d+ or more\], got {got}"):
-        sim.set_state(sim.state() | {"vel": value})
-    with pytest.raises(SimulationError, match="'pos' is not that"):
-        sim.set_state(None)

@@ -1,7 +1,5 @@
 """Bodies designed within the episode: stages, masks, invalid bodies, and control as with bodies given from outside."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -114,19 +112,6 @@ def test_environments_in_different_stages_do_not_disturb_each_other() -> None:
         obs = mixed.step(move)[0]
         assert torch.equal(obs[late], results[step][late])
         assert torch.equal(obs[~late], results[step + 2][~late])
-
-
-def test_an_environment_does_not_depend_on_its_place() -> None:
-    order = np.random.default_rng(0).permutation(ENVS)
-    one, other = make(invalid="end"), make(invalid="end")
-    bodies = BODIES.copy()
-    bodies[2] = APART
-    for step in range(LIMIT + 2):
-        designing = one.designing
-        move = torch.where(designing[:, None], design(one, bodies), control(one, step))
-        found, moved = one.step(move), other.step(move[order])
-        for a, b in zip(found[:4], moved[:4], strict=True):
-            assert torch.equal(a[order], b)
 
 
 @pytest.mark.parametrize("actions", ["types", "logits"])

@@ -1,7 +1,6 @@
 """A simulation that diverges is ended alone: the others of its batch go on, equal to the last bit."""
 
-from __future__ import annotations
-
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -10,6 +9,9 @@ import pytest
 import torch
 
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
+from warpvox.envs.registry import get_task
+from warpvox.envs.spec import terminates
+from warpvox.envs.terms.terminations import beyond
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.simulation import Simulation
 from warpvox.types import Physics
@@ -201,6 +203,13 @@ def test_actions_that_are_not_finite_stop_an_environment_where_they_cannot_be_lo
     assert reward[:2].tolist() == [-3.0, -3.0]
     assert torch.equal(info["final_obs"][:2], before[:2])
     assert torch.isfinite(obs).all()
+
+
+def test_tests_for_the_end_look_at_the_old_state_when_the_step_was_stopped() -> None:
+    beyond_at_once = terminates(beyond, axis="x", limit=0.0, bonus=1.0)
+    env = make_vec(replace(get_task("Walker-v0"), terminations=(beyond_at_once,)), num_envs=2, device="cpu", threads=1)
+    inject(env.sim, "nan velocity")
+    assert env.step(torch.ones((2, env.num_actions)))[1].tolist() == [pytest.approx(1.0, abs=0.01), -3.0 + 1.0]
 
 
 def test_speeds_of_a_fall_without_end_are_sound() -> None:

@@ -1,7 +1,5 @@
 """Every task under actions that no policy would take, with random bodies that are thrown now and then."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -11,8 +9,7 @@ from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import make_vec
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-LANES = 32
-"""Environments of a body: those of a pack, so that no lane is idle."""
+LANES = 32  # environments of a body: those of a pack, so that no lane is idle
 THROW_EVERY, THROW_SPEED = 40, 30.0
 """Control steps between throws, and their largest speed: half as fast again as points of a robot ever are."""
 FAST = ("Walker-v0", "Climber-v0", "Thrower-v0", "BridgeWalker-v0")

@@ -1,23 +1,18 @@
-"""The control step as one CUDA graph, as far as a machine without a GPU can tell.
+"""The control step as one CUDA graph, on a simulated device and on a real one.
 
-A graph repeats what was recorded on fixed addresses, and knows nothing of what Python does meanwhile. Here a recording
-of torch's operations and Warp's launches is played on the CPU in the same way.
+A graph repeats what was recorded on fixed addresses, and knows nothing of what Python does meanwhile.
 """
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
-import warp as wp
-from simulated_cuda import Tape
-from torch.utils._python_dispatch import TorchDispatchMode
+from simulated_cuda import SimulatedCuda
 
-from warpvox.envs.graph import StepGraph
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import observes, rewards
 from warpvox.envs.terms.observations import orientation
@@ -25,101 +20,21 @@ from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError
 from warpvox.view.rollout import record
 
-# Operations that read a value on the host, give a result whose size does, or bring data from the host.
-WAITING = (
-    "_local_scalar_dense",
-    "nonzero",
-    "masked_select",
-    "unique",
-    "lift_fresh",
-    "scalar_tensor",
-    "repeat_interleave",
-)
+
+@pytest.fixture(params=["simulated", pytest.param("real", marks=pytest.mark.gpu)])
+def cuda(request: pytest.FixtureRequest) -> Iterator[None]:
+    """A device ``cuda``."""
+    if request.param == "real":
+        yield
+    else:
+        with SimulatedCuda():
+            yield
 
 
-class Watch(TorchDispatchMode):
-    """Collects operations that would wait for a GPU."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.waiting: set[str] = set()
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
-        name = str(func)
-        by_mask = name.startswith(("aten.index.", "aten.index_put")) and any(
-            isinstance(index, torch.Tensor) and index.dtype == torch.bool for index in args[1]
-        )
-        if by_mask or any(word in name for word in WAITING):
-            self.waiting.add(f"{name} by a mask" if by_mask else name)
-        return func(*args, **(kwargs or {}))
-
-
-def make(task: Any, **options: Any) -> VoxelVecEnv:
-    env = make_vec(task, num_envs=3, device="cpu", threads=1, max_episode_steps=5, **options)
-    env._on_cpu = False  # as on CUDA
-    return env
-
-
-@pytest.mark.parametrize("rules", ["evogym", "paper"])
-@pytest.mark.parametrize("task", task_ids())
-def test_no_step_waits_for_the_device(task: str, rules: str) -> None:
-    for auto_reset in (True, False):
-        env = make(task, rules=rules, auto_reset=auto_reset)
-        env.reset()
-        env.step(torch.ones((3, env.num_actions)))  # tables are made on first use
-        env.sim.take(torch.ones((3, env.num_actions)))  # looks at actions that are on the CPU already
-        with Watch() as watch:
-            env._whole_step()
-        assert not watch.waiting
-
-
-def test_what_waits_is_noticed() -> None:
-    values = torch.arange(3.0)
-    with Watch() as watch:
-        values[values > 1]
-        values.sum().item()
-        values.new_tensor([1.0])
-    assert len(watch.waiting) == 3
-
-
-def taping(env: VoxelVecEnv, monkeypatch: pytest.MonkeyPatch) -> Callable:
-    """A way to capture steps of ``env`` on the CPU."""
-    launched = wp.launch, wp.Launch.launch
-
-    def capture(step: Callable[[], Any]) -> tuple[Callable[[], None], Any]:
-        kept = env.state(), [buffer.clone() for buffer in env.sim.sensing_buffers]
-        drawn, tape, inside = env.episodes.drawn, Tape(), []
-
-        def launch(*args: Any, **options: Any) -> Any:
-            assert not options.get("record_cmd"), "the first steps record all launches"
-            tape.done.append(lambda: launched[0](*args, **options))
-            inside.append(True)
-            launched[0](*args, **options)
-            inside.pop()
-
-        def relaunch(command: Any) -> None:
-            if not inside:
-                tape.done.append(lambda: launched[1](command))
-            launched[1](command)
-
-        with monkeypatch.context() as patch, tape:
-            patch.setattr(wp, "launch", launch)
-            patch.setattr(wp.Launch, "launch", relaunch)
-            results = step()
-        env.set_state(kept[0])  # a recording does nothing
-        env.episodes.drawn = drawn
-        for buffer, value in zip(env.sim.sensing_buffers, kept[1], strict=True):
-            buffer.copy_(value)
-        return tape.play, results
-
-    return capture
-
-
-def graphed(task: Any, monkeypatch: pytest.MonkeyPatch, **options: Any) -> VoxelVecEnv:
-    """Environments whose steps are replayed from a tape."""
-    env = make(task, **options)
-    env._graph = StepGraph(env._whole_step, taping(env, monkeypatch))
-    return env
+def pair(task: Any, **options: Any) -> tuple[VoxelVecEnv, VoxelVecEnv]:
+    """The same environments, without a graph and with one."""
+    options = dict(num_envs=3, device="cuda", max_episode_steps=5, layout="group", threads=1) | options
+    return tuple(make_vec(task, cuda_graph=graph, **options) for graph in (False, True))
 
 
 def equal(one: Any, other: Any) -> bool:
@@ -134,36 +49,8 @@ def equal(one: Any, other: Any) -> bool:
 
 def acting(envs: tuple[VoxelVecEnv, ...], random: torch.Generator) -> list[tuple]:
     """The same random actions in all environments; what their steps give."""
-    actions = 0.6 + torch.rand((3, envs[0].num_actions), generator=random)
-    return [env.step(actions) for env in envs]
-
-
-def start_again(env: VoxelVecEnv) -> Any:
-    return env.reset(seed=5)
-
-
-def start_some(env: VoxelVecEnv) -> Any:
-    return env.reset(mask=torch.tensor([False, True, True]))
-
-
-def shift_lengths(env: VoxelVecEnv) -> Any:
-    env.episode_length = torch.tensor([0, 1, 2])
-
-
-def write_lengths(env: VoxelVecEnv) -> Any:
-    env.episode_length[1] = 4
-
-
-def take_back(env: VoxelVecEnv) -> Any:
-    env.set_state(env.state())
-
-
-def wait(env: VoxelVecEnv) -> Any:
-    env.auto_reset = not env.auto_reset
-
-
-def shorten(env: VoxelVecEnv) -> Any:
-    env.max_episode_steps = 3
+    actions = 0.6 + torch.rand((envs[0].num_envs, envs[0].num_actions), generator=random)
+    return [env.step(actions.to(env.device)) for env in envs]
 
 
 def look(env: VoxelVecEnv) -> Any:
@@ -175,23 +62,30 @@ def film(env: VoxelVecEnv) -> Any:
     return torch.from_numpy(rollout.positions), torch.from_numpy(rollout.terminated | rollout.truncated)
 
 
-MEDDLING = (start_again, start_some, shift_lengths, take_back, film, write_lengths, look, wait, shorten, film)
+MEDDLING = {
+    "nothing": lambda env: None,
+    "start all again": lambda env: env.reset(seed=5),
+    "start some again": lambda env: env.reset(mask=torch.tensor([False, True, True])),
+    "set lengths": lambda env: setattr(env, "episode_length", torch.tensor([0, 1, 2])),
+    "take back": lambda env: env.set_state(env.state()),
+    "film": film,
+    "write into lengths": lambda env: env.episode_length.__setitem__(1, 4),
+    "look": look,
+    "wait or not": lambda env: setattr(env, "auto_reset", not env.auto_reset),
+    "shorten": lambda env: setattr(env, "max_episode_steps", 3),
+    "film again": film,
+}
 
 
 @pytest.mark.parametrize("auto_reset", [True, False])
 @pytest.mark.parametrize("task", ["Walker-v0", "BidirectionalWalker-v0", "Catcher-v0", "Balancer-v1", "UpStepper-v0"])
-def test_replays_are_equal_to_plain_steps(task: str, auto_reset: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever is done between steps: a recording that missed it would give something else."""
-    envs = make(task, auto_reset=auto_reset), graphed(task, monkeypatch, auto_reset=auto_reset)
-    random = torch.Generator().manual_seed(0)
-    kept = []
-    for meddle in (None, *MEDDLING):
-        if meddle is not None:
-            told = [meddle(env) for env in envs]
-            assert told[0] is None or equal(*told), meddle.__name__
+def test_a_graph_misses_nothing_that_is_done_between_steps(task: str, auto_reset: bool, cuda: None) -> None:
+    envs, random, kept = pair(task, auto_reset=auto_reset), torch.Generator().manual_seed(0), []
+    for name, meddle in MEDDLING.items():
+        assert equal(*(meddle(env) for env in envs)), name
         for step in range(5):
             results = acting(envs, random)
-            assert equal(*results), (meddle, step)
+            assert equal(*results), (name, step)
             assert equal(*(env.memory for env in envs))
             assert equal(*(look(env) for env in envs))
             kept.append(results)
@@ -200,110 +94,27 @@ def test_replays_are_equal_to_plain_steps(task: str, auto_reset: bool, monkeypat
     assert all(equal(*results) for results in kept), "results must stay as they were returned"
 
 
-@pytest.mark.parametrize("obs", ["task", "timed", "voxel"])
-def test_other_bodies_are_seen_by_a_recording(obs: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    envs = [
-        made("Walker-v0", grid=(5, 7), obs=obs) for made in (make, functools.partial(graphed, monkeypatch=monkeypatch))
-    ]
-    random = torch.Generator().manual_seed(0)
-    for body in ("walker", "mini", "worm"):
-        mask = torch.tensor([False, True, body != "mini"])
-        assert equal(*(env.set_designs([body], mask) for env in envs))
-        for _ in range(4):
-            assert equal(*acting(envs, random))
-    assert envs[1]._graph.recorded
-
-
-def test_what_was_sensed_between_steps_is_not_taken_for_the_present(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_sensed_between_steps_is_not_taken_for_the_present(cuda: None) -> None:
     """The step of a task that does not ask for centres leaves those that somebody else has asked for."""
 
     def widest(before: Any, after: Any, name: str) -> torch.Tensor:
         return after.extent(name)[:, 0]
 
     spec = replace(get_task("Walker-v0"), observations=(observes(orientation),), rewards=(rewards(widest),))
-    envs = make(spec), graphed(spec, monkeypatch)
-    random = torch.Generator().manual_seed(0)
+    envs, random = pair(spec), torch.Generator().manual_seed(0)
     for _ in range(6):
         assert equal(*acting(envs, random))
         assert equal(*(look(env) for env in envs))
     assert envs[1]._graph.recorded
 
 
-def held(env: VoxelVecEnv) -> dict[str, int]:
-    """Where all tensors lie that environments and their parts hold."""
-    places: dict[str, int] = {}
-    seen: set[int] = set()
-
-    def walk(value: Any, name: str) -> None:
-        if isinstance(value, torch.Tensor):
-            places[name] = value.data_ptr()
-        elif id(value) not in seen and not isinstance(value, type):
-            seen.add(id(value))
-            if isinstance(value, dict):
-                for key, item in value.items():
-                    walk(item, f"{name}[{key}]")
-            elif isinstance(value, (list, tuple)):
-                for number, item in enumerate(value):
-                    walk(item, f"{name}[{number}]")
-            elif type(value).__module__.startswith("warpvox.") and hasattr(value, "__dict__"):
-                for key, item in vars(value).items():
-                    walk(item, f"{name}.{key}")
-
-    walk(env, "env")
-    return places
-
-
-@pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0", "Balancer-v1"])
-def test_tensors_stay_where_they_are(task: str) -> None:
-    env = make(task)
-    env.reset()
-    for _ in range(2):
-        acting((env,), torch.Generator().manual_seed(0))
-    places = held(env)
-    assert {"env.episodes.length", "env.episodes.returns", "env.sim._actions"} <= places.keys()
-    for meddle in MEDDLING:
-        meddle(env)
-        acting((env,), torch.Generator().manual_seed(0))
-        now = held(env)  # new ones may come, for what is sensed for the first time
-        assert {name: now.get(name) for name in places} == places, meddle.__name__
-
-
-@pytest.mark.parametrize("name", ["length", "returns", "terminated"])
-def test_what_is_replaced_would_be_noticed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    envs = make("Walker-v0", auto_reset=False), graphed("Walker-v0", monkeypatch, auto_reset=False)
-    random = torch.Generator().manual_seed(0)
-    assert all(equal(*acting(envs, random)) for _ in range(4))
-    for env in envs:
-        setattr(env.episodes, name, torch.ones_like(getattr(env.episodes, name)))
-    assert not all(equal(*acting(envs, random)) for _ in range(3))
-
-
 @pytest.mark.parametrize("limit", [0, 2.5, True, "many"])
 def test_a_time_limit_is_a_number_of_steps(limit: Any) -> None:
-    env = make("Walker-v0")
+    env = make_vec("Walker-v0", num_envs=3, device="cpu", threads=1)
     with pytest.raises(ConfigError, match="max_episode_steps must be an integer >= 1"):
         env.max_episode_steps = limit
     with pytest.raises(ConfigError, match=r"episode_length must be integers \[3\]"):
         env.episode_length = torch.zeros(2, dtype=torch.long)
-
-
-def test_there_is_no_graph_on_the_cpu() -> None:
-    env = make_vec("Walker-v0", device="cpu", cuda_graph=True)
-    assert env._graph is None
-
-
-@pytest.mark.gpu
-@pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0", "Balancer-v1", "UpStepper-v0"])
-def test_on_cuda_a_graph_misses_nothing_that_is_done_between_steps(task: str) -> None:
-    options = dict(device="cuda", max_episode_steps=5)
-    envs = tuple(make_vec(task, num_envs=3, cuda_graph=graph, **options) for graph in (False, True))
-    random = torch.Generator().manual_seed(0)
-    for meddle in MEDDLING:
-        told = [meddle(env) for env in envs]
-        assert told[0] is None or equal(*told), meddle.__name__
-        for step in range(5):
-            assert equal(*acting(envs, random)), (meddle, step)
-        assert equal(*(env.state() for env in envs))
 
 
 @pytest.mark.gpu
@@ -324,11 +135,7 @@ def test_on_cuda_every_stream_of_torch_gives_the_same(graph: bool) -> None:
 @pytest.mark.gpu
 @pytest.mark.parametrize("task", task_ids())
 def test_on_cuda_a_graph_gives_the_same(task: str) -> None:
-    random = torch.Generator().manual_seed(0)
-    envs = [
-        make_vec(task, num_envs=64, device="cuda", max_episode_steps=7, cuda_graph=graph) for graph in (False, True)
-    ]
+    envs, random = pair(task, num_envs=64, max_episode_steps=7), torch.Generator().manual_seed(0)
     assert equal(*(env.reset() for env in envs))
     for _ in range(12):
-        actions = (0.6 + torch.rand((64, envs[0].num_actions), generator=random)).cuda()
-        assert equal(*(env.step(actions) for env in envs))
+        assert equal(*acting(envs, random))

@@ -1,7 +1,5 @@
 """The tasks as gymnasium has them."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -16,7 +14,7 @@ from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
 
 from warpvox.design import example_design
-from warpvox.envs.adapters.gym import VoxelEnv, register, register_task
+from warpvox.envs.adapters.gym import VoxelEnv, register_task
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import ActionError, ConfigError, DesignError, DisplayError, WorldError
 
@@ -128,23 +126,6 @@ def test_no_display_is_said_and_the_mode_is_not_offered(monkeypatch: pytest.Monk
     check_env(env.unwrapped)
 
 
-def test_pictures_depend_on_the_state_alone() -> None:
-    one, two = (gymnasium.make("warpvox/Climber-v0", body="walker", render_mode="rgb_array") for _ in range(2))
-    rng = np.random.default_rng(0)
-    one.reset(), two.reset()
-    frames = []
-    for _ in range(12):
-        action = rng.uniform(0.6, 1.6, one.action_space.shape)
-        one.step(action), two.step(action)
-        frames.append(one.render())
-    assert frames[0].shape == (360, 640, 3)
-    assert frames[0].dtype == np.uint8
-    assert not np.array_equal(frames[0], frames[-1])
-    assert np.array_equal(two.render(), frames[-1])  # although it has not looked before
-    with pytest.warns(UserWarning, match="without a render_mode"):
-        assert VoxelEnv("Walker-v0").render() is None
-
-
 def test_a_task_of_ones_own_can_be_registered() -> None:
     name = register_task(replace(get_task("Walker-v0"), id="Mine-v0", max_episode_steps=7), "mine")
     assert name == "mine/Mine-v0"
@@ -152,12 +133,6 @@ def test_a_task_of_ones_own_can_be_registered() -> None:
     assert gymnasium.make_vec(name, num_envs=2, body="walker").vec.max_episode_steps == 7
     with pytest.raises(ConfigError, match="a word other than 'warpvox'"):
         register_task("Walker-v0", "warpvox")
-
-
-def test_registering_twice_does_no_harm(recwarn: pytest.WarningsRecorder) -> None:
-    register()
-    assert not recwarn.list
-    assert {f"warpvox/{task}" for task in task_ids()} <= set(gymnasium.registry)
 
 
 def test_mistakes_are_named() -> None:

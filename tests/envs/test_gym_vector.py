@@ -1,7 +1,5 @@
 """Many environments as gymnasium has them, compared with gymnasium's own way of stepping single ones."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium
@@ -9,17 +7,10 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from gymnasium.wrappers.vector import (
-    ClipAction,
-    NormalizeObservation,
-    NormalizeReward,
-    RecordEpisodeStatistics,
-    RescaleAction,
-)
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
-from warpvox.design import example_design, sample_design
+from warpvox.design import example_design
 from warpvox.envs.adapters.gym_vector import VoxelGymVectorEnv
-from warpvox.envs.registry import task_ids
 from warpvox.errors import ConfigError, SimulationError
 
 SAME = 1e-9  # batches sum in another order than single environments; a few steps later that is all there is
@@ -84,39 +75,6 @@ def test_it_is_what_gymnasium_makes_of_single_environments(task: str, mode: Auto
     compare(ours.reset()[0], theirs.reset()[0], "reset of all")
 
 
-@pytest.mark.parametrize("task", task_ids())
-def test_every_task_has_a_batch_of_its_own(task: str) -> None:
-    env = make(task, num_envs=2, body="walker")
-    assert isinstance(env, VoxelGymVectorEnv)
-    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
-    obs, info = env.reset(seed=1)
-    assert info == {}
-    assert obs in env.observation_space
-    obs, reward, terminated, truncated, infos = env.step(env.action_space.sample())
-    assert obs in env.observation_space
-    assert reward.dtype == np.float64
-    assert terminated.dtype == truncated.dtype == bool
-    assert infos["_unstable"].all()
-    env.close()
-
-
-def test_environments_end_at_different_times() -> None:
-    env = make(num_envs=2, designs=[np.full((2, 2), 3), example_design("walker")], max_episode_steps=5)
-    env.reset()
-    env.vec.episode_length = env.vec.episode_length + torch.tensor([0, 3])
-    for step in range(5):
-        obs, _, _, truncated, infos = env.step(np.ones(env.action_space.shape))
-        assert truncated.tolist() == [step == 4, step == 1]
-        assert ("final_obs" in infos) == bool(truncated.any())
-        assert infos["_unstable"].tolist() == (~truncated).tolist()
-        if truncated.any():
-            ended = int(truncated.argmax())
-            assert infos["_final_obs"].tolist() == infos["_final_info"].tolist() == truncated.tolist()
-            assert infos["final_obs"][1 - ended] is None
-            assert not np.array_equal(infos["final_obs"][ended], obs[ended])
-            assert infos["final_obs"][ended].shape == env.single_observation_space.shape
-
-
 @pytest.mark.parametrize("mode", AutoresetMode)
 def test_gymnasiums_statistics_work_on_it(mode: AutoresetMode) -> None:
     env = RecordEpisodeStatistics(make(num_envs=2, body="walker", max_episode_steps=6, autoreset_mode=mode.name))
@@ -132,17 +90,6 @@ def test_gymnasiums_statistics_work_on_it(mode: AutoresetMode) -> None:
             env.step(env.action_space.sample())
         if mode is AutoresetMode.DISABLED:
             env.reset(options={"reset_mask": np.ones(2, dtype=bool)})
-
-
-def test_gymnasiums_normalisation_works_on_it() -> None:
-    wrapped = NormalizeReward(NormalizeObservation(make(num_envs=2, body="walker", autoreset_mode="NextStep")))
-    wrapped = ClipAction(RescaleAction(wrapped, np.float64(-1.0), np.float64(1.0)))
-    wrapped.reset(seed=0)
-    for _ in range(4):
-        obs, reward, *_ = wrapped.step(wrapped.action_space.sample())
-    assert obs.dtype == np.float32
-    assert np.isfinite(obs).all()
-    assert np.isfinite(reward).all()
 
 
 def test_who_has_ended_must_be_reset_where_nobody_else_does() -> None:
@@ -162,22 +109,6 @@ def test_who_has_ended_must_be_reset_where_nobody_else_does() -> None:
             env.reset(options={"reset_mask": mask})
     with pytest.raises(ConfigError, match=r"each of 2 environments; got \[1\]"):
         env.reset(seed=[1])
-
-
-def test_several_designs_share_a_batch() -> None:
-    designs = [sample_design((3, 3), seed=1), example_design("walker")]
-    env = make("UpStepper-v0", num_envs=4, designs=designs)
-    obs, _ = env.reset()
-    assert obs in env.observation_space  # the padding is 0, which the bounds allow
-    assert env.single_action_space.shape == (env.vec.num_actions,)
-    assert env.step(env.action_space.sample())[0] in env.observation_space
-
-
-def test_seeds_govern_what_is_random() -> None:
-    a, b = make("Catcher-v0", body="walker"), make("Catcher-v0", body="walker", seed=9)
-    assert not np.array_equal(a.reset()[0], b.reset()[0])
-    assert np.array_equal(a.reset(seed=5)[0], b.reset(seed=5)[0])
-    assert not np.array_equal(*a.reset()[0][:2])
 
 
 def test_pictures_of_all() -> None:

@@ -1,7 +1,5 @@
 """The memory that environments need is known before they are made, and what does not fit is refused."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 
@@ -39,9 +37,7 @@ def free(monkeypatch: pytest.MonkeyPatch) -> Callable[[float | None], None]:
         ("Walker-v0", [[[3, 4]]], 32, {"grid": (20, 20)}),
     ],
 )
-def test_the_estimate_is_what_the_arrays_take_and_a_little_more(
-    task: str, bodies: list, count: int, options: dict
-) -> None:
+def test_the_estimate_is_what_the_arrays_take_and_a_little_more(task, bodies: list, count: int, options: dict) -> None:
     env = make_vec(task, bodies, count, device="cpu", threads=1, **options)
     taken = sum(array.capacity for array in env.sim.buffers.arrays.values())
     worlds = [task_world(get_task(task), wv.load_design(body)) for body in bodies]
@@ -55,9 +51,7 @@ def fits(error: pytest.ExceptionInfo) -> int:
 
 
 @pytest.mark.parametrize("options", [{"body": "walker"}, {"designs": [[[3, 4]]], "grid": (100, 100)}])
-def test_what_does_not_fit_is_refused_before_anything_is_made(
-    monkeypatch: pytest.MonkeyPatch, free: Callable, options: dict
-) -> None:
+def test_what_does_not_fit_is_refused_before_anything_is_made(monkeypatch, free: Callable, options: dict) -> None:
     monkeypatch.setattr(Simulation, "__init__", lambda *words, **options: pytest.fail("made"))
     free(GIB)
     words = r"1,000,000 environments need about .* GiB, and 1 GiB are free on cpu; [\d,]+ fit: num_envs="

@@ -1,7 +1,5 @@
 """Random bodies in random tasks: what is valid runs without NaN, what is not is refused with its reason."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

@@ -1,19 +1,15 @@
 """Random tasks: every environment draws from a stream of its own, and what it draws can be set."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
 import pytest
 import torch
 
-from warpvox.design import example_design, sample_design
 from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.terms import goals
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError
-from warpvox.types import VOXEL
 
 
 def make(task: str, num_envs: int = 4, designs: object = None, **options) -> VoxelVecEnv:
@@ -114,47 +110,6 @@ def test_what_cannot_be_set_is_refused(task: str, memory: dict, words: str) -> N
         make(task, 1).reset(memory=memory)
 
 
-# ---------------------------------------------------------------------- Catcher
-
-
-def cell_points(x: int, y: int, rows: int, name: str, env: VoxelVecEnv) -> list[tuple[float, float]]:
-    """The points of an object as a world would place them at a cell, with the roundings of a world."""
-    home = {obj.name: obj for obj in env.spec.objects}[name]
-    points = env.sim.designs[0].body(name).points
-    lattice = [(round(px / VOXEL) - home.x, home.y + home.height - round(py / VOXEL)) for px, py in points]
-    return [(x * VOXEL + column * VOXEL, (y * VOXEL + rows * VOXEL) - row * VOXEL) for column, row in lattice]
-
-
-def test_catcher_places_box_and_pegs_like_a_world_built_there() -> None:
-    designs = [sample_design((3, 3), seed=1), example_design("walker")]
-    env = make("Catcher-v0", 6, designs, lanes=8)
-    for _ in range(3):
-        env.reset()
-        for e, (dx, dy) in enumerate(env.memory["offset"].tolist()):
-            assert -6 <= dx <= 4
-            assert 0 <= dy <= 5
-            for name, x, y, rows in (("package", 21, 41, 2), ("peg1", 17, 39, 1), ("peg2", 19, 25, 1)):
-                placed = env.sim.object_positions(name)[e].tolist()
-                assert [tuple(point) for point in placed] == cell_points(x + dx, y + dy, rows, name, env)
-        act(env)
-
-
-def test_catcher_pegs_stay_where_they_are_and_stop_the_box() -> None:
-    env = make("Catcher-v0", 2)
-    env.reset(memory={"offset": [[0, 0], [-6, 5]]})
-    pegs = env.sim.object_positions("peg1")
-    for _ in range(150):
-        act(env)
-    assert torch.equal(env.sim.object_positions("peg1"), pegs)
-    fall = [41.5 * VOXEL, 46.5 * VOXEL]
-    assert (torch.tensor(fall) - env.sim.com("package")[:, 1] > 0.1).all()
-    turned = env.sim.orientation("package")
-    assert ((turned > 0.1) & (turned < 6.2)).all()
-
-
-# ---------------------------------------------------------------------- BidirectionalWalker
-
-
 def test_goals_go_on_until_the_way_is_long_enough() -> None:
     draws = RandomStream(1, 300, "cpu")
     lists = goals.draw_goals(draws, 20, 50, start=35, way=100).tolist()
@@ -166,74 +121,3 @@ def test_goals_go_on_until_the_way_is_long_enough() -> None:
         assert ways.sum() >= 100
         assert ways[:-1].sum() < 100
     assert (goals.draw_goals(draws, 20, 50, start=35, way=None) > 0).all()
-
-
-def test_a_goal_that_is_reached_gives_way_to_the_next_after_the_observation() -> None:
-    env = make("BidirectionalWalker-v0", 1, auto_reset=False)
-    x = float(env.sim.com("robot")[0, 0])
-    here = round(x / VOXEL)
-    start, _ = env.reset(memory={"goals": [[here, here + 1, 20]]})
-    assert start[0, -3:].tolist() == pytest.approx([0, here * VOXEL, here * VOXEL - x])
-    obs, reward, terminated, _, _ = act(env)
-    moved = float(env.sim.com("robot")[0, 0])
-    assert float(reward[0]) == pytest.approx(abs(2.0 - x) - abs(2.0 - moved), abs=1e-12)
-    assert not terminated
-    assert obs[0, -3:-1].tolist() == pytest.approx([0, here * VOXEL])
-    assert env.memory["goal"].tolist() == [[2]]
-    assert act(env)[0][0, -3:-1].tolist() == pytest.approx([2, 2.0])
-
-
-def test_the_episode_ends_with_the_last_goal_and_stays_as_it_ended() -> None:
-    env = make("BidirectionalWalker-v0", 1, auto_reset=False)
-    here = round(float(env.sim.com("robot")[0, 0]) / VOXEL)
-    env.reset(memory={"goals": [[here, here]]})
-    end, reward, terminated, _, info = act(env)
-    assert terminated
-    assert float(info["reward_terms"]["all_goals_reached_robot"]) == 1.0
-    again, reward, _, _, _ = act(env)
-    assert float(reward) == 0.0
-    assert torch.equal(again, end)
-
-
-@RANDOM
-def test_with_a_seed_for_each_design_they_draw_as_if_alone(task: str) -> None:
-    together = make(task, 6, ["walker", "worm"], seed=[7, 9])
-    alone = [make(task, 3, [name], seed=seed) for name, seed in (("walker", 7), ("worm", 9))]
-    for _ in range(2):
-        assert torch.equal(drawn(together), torch.cat([drawn(env) for env in alone]))
-        for env in (together, *alone):
-            env.reset()
-            act(env)
-            env.reset()
-    together.reset(seed=[9, 7])
-    assert torch.equal(drawn(together)[:3], drawn(make(task, 3, ["walker"], seed=9)))
-
-
-def test_seeds_must_be_as_many_as_designs() -> None:
-    with pytest.raises(ConfigError, match="each of the 2 designs or 6 environments; got 3"):
-        make("Catcher-v0", 6, ["walker", "worm"], seed=[1, 2, 3])
-
-
-@pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0"])
-@pytest.mark.parametrize("keep", [[0, 1, 2], [2, 0], [1]])
-def test_designs_go_on_in_environments_of_their_own(task: str, keep: list[int]) -> None:
-    """Rows of a state, picked by design, continue bit for bit with other designs around them or none."""
-    names, seeds, limit = ["worm", "walker", "mini"], [3, 4, 5], 9
-    options = {"max_episode_steps": limit, "dtype": "float32", "lanes": 8}
-    whole = make(task, 6, names, seed=seeds, **options)
-    part = make(task, 2 * len(keep), [names[d] for d in keep], seed=[seeds[d] for d in keep], **options)
-    rows = torch.tensor([2 * d + k for d in keep for k in range(2)])
-    generator = torch.Generator().manual_seed(0)
-    actions = 0.6 + torch.rand(20, 6, whole.num_actions, generator=generator)
-    for action in actions[:6]:
-        whole.step(action)
-    pick = lambda value: None if value is None else value[rows]  # noqa: E731
-    part.set_state(
-        {k: {n: v[rows] for n, v in x.items()} if isinstance(x, dict) else pick(x) for k, x in whole.state().items()}
-    )
-    for action in actions[6:]:
-        obs, reward, *_, info = whole.step(action)
-        own_obs, own_reward, *_, own_info = part.step(action[rows, : part.num_actions])
-        assert torch.equal(own_obs, obs[rows, : part.num_obs])
-        assert torch.equal(own_reward, reward[rows])
-        assert torch.equal(own_info["episode"]["return"], info["episode"]["return"][rows])

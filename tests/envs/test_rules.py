@@ -254,8 +254,6 @@ def test_episodes_last_as_long_as_written(task: str, rules: str) -> None:
     assert spec.unstable_penalty == -3.0
 
 
-# ---------------------------------------------------------------------- on made-up states
-
 COUNT = 400
 LIMITS = np.array(
     [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1.7, 1.75, 2.0, 4.0, 4.85, 5.9, 6.0, 6.5, 6.9, 7.4, 7.9, 8.6, 9.9]
@@ -329,9 +327,6 @@ def test_rewards_and_ends_are_those_of_the_book(task: str, rules: str) -> None:
     assert ended.any() == bool(page.ends)
 
 
-# ---------------------------------------------------------------------- on the simulator
-
-
 def raw(env: VoxelVecEnv, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centre of mass, its velocity, and relative positions (x before y) of an object, from its points."""
     points = env.sim.object_positions(name)[0].numpy()
@@ -400,8 +395,6 @@ def test_observations_and_rewards_follow_from_the_points(task: str, rules: str) 
             break
 
 
-# ---------------------------------------------------------------------- bonuses for arriving
-
 # The face of the wall that closes the terrain, a height above the ground before it, the bonus.
 WALLS = {"CaveCrawler-v0": (69, 1, 1.0), "ObstacleTraverser-v1": (58, 5, 2.0)}
 
@@ -424,17 +417,3 @@ def test_bodies_of_any_width_arrive_at_a_wall_that_closes_the_terrain(task: str,
     assert arrived(task, "paper", shape, gap=2) == (False, pytest.approx(0.0))
     assert arrived(task, "paper", shape, gap=0) == (True, pytest.approx(WALLS[task][2]))
     assert not arrived(task, "evogym", shape, gap=0)[0]  # as released: the centre of mass would have to be in the wall
-
-
-def test_a_walker_arrives_at_the_end_of_the_cave() -> None:
-    spec = replace(get_task("CaveCrawler-v0"), robot_cell=(61, 1))
-    env = make_vec(spec, ["mini"], device="cpu", dtype="float64", threads=1, rules="paper", auto_reset=False, lanes=1)
-    env.reset()
-    for step in range(200):
-        push = 1.1 + 0.5 * np.sin(0.3 * step - np.arange(env.num_actions))[None]
-        _, reward, terminated, _, info = env.step(push)
-        if terminated:
-            break
-    assert bool(terminated)
-    assert not info["unstable"].any()
-    assert float(reward) > 0.9

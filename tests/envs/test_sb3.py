@@ -1,7 +1,5 @@
 """Stable-Baselines3 on a batch of environments: what its interface promises, and its PPO at work."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,10 +1,7 @@
 """The fast way of a single environment: the same numbers as torch, bit for bit, in every task."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
-import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -44,17 +41,6 @@ def test_every_task_is_stepped_fast_with_the_numbers_of_torch(task: str, rules: 
     assert all(torch.equal(value, slow.memory[name]) for name, value in env.vec.memory.items())
 
 
-def test_it_is_stepped_fast_in_float32_too() -> None:
-    env = VoxelEnv("Carrier-v0", body="walker", dtype="float32")
-    slow = make_vec("Carrier-v0", body="walker", device="cpu", threads=1, auto_reset=False)
-    assert env._fast is not None
-    assert np.array_equal(env.reset()[0], slow.reset()[0][0].numpy())
-    for action in waves(env, 8):
-        obs = env.step(action)[0]
-        assert obs.dtype == np.float32
-        assert np.array_equal(obs, slow.step(torch.as_tensor(action[None]))[0][0].numpy())
-
-
 class _Count(TorchDispatchMode):
     """Counts operations of torch."""
 
@@ -90,18 +76,6 @@ def test_terms_of_others_are_left_to_torch() -> None:
         (obs, reward, *_), (theirs, their_reward, *_) = env.step(action), plain.step(action)
         assert np.array_equal(obs, theirs)
         assert reward == 2 * their_reward
-
-
-@pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
-def test_it_ends_and_begins_again_as_before() -> None:
-    env = gymnasium.make("warpvox/Balancer-v0", body=np.full((2, 2), 3))
-    first = env.reset(seed=0)[0]
-    steps, ended = 0, False
-    while not ended and steps < 300:
-        obs, _, terminated, truncated, _ = env.step(np.full(4, 0.6 if steps // 3 % 2 else 1.6))
-        steps, ended = steps + 1, terminated or truncated
-    assert np.array_equal(env.reset()[0], first)
-    assert not np.array_equal(obs, first)
 
 
 @pytest.mark.filterwarnings("error")

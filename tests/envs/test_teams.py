@@ -1,7 +1,5 @@
 """Several robots in one world, each with a body and actions of its own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gymnasium

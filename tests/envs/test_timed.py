@@ -1,7 +1,5 @@
 """The time as an observation: it is the count of the time limit, and nothing else changes."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -37,9 +35,7 @@ def actions(env: VoxelVecEnv, step: int) -> torch.Tensor:
         ("Catcher-v0", "timed_voxel", "voxel"),
     ],
 )
-def test_the_last_number_counts_and_the_others_are_as_without_it(
-    task: object, timed: str, without: str, auto_reset: bool
-) -> None:
+def test_the_last_number_counts_and_the_others_are_as_without_it(task, timed, without: str, auto_reset: bool) -> None:
     env, plain = make(task, timed, auto_reset=auto_reset), make(task, without, auto_reset=auto_reset)
     assert env.num_obs == plain.num_obs + 1
     obs, theirs = env.reset()[0], plain.reset()[0]

@@ -1,7 +1,5 @@
 """What every task must hold to, on the real simulator."""
 
-from __future__ import annotations
-
 from math import pi
 
 import numpy as np
@@ -11,7 +9,7 @@ import torch
 from warpvox.design import example_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
-from warpvox.errors import ActionError, ConfigError, DesignError, TaskError, WorldError
+from warpvox.errors import ActionError, ConfigError, DesignError
 
 ALL = pytest.mark.parametrize("task", task_ids())
 BOTH = pytest.mark.parametrize("rules", ["evogym", "paper"])
@@ -101,18 +99,27 @@ def test_an_episode_after_a_reset_repeats_the_first(task: str) -> None:
         assert torch.equal(one[1], two[1])
 
 
-def test_it_can_be_stepped_without_a_reset() -> None:
-    a, b = make("Walker-v0"), make("Walker-v0")
-    b.reset()
-    for action in some_actions(a, 3):
-        assert torch.equal(a.step(action)[0], b.step(action)[0])
-
-
 def test_actions_may_be_numpy_and_are_clipped() -> None:
     a, b = make("Walker-v0", None, 2), make("Walker-v0", None, 2)
     a.reset(), b.reset()
     wild = np.full((2, a.num_actions), 9.0)
     assert torch.equal(a.step(wild)[0], b.step(torch.full((2, a.num_actions), 1.6))[0])
+
+
+def test_what_is_returned_belongs_to_the_caller() -> None:
+    env, twin = (make("UpStepper-v0", None, 2, max_episode_steps=3) for _ in range(2))
+    for action in some_actions(env, 5):
+        ours, theirs = env.step(action), twin.step(action)
+        parts = [*ours[:4], *ours[4]["reward_terms"].values(), ours[4]["unstable"], *ours[4]["episode"].values()]
+        others = [
+            *theirs[:4],
+            *theirs[4]["reward_terms"].values(),
+            theirs[4]["unstable"],
+            *theirs[4]["episode"].values(),
+        ]
+        for one, other in zip(parts, others, strict=True):
+            assert torch.equal(one, other)
+            one.fill_(1)
 
 
 def test_equal_designs_share_a_model_but_keep_their_blocks() -> None:
@@ -128,22 +135,6 @@ def test_bodies_may_be_given_in_any_form() -> None:
     body = example_design("walker")
     for designs in (None, "walker", ["walker"], body, [body.tolist()], body[None]):
         assert np.array_equal(make("Walker-v0", designs).designs[0], body)
-
-
-def test_connections_change_the_robot() -> None:
-    body = np.array([[3, 3], [4, 4]])
-    cut = np.array([[0, 0, 1], [1, 2, 3]])
-    whole, open_ring = make("Walker-v0", [body]), make("Walker-v0", [body], connections=[cut])
-    assert whole.sim.num_points("robot") == 9
-    assert open_ring.sim.num_points("robot") == 10
-
-
-def test_one_body_may_be_given_as_gymnasium_names_it() -> None:
-    body, cut = np.array([[3, 3], [4, 4]]), np.array([[0, 0, 1], [1, 2, 3]])
-    env = make("Walker-v0", num_envs=2, body=body)
-    assert (env.num_envs, env.num_designs) == (2, 1)
-    assert np.array_equal(env.designs[0], body)
-    assert make("Walker-v0", body=body, connections=cut).sim.num_points("robot") == 10
 
 
 @pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0", "BidirectionalWalker-v0"])
@@ -213,8 +204,6 @@ def test_actions_that_are_not_finite_are_refused_and_change_nothing(value: float
 @pytest.mark.parametrize(
     ("error", "words", "arguments"),
     [
-        (TaskError, "Did you mean 'Walker-v0'", {"task": "Waker-v0"}),
-        (ConfigError, "Did you mean 'paper'", {"rules": "papr"}),
         (
             ConfigError,
             "multiple of the number of designs \\(2\\), got 3; try 2 or 4",
@@ -222,16 +211,12 @@ def test_actions_that_are_not_finite_are_refused_and_change_nothing(value: float
         ),
         (ConfigError, "not both", {"designs": ["walker"], "body": "walker"}),
         (ConfigError, "make_vec has no argument 'desings'. Did you mean 'designs'", {"desings": ["walker"]}),
-        (ConfigError, "no argument 'dtpye'. Did you mean 'dtype'", {"dtpye": "float32"}),
         (ConfigError, "integer >= 1", {"num_envs": 0}),
-        (ConfigError, "integer >= 1", {"num_envs": 1.5}),
         (ConfigError, "max_episode_steps must be", {"max_episode_steps": 0}),
         (ConfigError, "one entry a design", {"connections": [None, None]}),
         (DesignError, "list of designs is empty", {"designs": []}),
         (DesignError, "must be a list of bodies", {"designs": 7}),
-        (DesignError, "no actuator", {"designs": [[[1, 1]]]}),
         (DesignError, "Design 1: .*not connected", {"designs": ["walker", [[3, 0], [0, 3]]], "num_envs": 2}),
-        (WorldError, "does not fit the world of Climber-v0", {"task": "Climber-v0", "designs": [[[3] * 6]]}),
     ],
 )
 def test_bad_input_is_refused_in_words(error: type[Exception], words: str, arguments: dict) -> None:

@@ -1,7 +1,5 @@
 """Observations voxel by voxel, compared with what plain numpy makes of the points of the simulator."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -11,7 +9,6 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.terms.observations import shape
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
-from warpvox.errors import ConfigError
 from warpvox.simulation import Simulation
 
 EXACT = 1e-12
@@ -92,8 +89,14 @@ def test_cut_connections_show_in_the_mask_and_in_the_corners() -> None:
     assert not torch.equal(cells[2, 4:6], cells[3, 6:8])  # their lower corners are not
 
 
-@pytest.mark.parametrize("task", task_ids())
-@pytest.mark.parametrize("rules", ["evogym", "paper"])
+@pytest.mark.parametrize(
+    ("task", "rules"),
+    [
+        pytest.param(task, rules, marks=() if (number + which) % 6 == 0 else pytest.mark.slow)
+        for number, task in enumerate(task_ids())
+        for which, rules in enumerate(("evogym", "paper"))
+    ],
+)
 def test_the_rest_of_what_a_task_observes_follows(task: str, rules: str) -> None:
     designs = [example_design("walker"), sample_design((3, 3), seed=1)]
     env = make(task, designs, 2, rules=rules)
@@ -127,14 +130,6 @@ def test_a_value_for_every_cell_becomes_actions() -> None:
         own = values[number].reshape(5, 5)[torch.as_tensor(grid >= 3)]
         assert actions[number, : len(own)].tolist() == own.tolist()
         assert not actions[number, len(own) :].any()
-
-
-def test_float32_and_the_default() -> None:
-    env = make("Walker-v0", ["walker"], 1, dtype="float32")
-    assert env.reset()[0].dtype == torch.float32
-    assert make("Walker-v0", ["walker"], 1, obs="task").voxels == {}
-    with pytest.raises(ConfigError, match=r"task, timed, voxel, timed_voxel, got 'voxels'. Did you mean 'voxel'"):
-        make("Walker-v0", ["walker"], 1, obs="voxels")
 
 
 def test_bodies_that_stay_are_not_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,5 @@
 """The drop-in's environments: ids, spaces, base classes for environments of one's own, what is random."""
 
-from __future__ import annotations
-
 import os
 import random
 import warnings
@@ -11,13 +9,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-import torch
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
 import warpvox.evogym.envs as envs
 from warpvox.envs.registry import get_task
-from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ConfigError
 from warpvox.evogym import BASELINE_ENV_NAMES, EvoWorld
 
@@ -31,21 +27,6 @@ def test_ids_are_those_of_the_release(name: str) -> None:
     assert module.startswith("warpvox.evogym.envs.")
     assert get_task(getattr(envs, cls).task) is get_task(name)
     assert spec.max_episode_steps == get_task(name).max_episode_steps
-
-
-@pytest.mark.parametrize("task", ["Traverser-v0", "AreaMinimizer-v0", "Carrier-v1", "Climber-v2", "Flipper-v0"])
-def test_it_agrees_with_the_batch(task: str) -> None:
-    env = gymnasium.make(task, body=BODY).unwrapped
-    batch = make_vec(task, designs=[BODY], num_envs=1, device="cpu", dtype="float64", auto_reset=False)
-    obs, info = env.reset()
-    assert info == {}
-    assert np.array_equal(obs, batch.reset()[0][0].numpy())
-    for row in np.random.default_rng(5).uniform(0.5, 1.7, (25, batch.num_actions)):
-        obs, reward, terminated, truncated, _ = env.step(row)
-        expected = batch.step(torch.as_tensor(row[None]))
-        assert np.array_equal(obs, expected[0][0].numpy())
-        assert reward == pytest.approx(float(expected[1][0]), abs=1e-14)
-        assert (terminated, truncated) == (bool(expected[2][0]), False)
 
 
 def test_spaces_are_those_of_the_release() -> None:

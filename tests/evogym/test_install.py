@@ -1,7 +1,5 @@
 """``install()`` makes ``import evogym`` mean the drop-in, in processes of their own."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The drop-in's environments repeat what the reference's have recorded, of every task that has a recording."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import gymnasium

@@ -1,7 +1,5 @@
 """Worlds and objects of the drop-in."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

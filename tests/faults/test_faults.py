@@ -1,7 +1,5 @@
 """Killed, interrupted, on a full disk, with damaged files: nothing is lost, and one line says what to do."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -37,8 +35,7 @@ from warpvox.io import writing
 from warpvox.io.writing import MARK, claimed, write_text
 
 COMMANDS = {"train": TRAIN, "codesign": CODESIGN}
-OURS = {writing.__file__, pathlib.__file__, system.__file__}
-"""The modules whose code writes a file."""
+OURS = {writing.__file__, pathlib.__file__, system.__file__}  # the modules whose code writes a file
 FEW = [("killed", 0.6), ("full", 0.5)]
 MANY = [(how, k / 20) for how in ("killed", "full") for k in range(20)]
 
@@ -46,9 +43,7 @@ MANY = [(how, k / 20) for how in ("killed", "full") for k in range(20)]
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="copies of a process are made by fork")
 @pytest.mark.parametrize("moments", [FEW, pytest.param(MANY, marks=pytest.mark.slow)], ids=["few", "many"])
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_run_goes_on_from_any_moment_to_the_undisturbed_end(
-    command: str, moments: list, warpvox: Callable, tmp_path: Path
-) -> None:
+def test_a_run_goes_on_from_any_moment_to_the_undisturbed_end(command: str, moments: list, warpvox, tmp_path) -> None:
     home, words = tmp_path / "victims", COMMANDS[command]
     home.mkdir()
     line = [sys.executable, Path(__file__).with_name("victim.py"), home, json.dumps(words), json.dumps(moments)]
@@ -94,14 +89,9 @@ def cut(path: Path, share: float) -> None:
     path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
 
 
-# ------------------------------------------------------------------------------------------------- writing a file
-
-
 @pytest.mark.parametrize("call", ["os.fsync", "os.replace", "pathlib.Path.touch"])
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.ENOENT])
-def test_a_refused_write_leaves_the_old_file_and_says_what_to_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, number: int
-) -> None:
+def test_a_refused_write_leaves_the_old_file_and_says_what_to_do(tmp_path, monkeypatch, call: str, number: int) -> None:
     target = tmp_path / "a.txt"
     write_text(target, "old")
 
@@ -180,13 +170,8 @@ def test_every_writer_notices_that_it_was_cut_short(tmp_path: Path) -> None:
         assert not list(tmp_path.glob(f"{MARK}*"))
 
 
-# ----------------------------------------------------------------------------------------------- whole commands
-
-
 @pytest.mark.parametrize("how", ["read-only", "a file"])
-def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(
-    how: str, warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(how, warpvox, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("warpvox.simulation.Simulation.__init__", None)
     if how == "a file":
         (tmp_path / "place").write_text("mine")
@@ -199,9 +184,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_folder_that_vanishes_is_told_of_and_not_made_again(
-    command: str, warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_vanishes_is_told_of_and_not_made_again(command: str, warpvox, tmp_path, monkeypatch) -> None:
     def remove(*_: Any) -> None:
         shutil.rmtree(tmp_path / "outputs", ignore_errors=True)
 
@@ -212,9 +195,7 @@ def test_a_folder_that_vanishes_is_told_of_and_not_made_again(
 
 
 @pytest.mark.parametrize("name", ["designs", "archive.sqlite"])
-def test_what_vanishes_from_a_search_is_told_of(
-    name: str, warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_vanishes_from_a_search_is_told_of(name: str, warpvox: Callable, tmp_path: Path, monkeypatch) -> None:
     from warpvox.algos.codesign.progress import SearchProgress
 
     def remove(self: SearchProgress, generation: int, fresh: bool) -> None:
@@ -231,9 +212,7 @@ def test_what_vanishes_from_a_search_is_told_of(
         assert (outcome.code, "the policies of 3 designs are gone from" in outcome.out) == (0, True), outcome.err
 
 
-def test_leftovers_of_killed_processes_are_swept_up_and_a_second_writer_is_refused(
-    copied: Callable, warpvox: Callable
-) -> None:
+def test_leftovers_of_killed_processes_are_swept_up_and_a_second_writer_is_refused(copied: Callable, warpvox) -> None:
     run = copied("train")
     leftover = run / f"{MARK}state-abc.pt"
     leftover.write_text("half")
@@ -284,9 +263,6 @@ def test_a_log_on_a_full_disk_is_one_clear_error(tmp_path: Path) -> None:
     assert done.stderr.startswith("warpvox: The output cannot be written: no space is left on its disk")
 
 
-# ------------------------------------------------------------------------------------------------ damaged files
-
-
 def test_a_damaged_state_names_the_newest_checkpoint_that_is_whole(copied: Callable, warpvox: Callable) -> None:
     run = copied("train")
     cut(run / "state.pt", 0.99)
@@ -304,9 +280,7 @@ def test_a_damaged_state_names_the_newest_checkpoint_that_is_whole(copied: Calla
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_configuration_that_was_cut_short_makes_no_other_run(
-    command: str, copied: Callable, warpvox: Callable
-) -> None:
+def test_a_configuration_that_was_cut_short_makes_no_other_run(command: str, copied: Callable, warpvox) -> None:
     run = copied(command)
     lines = (run / "config.yaml").read_text().splitlines(keepends=True)
     for count in (0, len(lines) // 2, len(lines) - 4):
@@ -321,9 +295,7 @@ def test_damaged_curves_say_what_to_do(copied: Callable, warpvox: Callable) -> N
     check_complaint(warpvox("train", "resume=latest", "max_iterations=4"), "metrics.csv is damaged", "move it away")
 
 
-def test_a_damaged_archive_names_its_copy_and_the_search_goes_on_from_it(
-    copied: Callable, warpvox: Callable, runs: dict[str, Path]
-) -> None:
+def test_a_damaged_archive_names_its_copy_and_the_search_goes_on_from_it(copied, warpvox, runs) -> None:
     run = copied("codesign")
     cut(run / FILE, 0.5)
     (run / f"{FILE}-journal").write_bytes(b"nonsense" * 500)
@@ -338,9 +310,7 @@ def test_a_damaged_archive_names_its_copy_and_the_search_goes_on_from_it(
     check_search(run, runs["codesign"])
 
 
-def test_a_damaged_training_of_designs_is_to_be_removed_and_made_again(
-    warpvox: Callable, tmp_path: Path, runs: dict[str, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_damaged_training_of_designs_is_to_be_removed_and_made_again(warpvox, tmp_path, runs, monkeypatch) -> None:
     seen: list[int] = []
 
     def stop(*_: Any) -> None:

@@ -1,7 +1,5 @@
 """Builds the wheel and the source distribution as a package index would get them."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

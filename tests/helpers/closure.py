@@ -1,7 +1,5 @@
 """What our declared dependencies bring along, as the metadata of the installed distributions say it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from importlib.metadata import Distribution, PackageNotFoundError, distribution

@@ -4,8 +4,6 @@ Run as a program it makes an experiment in a folder, or goes on with it: ``pytho
 BATCH`` with seconds for a design and designs in a batch (0: all of a generation).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import sys

@@ -1,7 +1,5 @@
 """Damaged inputs, the same on every run, and an object that fails whatever it is asked for."""
 
-from __future__ import annotations
-
 import copy
 import random
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Commands that tests of faults run, and what must be true of what these leave."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -25,9 +23,6 @@ CODESIGN = (
     " training.iterations=2 training.eval_interval=2 training.save_interval=1 training.ppo.steps=4"
     " training.ppo.hidden=[8] training.ppo.epochs=1 device=cpu threads=1 batch=2"
 ).split()
-
-
-# ------------------------------------------------------------------------------------------- what must be true
 
 
 def same(one: Any, other: Any) -> bool:

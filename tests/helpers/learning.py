@@ -1,7 +1,5 @@
 """What the tests of trainings share: quick settings, a small environment, and how two trainings are compared."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Tests in several processes at once: how many, with how many threads, and who compiles a kernel."""
 
-from __future__ import annotations
-
 import functools
 import os
 import tempfile

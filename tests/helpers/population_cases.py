@@ -1,7 +1,5 @@
 """What the tests of evaluations share: settings that are quick, bodies and an environment factory."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from warpvox.algos.candidate import Candidate

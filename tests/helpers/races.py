@@ -4,8 +4,6 @@ A race is that a thread reads or writes what another has written since the last 
 read since they last met. Votes are no barriers: CUDA promises nothing about memory there.
 """
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess
@@ -30,8 +28,7 @@ KINDS = "write, write", "write, read", "read, write", "threads at different barr
 OPTIONS = "-std=c++17 -O1 -g -fPIC -shared -w -fpermissive -fno-strict-aliasing -fno-math-errno".split()
 SHARED_ARRAYS = (
     "box pairs pair_bit folds pos vel true_vel goal status time drift pair_count near_count overflow".split()
-)
-"""Arrays of the Data that the kernel writes."""
+)  # arrays of the Data that the kernel writes
 
 
 def races(

@@ -1,7 +1,5 @@
 """Valid files of every format that warpvox reads, small, to be damaged."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from functools import cache

@@ -9,6 +9,7 @@ and, unless ``own_capacities``, the sizes and approximations of CUDA's group ker
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
@@ -18,7 +19,6 @@ from unittest import mock
 
 import torch
 import warp as wp
-from launches import caller
 from torch.multiprocessing.reductions import StorageWeakRef
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -31,24 +31,16 @@ from warpvox.kernels.group import choose
 __all__ = ["SimulatedCuda", "Tape"]
 
 CUDA, CPU = torch.device("cuda", 0), torch.device("cpu")
-PLAIN = {
-    "size",
-    "dim",
-    "stride",
-    "numel",
-    "__len__",
-    "element_size",
-    "is_floating_point",
-    "data_ptr",
-    "is_contiguous",
-    "_has_compatible_shallow_copy_type",
-}
-"""Functions that are about no values."""
+PLAIN = set(
+    (
+        "size dim stride numel __len__ element_size is_floating_point data_ptr is_contiguous "
+        "_has_compatible_shallow_copy_type"
+    ).split()
+)  # functions that are about no values
 WAITING = {
     *("item", "tolist", "__bool__", "__int__", "__float__", "__index__", "__format__", "__repr__", "equal", "allclose"),
     *("nonzero", "argwhere", "masked_select", "unique", "unique_consecutive", "bincount", "histc", "is_nonzero"),
-}
-"""Functions that read values on the host, or whose result has a size that depends on values."""
+}  # functions that read values on the host, or whose result has a size that depends on values
 FROM_HOST = {"tensor", "as_tensor", "asarray", "new_tensor", "from_numpy"}
 INDEXING = {"__getitem__", "__setitem__", "index_put_", "index_put"}
 PROPERTIES = {"device": (CUDA, CPU), "is_cuda": (True, False), "is_cpu": (False, True)}
@@ -83,7 +75,7 @@ class Tape(TorchDispatchMode):
             do()
 
 
-class _Stream:
+class Stream:
     """Stands for torch's class."""
 
     def __init__(self, device: Any = None, number: int = 99) -> None:
@@ -148,7 +140,7 @@ class SimulatedCuda(TorchFunctionMode):
         self.launches: Counter[str] = Counter()
         self.operations: Counter[str] = Counter()
         self.captured: list[_Graph] = []
-        self.stream, self._capturing = _Stream(number=0), None
+        self.stream, self._capturing = Stream(number=0), None
         self._memory: dict[int, StorageWeakRef] = {}
         self._own_capacities = own_capacities
         self._real = SimpleNamespace(launch=wp.launch, from_torch=wp.from_torch, to_torch=wp.to_torch)
@@ -171,7 +163,7 @@ class SimulatedCuda(TorchFunctionMode):
             "is_available": lambda: True,
             "device_count": lambda: 1,
             "current_stream": lambda device=None: self.stream,
-            "Stream": _Stream,
+            "Stream": Stream,
             "stream": self._on_stream,
             "synchronize": lambda device=None: self.wait("synchronize"),
             "mem_get_info": lambda device=None: (70 << 30, 80 << 30),
@@ -222,7 +214,7 @@ class SimulatedCuda(TorchFunctionMode):
         """The host waits for the device here."""
         if self._capturing is not None:
             raise RuntimeError(f"operation not permitted when stream is capturing: {what}")
-        self.waits[(what, *caller())] += 1
+        self.waits[(what, *_caller())] += 1
 
     @contextmanager
     def watched(self) -> Iterator[Counter[tuple[str, str, str]]]:
@@ -326,7 +318,7 @@ class SimulatedCuda(TorchFunctionMode):
     # ------------------------------------------------------------------------------------- streams and Warp
 
     @contextmanager
-    def _on_stream(self, stream: _Stream) -> Iterator[None]:
+    def _on_stream(self, stream: Stream) -> Iterator[None]:
         before, self.stream = self.stream, stream
         try:
             yield
@@ -334,7 +326,7 @@ class SimulatedCuda(TorchFunctionMode):
             self.stream = before
 
     @contextmanager
-    def _graph(self, graph: _Graph, stream: _Stream, capture_error_mode: str) -> Iterator[None]:
+    def _graph(self, graph: _Graph, stream: Stream, capture_error_mode: str) -> Iterator[None]:
         self.captured.append(graph)
         with self._on_stream(stream), graph.tape:
             self._capturing = graph.tape
@@ -382,3 +374,14 @@ class SimulatedCuda(TorchFunctionMode):
             launch()
         if self._capturing is not None:
             self._capturing.done.append(launch)
+
+
+def _caller() -> tuple[str, str]:
+    """Module and name of the innermost function of warpvox or rsl-rl, besides this file."""
+    frame = sys._getframe(2)
+    while frame is not None:
+        module = str(frame.f_globals.get("__name__", ""))
+        if module.split(".")[0] in ("warpvox", "rsl_rl") and module != __name__:
+            return module, frame.f_code.co_name
+        frame = frame.f_back
+    return "", ""

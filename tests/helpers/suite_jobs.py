@@ -1,7 +1,5 @@
 """Members of a suite with outcomes of the test's choice, importable by other processes: imports nothing heavy."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """Files that others made: nothing is read beyond a limit, no array is unpickled, JSON is what the standard says."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files from elsewhere: none is unpickled or takes more memory than it has bytes, a damaged one gives one sentence."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import sqlite3
@@ -198,9 +196,6 @@ def test_a_robot_with_a_number_that_no_float_can_hold_is_refused(tmp_path: Path)
         read_robot(tmp_path / "robot.npz")
 
 
-# ----------------------------------------------------------------------------------------------------- archives
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -232,9 +227,6 @@ def test_what_an_archive_says_is_text_in_a_report(tmp_path: Path) -> None:
         db.execute("UPDATE candidates SET origin = '</title></svg><script>alert(1)</script>'")
     with Archive.read(path) as archive:
         assert "<script" not in family_tree(archive.records())
-
-
-# ----------------------------------------------------------------------------------------------- any damaged file
 
 
 def use_archive(path: Path) -> None:

@@ -1,7 +1,5 @@
 """Contact and friction forces against the law written plainly (paper section A.3, docs/physics.md)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -117,11 +115,13 @@ def found(sim: Simulation, env: int = 0) -> np.ndarray:
 @pytest.mark.parametrize("changes", CONSTANTS, ids=lambda changes: ",".join(changes) or "default")
 @pytest.mark.parametrize(
     ("dtype", "arithmetic", "tolerance"),
-    [("float32", "fast", 1e-6), ("float64", "fast", 1e-12), ("float64", "exact", 1e-12)],
+    [
+        ("float32", "fast", 1e-6),
+        pytest.param("float64", "fast", 1e-12, marks=pytest.mark.slow),
+        ("float64", "exact", 1e-12),
+    ],
 )
-def test_contact_forces_follow_the_law(
-    dtype: str, arithmetic: str, tolerance: float, changes: dict, speed: float
-) -> None:
+def test_contact_forces_follow_the_law(dtype, arithmetic: str, tolerance: float, changes: dict, speed: float) -> None:
     sim = touching(dtype, arithmetic, Physics.preset("evogym", **changes), speed)
     fixed = sim.fixed_rows[0, ::2, None].numpy()
     for env in (0, LANES - 1):
@@ -130,24 +130,3 @@ def test_contact_forces_follow_the_law(
         scale = max(np.abs(expected).max(), 1.0)
         forced = np.where(fixed, 0, found(sim, env))
         np.testing.assert_allclose(forced, np.where(fixed, 0, expected), rtol=0, atol=tolerance * scale)
-
-
-@pytest.mark.parametrize("name", ["friction", "contact_stiffness"])
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_a_body_stays_finite_without_friction_or_stiffness(dtype: str, name: str) -> None:
-    sim = touching(dtype, "fast" if dtype == "float32" else "exact", Physics.preset("evogym", **{name: 0.0}), 0.0)
-    for _ in range(5):
-        sim.step(torch.ones((LANES, sim.num_actions)))
-    assert not sim.unstable.any()
-
-
-def test_the_coefficient_of_friction_hardly_matters_at_the_speeds_of_the_tasks() -> None:
-    """Table 1 has 0.1 and, as a "frictional penalty factor", 0.5: docs/physics.md."""
-
-    def forces_with(coefficient: float) -> np.ndarray:
-        return found(touching("float64", "exact", Physics.preset("paper", friction=coefficient), speed=10.0))
-
-    none, printed, other = (forces_with(coefficient) for coefficient in (0.0, 0.1, 0.5))
-    friction = np.linalg.norm(printed - none)
-    assert friction > 1e4
-    assert np.linalg.norm(printed - other) < 1e-4 * friction

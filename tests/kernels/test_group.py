@@ -209,30 +209,6 @@ def test_worlds_are_exchanged_in_the_running_batch():
         assert torch.equal(fresh.state()[name][1], sims[1].state()[name][1])
 
 
-def test_an_environment_runs_in_the_group_layout():
-    """Episodes with resets of their own, observations and rewards, with several threads."""
-
-    def play(layout):
-        options = dict(device="cpu", dtype="float32", threads=2, layout=layout)
-        env = make_vec("Pusher-v0", num_envs=3, max_episode_steps=4, **options)
-        env.reset()
-        said = []
-        for step in range(6):
-            obs, reward, terminated, truncated, _ = env.step(random_actions(env.sim, step))
-            said += [obs, reward, terminated | truncated]
-        return env.sim.layout, said
-
-    layout, expected = play(None)
-    other, found = play("group")
-    assert (layout, other) == ("lanes", "group")
-    for mine, theirs in zip(found, expected, strict=True):
-        assert torch.equal(mine, theirs)
-    assert any(bool(done.any()) for done in found[2::3])
-
-
-# -------------------------------------------------------------------------------------------- which layout
-
-
 def test_the_layout_is_chosen_by_device_arithmetic_and_size(monkeypatch):
     walker = pair_of_task("Walker-v0", count=1)[0]
     assert walker.layout == "lanes"

@@ -1,7 +1,5 @@
 """What the physics keeps whatever is done to it: momentum, energy, fixed points, terrain."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -17,9 +15,6 @@ STEP = SUBSTEPS * DT
 
 def step_all(sim: Simulation, actions: torch.Tensor | None = None) -> None:
     sim.step(torch.ones((sim.num_envs, sim.num_actions)) if actions is None else actions)
-
-
-# -------------------------------------------------------------------------------------------------- momentum
 
 
 def falling(centre: np.ndarray, velocity: np.ndarray, time: float, physics: Physics) -> tuple[np.ndarray, np.ndarray]:
@@ -56,8 +51,6 @@ def test_a_free_body_falls_as_a_mass_does(dtype: str, tolerance: float, preset: 
     np.testing.assert_allclose(sim.velocity("robot")[0], speed, rtol=10 * tolerance)
 
 
-# ---------------------------------------------------------------------------------------------------- energy
-
 # By preset: growth of mechanical energy over that at the start, as a share of what a drop from 3 voxels frees, and
 # kinetic energy of a point at rest on the ground. Figures of the release (float64 repeats it bit for bit): 0 and 0.25;
 # of `paper` 0 and 0.36; `paper_literal` adds energy in contacts, which makes it unphysical: 0.03 (float32) and 11.
@@ -93,9 +86,6 @@ def test_energy_does_not_grow_without_actuation(preset: str, dtype: str) -> None
             assert (kinetic / points).max() <= at_rest, step
 
 
-# --------------------------------------------------------------------------------------------------- terrain
-
-
 # (speed at which a body of 3 x 3 cells meets the ground, depth in voxels that no point exceeds)
 IMPACTS = [(10.0, 0.1), (30.0, 0.3), (60.0, 1.0)]
 
@@ -123,9 +113,6 @@ def test_bodies_do_not_go_through_terrain(thickness: int, dtype: str) -> None:
             step_all(sim)
             depth = 3 + thickness - sim.object_positions("robot")[:, :, 1].double().amin(1) / 0.1
             assert float(depth.max()) <= most, speed
-
-
-# ---------------------------------------------------------------------------------------------- random worlds
 
 
 def random_world(rng: np.random.Generator, largest: int) -> World:

@@ -85,9 +85,6 @@ def test_orientation_is_the_angle_of_a_turn():
     np.testing.assert_allclose(sim.orientation("robot").numpy(), turns, rtol=0, atol=1e-6)  # as released, pi ends early
 
 
-# ---------------------------------------------------------------------- loose objects
-
-
 @pytest.mark.parametrize("lanes", [1, 8])
 def test_shifted_objects_are_bit_for_bit_where_a_world_would_have_put_them(lanes):
     bodies = [sample_design((3, 3), seed=1), sample_design((5, 5), seed=2)]

@@ -3,8 +3,6 @@
 A recording file holds several runs of one task, as ``record.py`` beside this file writes them.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Fast arithmetic in float64 is exact arithmetic to rounding: the guard that keeps the two from drifting apart."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

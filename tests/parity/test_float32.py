@@ -1,7 +1,5 @@
 """float32 is as close to float64 as float64 is to itself with its actions rounded to float32."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -11,8 +9,7 @@ from warpvox.simulation import Simulation
 from warpvox.types import VOXEL, Cell
 from warpvox.world import World
 
-ROUNDED = 1e-7
-"""Half-width of the noise on actions: what rounding them to float32 does."""
+ROUNDED = 1e-7  # half-width of the noise on actions: what rounding them to float32 does
 STEPS, FAR, BODIES = 10, 90, 8
 
 

@@ -1,7 +1,5 @@
 """Files of robots, and their policies in numpy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Open-loop policies of stored robots: what they compute, their files, their episodes."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -68,11 +66,8 @@ def test_actions_are_sinusoids_of_the_time_alone(seed: int, stages: int) -> None
         ({"begin": [0, 5, 4]}, "never decrease"),
         ({"begin": [0, 5]}, r"begin of a gait must have the shape \[3\]"),
         ({"period": [4.0, 0.0, 1.0]}, "period of a gait must be above 0"),
-        ({"phase": np.zeros((3, 4))}, r"phase of a gait must have the shape \[3, 5\] .* got \[3, 4\]"),
         ({"amplitude": np.zeros(5)}, r"amplitude .* \[stages, actuators\], got \[5\]"),
-        ({"amplitude": np.zeros((3, 0))}, r"amplitude .* got \[3, 0\]"),
         ({"rest": np.full((3, 5), np.nan)}, "rest of a gait has numbers that are not finite"),
-        ({"period": [4.0, 1e-300, 1.0]}, "period of a gait must be above 0"),
         ({"rest": np.full((3, 5), 1e300)}, "rest of a gait has numbers that are not finite"),
         ({"rest": [["a"]]}, "rest of a gait must be an array of numbers"),
     ],

@@ -3,8 +3,6 @@
 Needs the reference: the interpreter that ``WARPVOX_REFERENCE`` names, or the one that ``warpvox bench`` has made.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The example that reads EvoGym's released data sets, on files made up here in their format."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

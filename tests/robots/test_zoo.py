@@ -1,7 +1,5 @@
 """Every robot of the zoo gets the return that its entry states, and an entry is what it should be."""
 
-from __future__ import annotations
-
 import numpy as np
 import pins
 import pytest

@@ -1,7 +1,5 @@
 """locks/ and constraints.txt say the same, and nothing is installed from a lock without its hash."""
 
-from __future__ import annotations
-
 import re
 import sys
 from importlib.metadata import distribution
@@ -21,14 +19,11 @@ EXTRAS = {
     "test": {"dev", "view", "search", "ray", "analysis", "export", "sb3"},
     "docs": {"docs"},
     "all": {"*"},
-}
-"""The locks and the extras that each is for."""
-ALONE = {"ptxas"}
-"""Locks of programs for tests, which are installed by themselves, without what they depend on."""
+}  # the locks and the extras that each is for
+ALONE = {"ptxas"}  # locks of programs for tests, which are installed by themselves, without what they depend on
 PYTHONS = ("3.10.13", "3.11.0", "3.11.7", "3.12.1", "3.13.0")
 PLATFORMS = {"linux": "Linux", "darwin": "Darwin", "win32": "Windows"}
-UNLOCKED = {"torch"}
-"""Which build of torch fits depends on the machine, and every index has hashes of its own."""
+UNLOCKED = {"torch"}  # which build of torch fits depends on the machine, and every index has hashes of its own
 CUDA_PARTS = re.compile(r"(nvidia|cuda)-|triton$")
 
 

@@ -1,7 +1,5 @@
 """The files that describe the project to others say what is true here."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

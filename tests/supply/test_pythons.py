@@ -4,8 +4,6 @@ Everything that a user gets, torch included, is installed into the Python of the
 WARPVOX_PACKAGING=full: torch's builds weigh up to gigabytes. The others get the rest, from the hashed lock.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

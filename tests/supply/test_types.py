@@ -1,7 +1,5 @@
 """A type checker's answers to a user: an editable installation is followed, and a wrong keyword is found."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

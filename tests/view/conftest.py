@@ -1,7 +1,5 @@
 """Made-up rollouts for everything that shows or stores one: no simulation is needed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,17 +1,13 @@
 """Bodies drawn cell by cell."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
-from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from warpvox.design import example_design, sample_design
-from warpvox.view.body_picture import draw_bodies, write_bodies
+from warpvox.view.body_picture import draw_bodies
 from warpvox.view.palette import body_svg, cell_colour
 
 
@@ -39,17 +35,3 @@ def test_a_sheet_shows_every_body_with_its_colours() -> None:
         for (row, column), kind in np.ndenumerate(body):
             pixel = image[top + row * cell + cell // 2, left + column * cell + cell // 2]
             assert tuple(pixel) == (cell_colour(int(kind)) if kind else (255, 255, 255))
-
-
-def test_the_paper_below_a_body_tells_how_good_it_is() -> None:
-    bodies = [example_design("mini")] * 3
-    image = draw_bodies(bodies, [["x"]] * 3, cell=20, shades=[1.0, 0.5, 0.0], columns=3)
-    step = bodies[0].shape[1] * 20 + 20
-    paper = [image.getpixel((17 + k * step, 17)) for k in range(3)]  # the corner of the paper, beside the body
-    assert paper[2] == (255, 255, 255)
-    assert paper[0][0] < paper[1][0] < paper[2][0]
-
-
-def test_a_sheet_is_a_png(tmp_path: Path) -> None:
-    path = write_bodies(tmp_path / "a" / "sheet.png", [example_design("mini")], [["x"]])
-    assert Image.open(path).format == "PNG"

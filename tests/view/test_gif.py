@@ -1,7 +1,5 @@
 """GIFs that are written in parts: every picture at its time, in a memory that does not grow with their number."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

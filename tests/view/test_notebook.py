@@ -1,7 +1,5 @@
 """What a notebook shows: everything says what it is in a line, and has a picture of itself."""
 
-from __future__ import annotations
-
 import base64
 import html
 import re

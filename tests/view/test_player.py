@@ -1,7 +1,5 @@
 """The page of the browser player: what it carries, and that it plays in a real browser."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json
@@ -116,16 +114,6 @@ def test_page_needs_no_network_and_is_safe(rollouts: Callable[..., Rollout], tmp
     assert "<title>&lt;/script&gt;&lt;b&gt;&amp;</title>" in page
     assert json.loads(element(page, "meta"))["about"]["agent"] == "</script>{{data}}"
 
-
-def test_wrong_environments(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
-    with pytest.raises(RolloutError, match="No environment 7"):
-        write_html(rollouts(3, 1), tmp_path / "page.html", envs=[7])
-    with pytest.raises(RolloutError):
-        write_html(rollouts(3, 1), tmp_path / "page.html", envs=[])
-    assert not list(tmp_path.iterdir())
-
-
-# ------------------------------------------------------------------------------------------- in a real browser
 
 PLAYING = "Boolean(globalThis.player) && document.readyState === 'complete'"
 FRAMES, ENDS = 200, (60,)
@@ -250,13 +238,6 @@ def test_a_click_among_many_shows_that_robot(show: Callable, wait_for: Callable)
     assert page.evaluate("[player.chosen, player.many]") == [2, False]
 
 
-def test_a_single_robot_offers_no_choice_of_layout(
-    show: Callable, rollouts: Callable[..., Rollout], tmp_path: Path
-) -> None:
-    page = show("paused", write_html(rollouts(3, 1), tmp_path / "page.html"))
-    assert page.is_hidden("#layout")
-
-
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_robots_are_seen_in_their_colours(show: Callable, wait_for: Callable, theme: str) -> None:
     page = show(f"paused&theme={theme}&frame=0")
@@ -268,9 +249,7 @@ def test_robots_are_seen_in_their_colours(show: Callable, wait_for: Callable, th
 
 
 @pytest.mark.parametrize("frame", [0, 120])
-def test_the_page_shows_what_the_pictures_show(
-    show: Callable, wait_for: Callable, rollouts: Callable[..., Rollout], frame: int
-) -> None:
+def test_the_page_shows_what_the_pictures_show(show, wait_for, rollouts: Callable[..., Rollout], frame: int) -> None:
     page = show(f"paused&view=one&robot=1&theme=light&frame={frame}")
     wait_for(page, "!player.dirty && player.boxes.length === 1")
     rollout = rollouts(FRAMES, 4, designs=2, ends=ENDS)

@@ -1,7 +1,5 @@
 """Rollouts: what is recorded, what a file holds, and files that are none."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from collections.abc import Callable
@@ -37,9 +35,6 @@ def assert_equal(one: Rollout, other: Rollout) -> None:
             )  # fmt: skip
             np.testing.assert_array_equal(x.grid, y.grid)
             np.testing.assert_array_equal(x.corners, y.corners)
-
-
-# ------------------------------------------------------------------------------------------------------ files
 
 
 @given(frames=st.integers(1, 9), envs=st.integers(1, 5), designs=st.integers(1, 3), seed=st.integers(0, 99))
@@ -85,65 +80,17 @@ def test_numpy_alone_can_read_it(rollouts: Callable[..., Rollout], tmp_path: Pat
     assert [obj["name"] for obj in header["scenes"][0]["objects"]] == ["robot", "box_1", "ground"]
 
 
-@given(cut=st.floats(0, 1, exclude_max=True))
-def test_a_truncated_file_is_refused(rollouts, tmp_path_factory, cut: float) -> None:
-    path = tmp_path_factory.mktemp("cut") / "rollout.npz"
-    rollouts(4, 1).save(path)
-    data = path.read_bytes()
-    path.write_bytes(data[: int(cut * len(data))])
-    with pytest.raises(RolloutError, match=r"rollout\.npz"):
-        Rollout.load(path)
-
-
-@given(where=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
-def test_a_damaged_file_is_refused_or_means_the_same(rollouts, tmp_path_factory, where, bit) -> None:
-    path = tmp_path_factory.mktemp("bits") / "rollout.npz"
-    rollout = rollouts(4, 1)
-    rollout.save(path)
-    data = bytearray(path.read_bytes())
-    data[int(where * len(data))] ^= 1 << bit
-    path.write_bytes(data)
-    try:
-        loaded = Rollout.load(path)
-    except RolloutError:
-        return
-    assert_equal(rollout, loaded)  # the bit was one that nobody reads, such as a date in the archive
-
-
-def foreign_npz(path: Path) -> None:
-    np.savez(path, positions=np.zeros(3))
-
-
-def foreign_header(path: Path) -> None:
-    np.savez(path, header=np.frombuffer(b'{"format": "something else"}', np.uint8))
-
-
-def text_header(path: Path) -> None:
-    np.savez(path, header=np.frombuffer(b"[1, 2", np.uint8))
-
-
-def bare_zip(path: Path) -> None:
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("header.npy", b"no array")
-
-
-def plain_text(path: Path) -> None:
-    path.write_text("positions, rewards\n")
-
-
-@pytest.mark.parametrize("write", [foreign_npz, foreign_header, text_header, bare_zip, plain_text])
-def test_a_foreign_file_is_refused(tmp_path: Path, write: Callable[[Path], None]) -> None:
+@pytest.mark.parametrize("header", [None, b'{"format": "something else"}', b"[1, 2", "bare zip", "text"])
+def test_a_foreign_file_is_refused(tmp_path: Path, header: object) -> None:
     path = tmp_path / "file.npz"
-    write(path)
+    np.savez(path, header=np.frombuffer(header, np.uint8)) if isinstance(header, bytes) else np.savez(path, a=[1.0])
+    if header == "bare zip":
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("header.npy", b"no array")
+    elif header == "text":
+        path.write_text("positions, rewards\n")
     with pytest.raises(RolloutError, match=r"file\.npz is .*(no rollout|damaged)"):
         Rollout.load(path)
-
-
-def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(RolloutError, match="no such file"):
-        Rollout.load(tmp_path / "nothing.npz")
-    with pytest.raises(RolloutError, match="no such file"):
-        Rollout.load(tmp_path)
 
 
 def rewrite(path: Path, change: Callable[[dict, dict], None]) -> None:
@@ -159,23 +106,16 @@ def rewrite(path: Path, change: Callable[[dict, dict], None]) -> None:
     ("change", "words"),
     [
         (lambda h, a: h.update(version=2), "version 2.*Update warpvox"),
-        (lambda h, a: h.update(version="new"), "version 'new'"),
         (lambda h, a: h.pop("scenes"), "does not describe scenes"),
-        (lambda h, a: h["scenes"][0]["objects"][0].pop("grid"), "does not describe scenes"),
         (lambda h, a: h["scenes"][0]["objects"][0].update(grid=[[9]]), "unknown cell type"),
-        (lambda h, a: h["scenes"][0]["objects"][0].update(grid=[[1], [1, 2]]), "does not describe scenes"),
         (lambda h, a: h["scenes"][0]["objects"][0].update(num_points=900), "but there are"),
         (lambda h, a: h["scenes"][0]["objects"][0].update(x=500), "sticks out"),
         (lambda h, a: h["scenes"][0]["objects"][1].update(first_point=0, num_points=3), "not its points"),
         (lambda h, a: h["scenes"][0]["objects"][0].update(x=1.7), "expected an integer"),
-        (lambda h, a: h["scenes"][0]["objects"][0].update(y="1"), "expected an integer"),
-        (lambda h, a: h["scenes"][0]["objects"][0].update(first_point=True), "expected an integer"),
         (lambda h, a: h["scenes"][0]["objects"][0].update(num_points=-1), "expected an integer"),
-        (lambda h, a: h["scenes"][0]["objects"][0].update(x=2**40), "expected an integer"),
         (lambda h, a: h["scenes"][0].update(objects=[]), "nothing that moves"),
         (lambda h, a: a.update(rewards=a["rewards"][:-1]), r"rewards must have the shape \[3, 1\]"),
         (lambda h, a: a.update(rewards=a["rewards"] * np.nan), "rewards must be finite"),
-        (lambda h, a: a.update(design_index=a["design_index"] + 1), "design_index must lie in 0 to 0"),
         (lambda h, a: a.update(positions=a["positions"].astype(float)), "float64, expected float32"),
         (lambda h, a: a.pop("actions"), "actions"),
     ],
@@ -186,17 +126,6 @@ def test_contradictions_are_named(rollouts, tmp_path: Path, change, words: str) 
     rewrite(path, change)
     with pytest.raises(RolloutError, match=words):
         Rollout.load(path)
-
-
-def test_nothing_half_written_stays(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
-    rollout = rollouts(3, 1)
-    rollout.metadata["odd"] = object()
-    with pytest.raises(RolloutError, match="JSON"):
-        rollout.save(tmp_path / "rollout.npz")
-    assert not list(tmp_path.iterdir())
-
-
-# ----------------------------------------------------------------------------------------------------- values
 
 
 def test_lengths_and_returns(rollouts: Callable[..., Rollout]) -> None:
@@ -217,8 +146,6 @@ def test_stretch_follows_the_axis_of_actuation(rollouts: Callable[..., Rollout])
     expected = np.select([scene.cells == 3, scene.cells == 4], [1.5, 0.8], 1.15)
     np.testing.assert_allclose(wide, expected, atol=1e-5)
 
-
-# -------------------------------------------------------------------------------------------------- recording
 
 SMALL = [np.array([[3, 4], [1, 2]]), np.array([[4, 3, 4], [2, 0, 2]])]
 

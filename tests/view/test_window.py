@@ -1,7 +1,5 @@
 """Windows: a clear error where none can be shown; where one can, it shows pictures and notices that it was closed."""
 
-from __future__ import annotations
-
 import builtins
 import os
 

@@ -1,7 +1,5 @@
 """Policies as modules and as files: the same actions as in training, and no file is trusted."""
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile
@@ -14,7 +12,7 @@ import torch
 from warpvox.algos.checkpoints import export
 from warpvox.algos.checkpoints.export import read_exported, write_onnx, write_script
 from warpvox.algos.checkpoints.files import Controller, PolicySpec, build_actor
-from warpvox.algos.checkpoints.policy import Policy, parse_policy, policy_of, policy_text
+from warpvox.algos.checkpoints.policy import parse_policy, policy_of, policy_text
 from warpvox.errors import ConfigError, RunError
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*torch.jit.* is deprecated:DeprecationWarning")
@@ -136,16 +134,12 @@ SPEC |= {"action_scale": 0.5, "width": None}
     ("text", "words"),
     [
         ("{", "not valid JSON"),
-        ("[]", "not a 'warpvox policy'"),
         (card(version=2), "version 1"),
         (card(policy=None), "no description of the network"),
         (card(weights=[1]), "no weights"),
-        (card(weights=weights(mean="???")), "'mean' are damaged"),
         (card(weights=weights(mean="AAAA")), "'mean' are damaged|'mean' has"),
         (card(weights={"mean": weights()["mean"]}), "of another network"),
         (card(policy=SPEC | {"num_obs": 10**9}), "numbers, not|sizes must be"),
-        (card(policy=SPEC | {"hidden": "8"}), "sizes must be"),
-        (card(policy=SPEC | {"action_scale": "1"}), "action_scale must be"),
         (card(policy=SPEC | {"activation": "os.system"}), "holds no policy"),
     ],
 )
@@ -167,7 +161,3 @@ def test_other_files_are_not_taken_for_a_policy(tmp_path: Path) -> None:
     (tmp_path / "policy.onnx").write_bytes(b"")
     with pytest.raises(RunError, match="not written by warpvox"):
         read_exported(tmp_path / "policy.onnx")
-
-
-def test_a_fresh_policy_needs_no_checkpoint() -> None:
-    assert Policy(PolicySpec(5, 3, [4], "tanh", True, 0.5))(some_obs()).shape == (7, 3)

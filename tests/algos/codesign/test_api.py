@@ -1,7 +1,5 @@
 """Design search from Python: from objects, with parts of one's own, and as the command makes it."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -50,9 +48,7 @@ class Ear(Listener):
 
 
 @pytest.mark.usefixtures("narrow_packs")
-def test_objects_make_the_search_that_the_command_makes(
-    warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     torch.manual_seed(7)
     state, threads, ear = torch.get_rng_state(), torch.get_num_threads(), Ear()

@@ -1,7 +1,5 @@
 """The archive: what is written is what is read, and files that are none are refused."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
@@ -74,16 +72,6 @@ def test_what_is_written_is_what_is_read(filled: Archive, path: Path) -> None:
         assert (archive.count(), archive.trained()) == (6, 4)
         assert [row["evaluated"] for row in archive.generations()] == [3, 2]
         assert [(row["best"], row["mean"]) for row in archive.generations()] == [(2.0, 1.0), (2.0, 0.5)]
-
-
-def test_the_best_are_different_bodies_and_ties_go_to_the_first(path: Path) -> None:
-    one, two = bodies(2)
-    with Archive.create(path, {}) as archive:
-        archive.propose([Candidate(k, body) for k, body in enumerate([one, two, one, two])], 0)
-        assert archive.best() == []
-        archive.finish([Finished(k, Outcome(value)) for k, value in enumerate([1.0, 3.0, 2.0, 3.0])])
-        assert [record.id for record in archive.best(9)] == [1, 2]
-        assert [record.id for record in archive.best(1)] == [1]
 
 
 @given(data=st.data())
@@ -212,9 +200,6 @@ def test_files_that_are_no_archives_are_refused(tmp_path: Path) -> None:
     Archive.open(good).close()
 
 
-# ---------------------------------------------------------------------------------------------------- tables
-
-
 def test_csv_holds_every_candidate(filled: Archive, tmp_path: Path) -> None:
     rows = list(csv.DictReader(write_csv(filled, tmp_path / "a.csv").open()))
     assert list(rows[0]) == list(COLUMNS)
@@ -235,9 +220,7 @@ def test_parquet_holds_the_same(filled: Archive, tmp_path: Path) -> None:
             assert value == (json.loads(text) if name not in ("body", "origin", "policy") and text else text or None)
 
 
-def test_parquet_without_pyarrow_says_what_to_do(
-    filled: Archive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parquet_without_pyarrow_says_what_to_do(filled: Archive, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(RunError, match=r"warpvox\[analysis\]"):
         export(filled, tmp_path, "parquet")

@@ -1,7 +1,5 @@
 """Designs compared by one policy: what it learns and keeps, and that a killed search is the undisturbed one."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -18,13 +16,11 @@ from warpvox.algos.codesign.common_policy import FewShotEvaluator, SharedEvaluat
 from warpvox.algos.codesign.evaluations import FewShot
 from warpvox.algos.codesign.executors import LocalExecutor
 from warpvox.algos.codesign.loop import Loop
-from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.registry import layout_for
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.runner import Runner, Schedule, adapt
-from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import DivergenceError, RunError
 
 pytestmark = pytest.mark.usefixtures("one_thread", "narrow_packs")
@@ -104,19 +100,6 @@ def test_fitness_is_that_of_the_common_policy_after_the_iterations_of_the_genera
     assert len({id(outcome.policy) for outcome in outcomes}) == 1
 
 
-def test_different_designs_share_packs(monkeypatch: pytest.MonkeyPatch) -> None:
-    packs, make = [], EnvFactory.make
-
-    def watched(*arguments: Any, **settings: Any) -> VoxelVecEnv:
-        env = make(*arguments, **settings)
-        packs.append((env.num_envs, env.sim.buffers.packs))
-        return env
-
-    monkeypatch.setattr(EnvFactory, "make", watched)
-    shared().evaluate(candidates(3), {})
-    assert packs == [(12, 2), (3, 1)]  # to learn and to be evaluated in, 8 environments to a pack
-
-
 def test_the_policy_goes_on_learning_from_generation_to_generation() -> None:
     found, evaluator = candidates(2), shared()
     first = evaluator.evaluate(found, {})
@@ -176,9 +159,7 @@ def test_a_pretrained_policy_for_other_bodies_is_refused(pretrained: dict[str, A
         ("shared", "stored"),
     ],
 )
-def test_killed_at_any_moment_it_is_the_undisturbed_search(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pretrained: dict[str, Any], kind: str, moment: str
-) -> None:
+def test_killed_at_any_moment_it_is_the_undisturbed_search(tmp_path, monkeypatch, pretrained, kind, moment) -> None:
     """Two generations of 3 iterations; killed in the first, the second, or before the second's results are stored."""
 
     def run(folder: Path) -> str:

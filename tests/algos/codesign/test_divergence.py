@@ -1,7 +1,5 @@
 """Designs whose learning diverges: the search goes on, they rank last, and nothing of it depends on the order."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,14 +13,7 @@ from warpvox.algos.codesign.archive import Archive, Finished
 from warpvox.algos.codesign.executors import LocalExecutor
 from warpvox.algos.codesign.loop import Loop
 from warpvox.algos.report import report_page
-from warpvox.algos.search import (
-    BO,
-    GA,
-    CppnNeat,
-    MapElites,
-    RandomDesigns,
-    make_search,
-)
+from warpvox.algos.search import BO, GA, CppnNeat, MapElites, RandomDesigns, make_search
 from warpvox.design import sample_design
 from warpvox.errors import DivergenceError, RunError
 
@@ -74,30 +65,6 @@ def test_the_batch_does_not_matter(tmp_path: Path, batch: int | None) -> None:
     one.run()
     other.run()
     assert one.archive.digest() == other.archive.digest()
-
-
-@pytest.mark.parametrize("stop", [4, POPULATION])
-def test_interrupted_between_them_the_search_goes_on_to_the_same(tmp_path: Path, stop: int) -> None:
-    class Killed(Exception):
-        pass
-
-    class Dying(Diverging):
-        def evaluate(self, candidates: Sequence[Candidate], *more: Any) -> list[Outcome]:
-            if candidates[0].id == stop:
-                raise Killed
-            return super().evaluate(candidates, *more)
-
-    lost = [0, 2, 3, POPULATION + 1]
-    whole = lossy(tmp_path / "whole", lost)
-    whole.run()
-    parts = make_loop(tmp_path / "parts", executor=LocalExecutor(Dying(lost)))
-    with pytest.raises(Killed):
-        parts.run()
-    parts.archive.close()
-    again = lossy(tmp_path / "parts", lost)
-    again.run()
-    assert min(again.executor.evaluator.trained) == stop  # what is known to diverge is not tried again
-    assert again.archive.digest() == whole.archive.digest()
 
 
 def test_a_generation_of_nothing_else_ends_the_search_and_does_so_again(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """The last generation of a search by a common policy: the best designs, each with a policy of its own."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path

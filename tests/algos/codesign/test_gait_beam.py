@@ -1,7 +1,5 @@
 """Gaits that grow stage by stage: what is found is what a whole episode gives, and nothing good is lost."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json
@@ -17,7 +15,7 @@ from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.gait_actions import actions_of_gaits
 from warpvox.algos.codesign.gait_beam import KEPT, SIBLINGS, _Search
 from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
-from warpvox.algos.codesign.gaits import Gait, draw_gait, gait_of, motions_of
+from warpvox.algos.codesign.gaits import Gait, draw_gait
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.errors import RunError
@@ -86,17 +84,7 @@ def test_a_known_gait_is_kept_unless_a_better_one_is_found() -> None:
     assert other.fitness < first.fitness
 
 
-def test_a_design_does_not_depend_on_its_company() -> None:
-    found = candidates(3)
-    together = [outcome.fitness for outcome in evaluator(factory(), passes=2).evaluate(found, {})]
-    alone = [evaluator(factory(), passes=2).evaluate([candidate], {})[0].fitness for candidate in found]
-    assert together == alone
-    assert len(set(together)) == 3
-
-
-def test_passes_come_before_rounds_and_go_on_after_an_interrupt(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_passes_come_before_rounds_and_go_on_after_an_interrupt(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(gait_evaluator, "SAVE_INTERVAL", 0.0)
     found, checkpoint = candidates(2), tmp_path / "batch.pt"
     how = evaluator(factory(), passes=2, beam=2 * COUNT, rounds=1)
@@ -149,16 +137,6 @@ def test_the_best_go_on_but_not_all_from_one() -> None:
     assert search.best[0] == 1.0
     assert search.beginnings == []
     assert len(search.continued(30, 40)) == count  # of episodes that have ended
-
-
-def test_a_gait_consists_of_its_motions() -> None:
-    rng, body = np.random.default_rng(0), candidates(1)[0].body
-    gait = draw_gait(rng, body, 100, 4)
-    again = gait_of(motions_of(gait))
-    assert all(np.array_equal(values, getattr(again, name)) for name, values in vars(gait).items())
-    at_once = dataclasses.replace(gait, begin=np.array([0.0, 5.0, 5.0, 9.0]))
-    assert [begin for begin, _ in motions_of(at_once)] == [0, 5, 9]
-    assert motions_of(at_once)[1][1][0] == gait.period[2]
 
 
 def test_gaits_with_different_numbers_of_stages_act_together() -> None:

@@ -1,7 +1,5 @@
 """Designs compared by open-loop gaits: the formula, what descends from what, and that no design depends on others."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -13,12 +11,10 @@ import torch
 from population_cases import LIMIT, candidates, factory
 
 from warpvox.algos.candidate import START, Candidate, Outcome, Parent, candidate_seed
-from warpvox.algos.checkpoints.files import Controller, build_actor, check_spec, spec_of
 from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.finalists import BestOf
 from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 from warpvox.algos.codesign.gaits import LONGEST, SHORTEST, Gait, draw_gait, mutate_gait, mutate_motion, with_stages
-from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.gait import gait_outputs
 from warpvox.errors import RunError
 from warpvox.types import Cell
@@ -60,20 +56,6 @@ def test_fitness_is_the_return_of_the_gait_that_is_kept() -> None:
     assert outcome.curve[0][1] <= outcome.curve[1][1] == outcome.fitness
 
 
-def test_the_stored_policy_repeats_the_fitness() -> None:
-    (candidate,) = candidates(1)
-    (outcome,) = evaluator().evaluate([candidate], {})
-    spec = spec_of(outcome.spec)
-    check_spec(spec, outcome.policy)
-    actor = build_actor(spec)
-    actor.load_state_dict(outcome.policy)
-    controller = Controller(actor, spec)
-    where = dataclasses.replace(factory(), obs="timed").computed(lanes=LANES)
-    env = where.make([candidate.body], 1, [candidate_seed(0, 0)], auto_reset=False)
-    controller.check(env)
-    assert evaluate(env, controller).returns.tolist() == [outcome.fitness]
-
-
 def test_a_design_does_not_depend_on_its_company() -> None:
     found, events = candidates(3), []
     together = [outcome.fitness for outcome in evaluator(seed=1).evaluate(found, {}, events.append)]
@@ -99,20 +81,6 @@ def gait_of(policy: dict) -> dict[str, np.ndarray]:
     return {name: value.numpy() for name, value in policy.items() if name != "cells"}
 
 
-def test_with_one_gait_each_a_child_moves_as_its_parent_or_nearly_so() -> None:
-    (mother,) = candidates(1)
-    one = dataclasses.replace(evaluator(), count=1, factory=dataclasses.replace(factory(), max_episode_steps=1))
-    (outcome,) = one.evaluate([mother], {})
-    parents = {0: parent_of(mother, outcome)}
-    known = gait_of(outcome.policy)
-    children = [Candidate(number, mother.body, (0,), "mutation", 1) for number in range(1, 25)]
-    moved = [gait_of(child.policy) for child in one.evaluate(children, parents)]
-    same = [{name: (gait[name] == known[name]).mean() for name in known} for gait in moved]
-    # a random gait has another period in each stage; a mutation seldom changes that
-    assert np.mean([shares["period"] for shares in same]) > 0.5
-    assert 8 < sum(all(share == 1 for share in shares.values()) for shares in same) < 20
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_gaits_and_mutants_stay_within_their_limits(seed: int) -> None:
     rng, body = np.random.default_rng(seed), candidates(1)[0].body
@@ -130,15 +98,6 @@ def test_gaits_and_mutants_stay_within_their_limits(seed: int) -> None:
         for name, values in vars(gait).items():
             assert values.shape == getattr(before, name).shape
             np.testing.assert_array_equal(values, values.astype(np.float32))
-
-
-def test_short_stages_of_random_gaits_are_at_the_beginning_or_at_the_end() -> None:
-    rng, body = np.random.default_rng(0), candidates(1)[0].body
-    begin = np.array([draw_gait(rng, body, 500, 3).begin for _ in range(400)])
-    early, late = (begin[:, 1:] <= 100).all(1).mean(), (begin[:, 1:] >= 400).all(1).mean()
-    # a number is 100 or less with the probability log(100 / 3) / log(500 / 3) = 0.685: three of three, two of three
-    assert 0.11 < early < 0.21  # 0.16
-    assert 0.30 < late < 0.47  # 0.38
 
 
 def test_a_wave_with_another_period_begins_its_stage_as_before() -> None:

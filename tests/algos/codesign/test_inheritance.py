@@ -1,7 +1,5 @@
 """What a child takes over from its parent: weights by their place in the body."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Evaluation on Ray: on two nodes, with workers that die, the results are those of this process."""
 
-from __future__ import annotations
-
 import functools
 import os
 import signal
@@ -126,9 +124,7 @@ def test_errors_of_an_evaluator_come_through_as_they_are(cluster: tuple, tmp_pat
     executor.close()
 
 
-def test_two_nodes_with_dying_workers_give_the_results_of_one_process(
-    cluster: tuple, tmp_path: Path, undisturbed: str
-) -> None:
+def test_two_nodes_with_dying_workers_give_the_results_of_one_process(cluster, tmp_path, undisturbed: str) -> None:
     where, nodes = cluster
     make = functools.partial(Mortal, tmp_path, fatal=(1, POPULATION + 2))
     executor = ray_executor.RayExecutor(make, address=where.address)
@@ -155,9 +151,7 @@ def test_two_nodes_with_dying_workers_give_the_results_of_one_process(
 
 
 @pytest.mark.slow
-def test_when_the_last_node_is_lost_the_wait_for_another_has_an_end(
-    cluster: tuple, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_when_the_last_node_is_lost_the_wait_for_another_has_an_end(cluster: tuple, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(ray_executor, "WORKER_TIMEOUT", 5.0)
     where, nodes = cluster
     executor = ray_executor.RayExecutor(functools.partial(ToyEvaluator, 0.2), address=where.address)

@@ -1,7 +1,5 @@
 """The policy of both stages: what belongs to the other stage takes no part, and stock PPO of rsl-rl trains it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

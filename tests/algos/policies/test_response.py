@@ -1,7 +1,5 @@
 """The linear response of bodies: against a recursion in plain numpy, and against the simulator."""
 
-from __future__ import annotations
-
 import copy
 import math
 
@@ -64,10 +62,7 @@ def oscillation(body: np.ndarray, actuator: int) -> np.ndarray:
     of = lambda diagonal: modes @ np.diag(diagonal) @ modes.T  # noqa: E731
     kick, reach = of(sine / root), of((1 - cosine) / root**2)
     system = np.block(
-        [
-            [(z - 1) * identity + rate * reach @ stiffness, -kick],
-            [rate * kick @ stiffness, z * identity - of(cosine)],
-        ]
+        [[(z - 1) * identity + rate * reach @ stiffness, -kick], [rate * kick @ stiffness, z * identity - of(cosine)]]
     )
     return np.linalg.solve(system, rate * np.concatenate([reach @ force, kick @ force]))[: 2 * count].reshape(count, 2)
 

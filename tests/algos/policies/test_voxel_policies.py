@@ -1,7 +1,5 @@
 """Policies for voxels: what a body has not takes no part, rsl-rl's PPO learns the same, and files bring them back."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import math
@@ -10,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from learning import ENVS, assert_same_weights, ppo_settings, small_env
-from rsl_rl.algorithms import PPO as StockPPO
+from learning import ENVS, ppo_settings, small_env
 from tensordict import TensorDict
 
 from warpvox.algos.checkpoints.export import read_exported, write_onnx, write_script
@@ -23,7 +20,7 @@ from warpvox.algos.policies.model import VoxelNormalizer
 from warpvox.algos.policies.registry import check_policy, layout_for, make_network
 from warpvox.algos.training.playing import SampledController
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
-from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
+from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.code import Code
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.envs.voxels import NUM_FEATURES
@@ -31,8 +28,6 @@ from warpvox.errors import ConfigError, RunError
 
 BODIES = ([[3, 3, 3], [4, 1, 4]], [[2, 3], [4, 0]])
 STEPS, LIMIT = 6, 12
-ROUNDING = 1e-9
-"""What rounding in float64 can grow to in two updates."""
 NETWORKS = {
     "grid": {"width": 6, "summary": 8, "heads": 4},
     "transformer": {"width": 8},
@@ -91,9 +86,6 @@ def env() -> VoxelVecEnv:
     return make_env()
 
 
-# ----------------------------------------------------------------------------------------------- inputs
-
-
 def test_a_voxel_looks_the_same_in_every_grid() -> None:
     body = BODIES[0]
     features = []
@@ -137,9 +129,6 @@ def test_the_time_is_seen_as_a_clock_that_nothing_scales() -> None:
     np.testing.assert_allclose(clock, np.concatenate([np.sin(turns), np.cos(turns)], 1), rtol=0, atol=1e-6)
     without = torch.cat([ours(obs)[:, :begin], ours(obs)[:, begin + 6 :]], dim=1)
     assert torch.equal(without, theirs(obs[:, :-1]))
-
-
-# ----------------------------------------------------------------------------------------------- masks
 
 
 def learned(name: str, obs: torch.Tensor, actions: torch.Tensor, env: VoxelVecEnv) -> list[torch.Tensor]:
@@ -206,89 +195,11 @@ def test_environments_may_change_places(name: str) -> None:
     assert float(controller(obs).std()) > 0
 
 
-# ----------------------------------------------------------------------------------------------- learning
-
-
-@pytest.mark.usefixtures("double")
-@pytest.mark.parametrize("name", NETWORKS)
-def test_rsl_rls_own_ppo_learns_the_same(name: str) -> None:
-    env = adapt(env_for(name), ppo_settings(schedule="adaptive"))
-    ours_config, stock_config = config(env.env, name), config(env.env, name)
-    for drop in ("total_iterations", "adam_eps", "class_name"):
-        del stock_config["algorithm"][drop]
-    stock_config["algorithm"]["class_name"] = "PPO"
-    ours = seeded(PPO, env, ours_config)
-    stock = seeded(StockPPO, env, stock_config)
-    obs = env.get_observations()
-    for update in range(2):
-        for step in range(STEPS):
-            taken = [seeded_act(algorithm, obs, 100 * update + step) for algorithm in (ours, stock)]
-            torch.testing.assert_close(*taken, rtol=0, atol=ROUNDING)
-            obs, rewards, dones, extras = env.step(taken[1])
-            ours.process_env_step(obs, rewards, dones, extras)
-            stock.process_env_step(obs, ours.storage.rewards[step, :, 0], dones, {})
-        with torch.no_grad():
-            ours.compute_returns(obs)
-            stock.compute_returns(obs)
-        losses = []
-        for algorithm in (ours, stock):
-            torch.manual_seed(update)
-            losses.append(algorithm.update())
-        assert losses[0] == pytest.approx(losses[1], rel=0, abs=1e-8)
-        assert ours.learning_rate == stock.learning_rate
-        for mine, other in ((ours.actor, stock.actor), (ours.critic, stock.critic)):
-            for key, value in mine.state_dict().items():
-                torch.testing.assert_close(value, other.state_dict()[key], rtol=0, atol=ROUNDING, msg=key)
-
-
-def seeded(algorithm: type, env: object, given: dict) -> StockPPO:
-    torch.manual_seed(1)
-    return algorithm.construct_algorithm(env.get_observations(), env, given, "cpu")
-
-
-def seeded_act(algorithm: StockPPO, obs: TensorDict, seed: int) -> torch.Tensor:
-    torch.manual_seed(seed)
-    with torch.no_grad():  # as rsl-rl's runner, without which a policy draws nothing
-        return algorithm.act(obs)
-
-
-@pytest.mark.parametrize("obs", ["voxel", "timed_voxel"])
-def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path, obs: str) -> None:
-    whole = make_runner("grid", total=4, obs=obs)
-    whole.run()
-    make_runner("grid", tmp_path, total=2, obs=obs).run()
-    second = make_runner("grid", total=4, seed=5, obs=obs)
-    second.resume(tmp_path / STATE)
-    second.run()
-    assert_same_weights(whole, second)
-    assert whole.last_return == second.last_return
-
-
-@pytest.mark.parametrize("name", NETWORKS)
-def test_values_beyond_a_time_limit_are_added_where_it_struck(name: str) -> None:
-    runner = make_runner(name)
-    env, algorithm = runner.env, runner.alg
-    env.episode_length_buf = torch.arange(ENVS)
-    seen = []
-    for _ in range(LIMIT):
-        with torch.no_grad():
-            algorithm.storage.clear()
-            obs, rewards, dones, extras = env.step(algorithm.act(env.get_observations()))
-            algorithm.process_env_step(obs, rewards, dones, extras)
-            beyond = algorithm.critic(extras["final_obs"]).squeeze(-1) * extras["time_outs"]
-        wanted = rewards + algorithm.gamma * beyond
-        torch.testing.assert_close(algorithm.storage.rewards[0].squeeze(-1), wanted, rtol=0, atol=1e-6)
-        seen.append(int(extras["time_outs"].sum()))
-    assert {0, 1} <= set(seen)
-
-
-# ----------------------------------------------------------------------------------------------- files
-
-
 @pytest.mark.parametrize(
     ("name", "formats"),
     [
-        ("grid", {"policy.pt": write_script, "policy.onnx": write_onnx}),
+        ("grid", {"policy.pt": write_script}),
+        pytest.param("grid", {"policy.onnx": write_onnx}, marks=pytest.mark.slow),
         ("transformer", {"policy.pt": write_script}),
         pytest.param("transformer", {"policy.onnx": write_onnx}, marks=pytest.mark.slow),
         ("cpg", {"policy.pt": write_script}),

@@ -1,7 +1,5 @@
 """Adam on a matrix against torch's Adam and its clipping of gradients."""
 
-from __future__ import annotations
-
 import torch
 from torch import nn
 

@@ -1,7 +1,5 @@
 """Layers that are one autograd node against torch's own."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest

@@ -1,7 +1,5 @@
 """The report of several searches: it says what the archives say, is whole by itself, and equal for equal archives."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import json

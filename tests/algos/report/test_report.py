@@ -1,7 +1,6 @@
 """The report: it says what the archive says, and needs nothing from elsewhere."""
 
-from __future__ import annotations
-
+import html
 import math
 import re
 import shutil
@@ -22,39 +21,26 @@ from warpvox.algos.report.charts import Series, chart, ticks
 from warpvox.algos.report.tree import family_tree, places
 from warpvox.design import sample_design
 
-VOID = {"meta", "link", "br", "i"}
-
 
 class Page(HTMLParser):
-    """Checks nesting and collects what the tests ask for."""
+    """Checks that what is opened is closed."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
         self.open: list[str] = []
-        self.links: list[str] = []
-        self.rows: list[list[str]] = []
         self.feed(text)
         self.close()
         assert self.open == []
 
-    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
-        self.links += [value for name, value in attributes if name in ("src", "href") and value]
-        if tag == "tr":
-            self.rows.append([])
-        if tag in ("td", "th"):
-            self.rows[-1].append("")
-        if tag not in VOID - {"i"}:
+    def handle_starttag(self, tag: str, attributes: list) -> None:
+        if tag not in ("meta", "link", "br"):
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag
 
-    def handle_startendtag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+    def handle_startendtag(self, tag: str, attributes: list) -> None:
         pass
-
-    def handle_data(self, data: str) -> None:
-        if self.open and self.open[-1] in ("td", "b") and self.rows and "td" in self.open:
-            self.rows[-1][-1] += data
 
 
 @pytest.fixture(scope="module")
@@ -68,16 +54,16 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Archive:
 
 
 def test_every_design_has_its_row(archive: Archive) -> None:
-    page = Page(report_page(archive, {"task": "Walker-v0"}, Path()))
-    records = archive.records()
-    assert len(page.rows) == len(records) + 1
-    for row, record in zip(page.rows[1:], records, strict=True):
+    text = report_page(archive, {"task": "Walker-v0"}, Path())
+    Page(text)
+    found = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr[^>]*>(.*?)</tr>", text, re.DOTALL)]
+    rows = [[html.unescape(re.sub("<[^>]*>", "", cell)) for cell in row] for row in found if row]
+    for row, record in zip(rows, archive.records(), strict=True):
         assert row[0] == str(record.id)
         assert row[2] == ("" if record.fitness is None else f"{record.fitness:.4f}")
         assert row[3] == str(record.candidate.generation)
         assert row[5] == ", ".join(f"#{parent}" for parent in record.candidate.parents)
-    assert page.rows[-1][4] == "<odd> & more"
-    assert page.rows[-1][-1] == "waiting"
+    assert (rows[-1][4], rows[-1][-1]) == ("<odd> & more", "waiting")
 
 
 def test_the_figures_are_those_of_the_archive(archive: Archive) -> None:
@@ -93,7 +79,7 @@ def test_the_figures_are_those_of_the_archive(archive: Archive) -> None:
 
 def test_nothing_comes_from_elsewhere(archive: Archive) -> None:
     text = report_page(archive, {}, Path())
-    assert Page(text).links == ["data:,"]
+    assert re.findall(r"""(?:src|href)=["']?([^"'> ]+)""", text) == ["data:,"]
     assert not re.search(r"https?:|@import|url\(", text)
     assert "default-src 'none'" in text
 

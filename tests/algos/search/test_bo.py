@@ -1,19 +1,16 @@
 """Bayesian optimisation is the paper's: Table 4's process and its acquisitions, computed here a second time."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 import torch
 from botorch.acquisition import LogExpectedImprovement
-from gpytorch.kernels import MaternKernel, ScaleKernel
 
 from warpvox.algos.search import BO, make_search
 from warpvox.algos.search.bo import BayesianSearch
-from warpvox.algos.search.bo_acquire import ascend, climb, climb_posterior, improve, log_improvement, thompson_starts
-from warpvox.algos.search.bo_model import fit_model, from_one_hot, make_model, one_hot, own_torch
+from warpvox.algos.search.bo_acquire import ascend, climb, improve, log_improvement, thompson_starts
+from warpvox.algos.search.bo_model import fit_model, one_hot, own_torch
 from warpvox.algos.search.bodies import body_key, mutate, neighbours
 from warpvox.design import are_valid, draw_bodies
 
@@ -50,26 +47,6 @@ def matern(one: np.ndarray, other: np.ndarray, variance: float, length: float) -
     differences = (one[:, None] != other[None]).sum((-1, -2))
     r = np.sqrt(2.0 * differences) * math.sqrt(5) / length
     return variance * (1 + r + r**2 / 3) * np.exp(-r)
-
-
-# ------------------------------------------------------------------------------------------------- the process
-
-
-def test_settings_are_those_of_table_4() -> None:
-    settings = BO(acquisition="paper")
-    assert (settings.kernel_variance, settings.kernel_length_scale) == (1.0, 1.0)
-    assert (settings.optimizer_iterations, settings.optimizer_restarts) == (100, 5)
-
-
-def test_the_kernel_is_matern_5_2_with_variance_and_length_scale_1() -> None:
-    bodies = some_bodies(12)
-    model = make_model(bodies, some_fitness(bodies), BO())
-    assert isinstance(model.covar_module, ScaleKernel)
-    assert isinstance(model.covar_module.base_kernel, MaternKernel)
-    assert model.covar_module.base_kernel.nu == 2.5
-    matrix = model.covar_module(one_hot(bodies)).to_dense()
-    assert matrix.dtype == torch.float64
-    assert matrix.detach().numpy() == pytest.approx(matern(bodies, bodies, 1.0, 1.0), abs=TOLERANCE)
 
 
 def test_the_posterior_is_that_of_the_text_book() -> None:
@@ -111,52 +88,11 @@ def test_the_fit_uses_l_bfgs_with_its_limit_and_restarts(monkeypatch: pytest.Mon
         assert call.get("method", "L-BFGS-B") == "L-BFGS-B"
 
 
-@pytest.mark.slow
-def test_more_starts_never_fit_worse() -> None:
-    from gpytorch.mlls import ExactMarginalLogLikelihood
-
-    bodies = some_bodies(25)
-    likelihoods = []
-    for restarts in (1, 5):
-        with own_torch(0):
-            settings = BO(optimizer_restarts=restarts, optimizer_iterations=20)
-            model = fit_model(bodies, some_fitness(bodies), settings)
-            model.train()
-            value = ExactMarginalLogLikelihood(model.likelihood, model)(model(*model.train_inputs), model.train_targets)
-        likelihoods.append(value.item())
-    assert likelihoods[1] >= likelihoods[0] - TOLERANCE
-
-
-def test_one_hot_there_and_back() -> None:
-    bodies = some_bodies(10, (3, 5))
-    points = one_hot(bodies)
-    assert points.shape == (10, 75)
-    assert points.dtype == torch.float64
-    assert (points.view(10, 15, 5).sum(-1) == 1).all()
-    assert np.array_equal(from_one_hot(points, (3, 5)), bodies)
-
-
-# ------------------------------------------------------------------------------------------------- acquisition
-
-
 @pytest.fixture(scope="module")
 def model():
     bodies = some_bodies(30)
     with own_torch(0):
         return fit_model(bodies, some_fitness(bodies), BO(optimizer_restarts=2))
-
-
-def test_expected_improvement_is_that_of_the_text_book(model) -> None:
-    others, best = some_bodies(15, seed=2), 20.0
-    with torch.no_grad():
-        value = LogExpectedImprovement(model, best_f=best)(one_hot(others)[:, None]).exp().numpy()
-        posterior = model.posterior(one_hot(others))
-    mean, deviation = (x.numpy()[:, 0] for x in (posterior.mean, posterior.variance.sqrt()))
-    z = (mean - best) / deviation
-    normal = torch.distributions.Normal(0.0, 1.0)
-    density = normal.log_prob(torch.tensor(z)).exp().numpy()
-    below = normal.cdf(torch.tensor(z)).numpy()
-    assert value == pytest.approx((mean - best) * below + deviation * density, rel=1e-4, abs=1e-9)
 
 
 @pytest.mark.parametrize("above", [-30.0, -1.0, 0.0, 1.0, 10.0, 300.0])
@@ -269,21 +205,6 @@ def test_climbing_ends_where_no_valid_neighbour_is_higher() -> None:
     assert (heights <= table.max(-1).sum(-1) + TOLERANCE).all()
 
 
-def test_what_is_learned_leads_the_climb() -> None:
-    bodies = some_bodies(150, (3, 3))
-    with own_torch(1):
-        model = fit_model(bodies, some_fitness(bodies), BO(optimizer_restarts=1))
-        result = climb_posterior(model, bodies, 8)
-    assert are_valid(result.summit).all()
-    # the best there is has actuators wherever that counts, and every summit comes near
-    best = some_fitness(np.full((1, 3, 3), 3))[0]
-    assert np.mean(some_fitness(result.summit)) > np.max(some_fitness(bodies)) - 1
-    assert np.mean(some_fitness(result.summit)) > 0.85 * best
-
-
-# -------------------------------------------------------------------------------------------------- the search
-
-
 def test_torch_is_as_before_whatever_happens() -> None:
     threads, state = torch.get_num_threads(), torch.get_rng_state()
     with pytest.raises(ZeroDivisionError), own_torch(3):
@@ -304,21 +225,6 @@ def test_proposals_do_not_depend_on_the_threads_of_torch(acquisition: str) -> No
         found.append([body_key(candidate.body) for asked in searched(settings, (5, 5), 4) for candidate in asked])
     torch.set_num_threads(before)
     assert found[0] == found[1]
-
-
-@pytest.mark.slow
-def test_of_the_papers_climbs_each_ends_at_a_body_of_its_own() -> None:
-    """By L-BFGS alone hardly any does: where their ends are the same or not valid, starts are proposed."""
-    climbed = {}
-    for acquisition in ("paper", "lbfgs"):
-        settings = BO(acquisition=acquisition, population=12, max_evaluations=48, optimizer_restarts=1, candidates=100)
-        generations = searched(settings, seed=3)
-        assert len({body_key(candidate.body) for asked in generations for candidate in asked}) == 48
-        origins = [candidate.origin for asked in generations[1:] for candidate in asked]
-        climbed[acquisition] = origins.count("improvement")
-        assert climbed[acquisition] + origins.count("thompson") == 36
-    assert climbed["paper"] >= 34
-    assert climbed["lbfgs"] <= 18
 
 
 def test_with_l_bfgs_alone_proposals_are_ends_or_their_starts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -366,14 +272,6 @@ def test_the_pool_has_random_bodies_and_mutants_of_the_best() -> None:
     )
     assert changes.min() >= 1
     assert changes.mean() < 5
-
-
-def test_a_descendant_is_near_its_parent_in_the_tree_or_has_none() -> None:
-    generations = searched(hasty(acquisition="pathwise", population=8, max_evaluations=24), (5, 5))
-    for candidate in (candidate for asked in generations for candidate in asked):
-        assert candidate.origin == ("posterior" if candidate.generation else "random")
-        assert len(candidate.parents) <= 1
-    assert any(candidate.parents for asked in generations for candidate in asked)
 
 
 def test_replay_fits_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,5 @@
 """Mutation, neighbours and counts of bodies, against plain counting."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -9,8 +7,7 @@ from hypothesis.extra.numpy import arrays
 
 from warpvox.algos.search.bodies import CELL_TYPES, body_key, count_valid, first_valid, mutate, neighbours
 
-SIGMAS = 5
-"""Statistics may stray this many standard deviations: one test in two million would fail by chance."""
+SIGMAS = 5  # statistics may stray this many standard deviations: one test in two million would fail by chance
 
 
 @pytest.mark.parametrize("rate", [0.1, 0.5])

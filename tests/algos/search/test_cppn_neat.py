@@ -1,7 +1,5 @@
 """CPPN-NEAT is the paper's: Table 5, three inputs, five outputs; its randomness is its own."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 
@@ -14,46 +12,18 @@ from warpvox.algos.search.cppn_neat import CppnNeatSearch, inputs, neat_config, 
 from warpvox.errors import ConfigError
 
 TABLE_5 = {
-    "num_inputs": 3,
-    "num_hidden": 1,
-    "num_outputs": 5,
-    "initial_connection": "partial_direct",
-    "connection_fraction": 0.5,
-    "feed_forward": True,
-    "compatibility_disjoint_coefficient": 1.0,
-    "compatibility_weight_coefficient": 0.6,
-    "conn_add_prob": 0.2,
-    "conn_delete_prob": 0.2,
-    "node_add_prob": 0.2,
-    "node_delete_prob": 0.2,
-    "activation_options": ["sigmoid"],
-    "activation_mutate_rate": 0.0,
-    "aggregation_options": ["sum"],
-    "aggregation_mutate_rate": 0.0,
-    "bias_init_mean": 0.0,
-    "bias_init_stdev": 1.0,
-    "bias_replace_rate": 0.1,
-    "bias_mutate_rate": 0.7,
-    "bias_mutate_power": 0.5,
-    "bias_max_value": 30.0,
-    "bias_min_value": -30.0,
-    "response_init_mean": 1.0,
-    "response_init_stdev": 0.0,
-    "response_replace_rate": 0.0,
-    "response_mutate_rate": 0.0,
-    "response_mutate_power": 0.0,
-    "response_max_value": 30.0,
-    "response_min_value": -30.0,
-    "weight_max_value": 30,
-    "weight_min_value": -30,
-    "weight_init_mean": 0.0,
-    "weight_init_stdev": 1.0,
-    "weight_mutate_rate": 0.8,
-    "weight_replace_rate": 0.1,
-    "weight_mutate_power": 0.5,
-    "enabled_default": "True",
-    "enabled_mutate_rate": 0.01,
-}
+    "num_inputs": 3, "num_hidden": 1, "num_outputs": 5, "initial_connection": "partial_direct",
+    "connection_fraction": 0.5, "feed_forward": True, "compatibility_disjoint_coefficient": 1.0,
+    "compatibility_weight_coefficient": 0.6, "conn_add_prob": 0.2, "conn_delete_prob": 0.2, "node_add_prob": 0.2,
+    "node_delete_prob": 0.2, "activation_options": ["sigmoid"], "activation_mutate_rate": 0.0,
+    "aggregation_options": ["sum"], "aggregation_mutate_rate": 0.0, "bias_init_mean": 0.0, "bias_init_stdev": 1.0,
+    "bias_replace_rate": 0.1, "bias_mutate_rate": 0.7, "bias_mutate_power": 0.5, "bias_max_value": 30.0,
+    "bias_min_value": -30.0, "response_init_mean": 1.0, "response_init_stdev": 0.0, "response_replace_rate": 0.0,
+    "response_mutate_rate": 0.0, "response_mutate_power": 0.0, "response_max_value": 30.0,
+    "response_min_value": -30.0, "weight_max_value": 30, "weight_min_value": -30, "weight_init_mean": 0.0,
+    "weight_init_stdev": 1.0, "weight_mutate_rate": 0.8, "weight_replace_rate": 0.1, "weight_mutate_power": 0.5,
+    "enabled_default": "True", "enabled_mutate_rate": 0.01,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", TABLE_5)

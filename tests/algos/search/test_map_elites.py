@@ -1,7 +1,5 @@
 """MAP-Elites: descriptors computed a second time, the grid, and who breeds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st

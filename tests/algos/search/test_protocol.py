@@ -1,7 +1,5 @@
 """What holds for every search: valid and unique designs, turns, budget, seeds, replay, a true family tree."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 from functools import cache
@@ -23,8 +21,7 @@ NEEDS = {"map_elites": pytest.mark.skipif(find_spec("ribs") is None, reason="nee
 EVERY = pytest.mark.parametrize("algorithm", [pytest.param(name, marks=NEEDS.get(name, ())) for name in OURS])
 QUICK = {"bo": {"optimizer_restarts": 1, "optimizer_iterations": 5, "candidates": 40}}
 """Turns, seeds and records are the same with a hasty fit."""
-BUDGET = 20
-"""Evaluations: two generations of eight and half of one."""
+BUDGET = 20  # evaluations: two generations of eight and half of one
 
 
 def fresh(algorithm: str, shape: tuple[int, int] = (5, 5), seed: int = 0, **changes: object) -> BaseSearch:
@@ -129,9 +126,6 @@ def test_two_searches_do_not_disturb_each_other(algorithm: str) -> None:
     assert told_apart(mixed) == told_apart(whole(algorithm)[:2])
 
 
-# ------------------------------------------------------------------------------------------------ known bodies
-
-
 @EVERY
 def test_the_first_generation_contains_the_bodies_that_a_search_starts_with(algorithm: str) -> None:
     known = [candidate.body for candidate in whole("random")[0][0][:3]]
@@ -166,9 +160,6 @@ def test_bodies_that_a_search_cannot_start_with_are_refused() -> None:
     ]:
         with pytest.raises((ConfigError, DesignError), match=says):
             fresh("ga").start_with(wrong)
-
-
-# ------------------------------------------------------------------------------------------------------ turns
 
 
 @EVERY
@@ -212,9 +203,6 @@ def test_equal_fitness_everywhere_is_no_obstacle(algorithm: str) -> None:
     assert sum(len(asked) for asked, _ in run(fresh(algorithm), lambda body: 1.5)) == BUDGET
 
 
-# ----------------------------------------------------------------------------------------------------- replay
-
-
 @EVERY
 @pytest.mark.parametrize("after", [0, 1, 2])
 def test_a_replayed_search_goes_on_as_the_first(algorithm: str, after: int) -> None:
@@ -234,9 +222,6 @@ def test_replay_wants_a_fresh_search_and_its_own_history_from_the_beginning(algo
     for foreign in (run(fresh(algorithm, shape=(5, 7)), generations=1), whole(algorithm)[1:]):
         with pytest.raises(SearchError, match="not of this search"):
             fresh(algorithm).replay(foreign)
-
-
-# ------------------------------------------------------------------------------------------------- the arguments
 
 
 @pytest.mark.parametrize(

@@ -1,38 +1,15 @@
 """Settings: the paper's values, the choices of the command line, and mistakes."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from warpvox.algos.search import (
-    ALGORITHMS,
-    BO,
-    GA,
-    CppnNeat,
-    MapElites,
-    RandomDesigns,
-    SearchSettings,
-    make_search,
-    settings_from,
-)
+from warpvox.algos.search import ALGORITHMS, BO, GA, CppnNeat, MapElites, RandomDesigns, make_search, settings_from
 from warpvox.cli.config import load
-from warpvox.cli.help import options_of
 from warpvox.errors import ConfigError
-
-
-def test_every_choice_makes_a_search() -> None:
-    assert set(ALGORITHMS) < set(options_of("codesign", "search"))
-    for name in options_of("codesign", "search"):
-        own = ["search.make=warpvox.algos.search.random_search:RandomSearch"] if name == "custom" else []
-        settings = load("codesign", [f"search={name}", *own]).search
-        if settings.algorithm != "map_elites" or find_spec("ribs") is not None:
-            make_search(settings, (5, 7), seed=1)
 
 
 @pytest.mark.parametrize(
@@ -45,9 +22,7 @@ def test_every_choice_makes_a_search() -> None:
     ],
 )
 @pytest.mark.parametrize(("task", "shape"), [("Walker-v0", [5, 5]), ("Lifter-v0", [5, 7])])
-def test_the_papers_searches_have_its_settings_shape_and_training(
-    words: list[str], settings: SearchSettings, task: str, shape: list[int]
-) -> None:
+def test_the_papers_searches_have_its_settings_shape_and_training(words, settings, task: str, shape: list[int]) -> None:
     """Tables 2 to 6: an algorithm of the paper is named, and nothing of it need be said besides."""
     config = load("codesign", [*words, f"task={task}"])
     assert config.search == settings
@@ -76,16 +51,11 @@ def test_none_stands_for_the_default() -> None:
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"algorithm": "gaa"}, r"one of ga, .*'gaa'\. Did you mean 'ga'\?"),
         ({}, "one of ga, .*None"),
-        ({"algorithm": "ga", "populaton": 3}, r"no setting 'populaton'\. Did you mean 'population'\?"),
         ({"algorithm": "random", "mutation_rate": 0.2}, "'random' has no setting 'mutation_rate'.*a setting of ga"),
         ({"algorithm": "ga", "population": 2.5}, "population must be an integer, got 2.5"),
-        ({"algorithm": "ga", "population": True}, "population must be an integer, got True"),
-        ({"algorithm": "ga", "population": 1}, "population must be at least 2, got 1"),
         ({"algorithm": "ga", "max_evaluations": 0}, "max_evaluations must be at least 1"),
         ({"algorithm": "ga", "mutation_rate": 0.0}, "mutation_rate must be greater than 0"),
-        ({"algorithm": "ga", "mutation_rate": "much"}, "mutation_rate must be a number, got 'much'"),
         ({"algorithm": "ga", "survivor_rate": float("nan")}, "survivor_rate must be a finite number"),
         ({"algorithm": "ga", "population": 5, "min_survivors": 5}, r"min_survivors must be less than population \(5\)"),
     ],

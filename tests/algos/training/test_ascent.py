@@ -1,7 +1,5 @@
 """Training by gradients through the physics: it climbs, resumes exactly, and refuses what has no derivative."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -129,27 +127,3 @@ def test_what_has_no_derivative_is_refused() -> None:
         make_runner(layout="group", lanes=None)
     with pytest.raises(ConfigError, match="which is not observed: it needs obs=timed"):
         make_runner(obs="voxel")
-
-
-@pytest.mark.slow
-def test_commands(warpvox) -> None:
-    """A training, its continuation, and what is made of it."""
-    words = "task=Walker-v0 obs=timed policy=cpg method=gradients designs=random:8:3x3 num_envs=8 ppo.steps=4".split()
-    words += [
-        "ppo.epochs=1",
-        "ppo.minibatches=2",
-        "network={width:8,heads:2,layers:1}",
-        "device=cpu",
-        "threads=1",
-        "designs.held_out=random:2:3x3",
-    ]
-    done = warpvox("train", *words, "max_iterations=2")
-    assert done.code == 0, done.err
-    assert "done after 64 control steps" in done.out
-    assert warpvox("train", "resume=latest", "max_iterations=3").code == 0
-    assert warpvox("evaluate", "runs=latest", "designs=random:2:3x3", "device=cpu", "threads=1").code == 0
-    assert warpvox("play", "run=latest", "num_envs=1", "steps=3", "device=cpu", "export=[html]", "window=off").code == 0
-    words = [word for word in words if not word.startswith(("policy", "network"))]
-    refused = warpvox("train", *words, "policy=grid", "max_iterations=2")
-    assert refused.code == 2
-    assert "method=gradients trains policy=cpg" in refused.err

@@ -1,7 +1,5 @@
 """Training over many bodies: who takes whose place, nothing of a body in another's rollout, and exact resumption."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One training on two processes under ``torchrun``, which talk by gloo on the CPU."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """Memory and open files of a training and of a design search stay what they are, however long they go on."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -16,8 +14,7 @@ pytestmark = [
     pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="/proc is needed to watch a process"),
 ]
 SECONDS = float(os.environ.get("WARPVOX_LEAK_SECONDS", "60"))
-GROWTH = 0.02
-"""Of memory, from the second quarter of the time to the last; the first loads kernels and fills caches."""
+GROWTH = 0.02  # of memory, from the second quarter of the time to the last; the first loads kernels and fills caches
 ENDLESS = 10**5
 TERMINATED = 143
 COMMANDS = {
@@ -25,7 +22,6 @@ COMMANDS = {
     "codesign": f"codesign search.population=3 search.max_evaluations={ENDLESS} training.envs=8 training.iterations=4"
     " training.ppo.steps=8",
 }
-LEAK = "import time\nkept = []\nwhile True:\n    kept.append((bytearray(b'x' * 10**6), open('/dev/null')))\n"
 
 
 def watch(process: subprocess.Popen, seconds: float) -> list[tuple[int, int]]:
@@ -61,14 +57,3 @@ def test_nothing_leaks(command: str, tmp_path: Path) -> None:
     assert memory < GROWTH
     assert files <= 0
     assert list(tmp_path.rglob("*.pt" if command == "train" else "archive.sqlite"))
-
-
-def test_a_leak_is_seen() -> None:
-    process = subprocess.Popen([sys.executable, "-c", LEAK + "    time.sleep(0.02)"])
-    try:
-        memory, files = growth(watch(process, 3.0))
-    finally:
-        process.kill()
-        process.wait()
-    assert memory > GROWTH
-    assert files > 0

@@ -1,7 +1,5 @@
 """The table of a training's metrics, and its logger."""
 
-from __future__ import annotations
-
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Learning: schedules, time limits, and that a resumed run is the run that was not interrupted."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -36,9 +34,6 @@ def make_runner(
     return Runner(adapt(make_env(task=task), ppo), ppo, Schedule(total, **timing), folder, judge)
 
 
-# ------------------------------------------------------------------------------------------------- schedules
-
-
 @pytest.mark.parametrize(("schedule", "expected"), [("linear", [0.004, 0.003, 0.002, 0.001]), ("fixed", [0.004] * 4)])
 def test_the_rate_is_fixed_or_ends_one_step_above_zero(schedule: str, expected: list[float]) -> None:
     rates = []
@@ -47,22 +42,6 @@ def test_the_rate_is_fixed_or_ends_one_step_above_zero(schedule: str, expected: 
     runner.run()
     assert rates == pytest.approx(expected)
     assert {(group["lr"], group["eps"]) for group in runner.alg.optimizer.param_groups} == {(rates[-1], 1e-5)}
-
-
-def test_learning_changes_the_policy_and_prints_nothing(capfd: pytest.CaptureFixture) -> None:
-    runner = make_runner(2)
-    before = {name: value.clone() for name, value in weights(runner).items()}
-    runner.run()
-    assert any(not torch.equal(value, weights(runner)[name]) for name, value in before.items())
-    assert capfd.readouterr().out == ""
-    assert runner.steps == 2 * STEPS * ENVS
-
-
-def test_an_evaluation_that_is_good_enough_ends_the_run() -> None:
-    runner = make_runner(50, evaluate=1)
-    runner.schedule = Schedule(50, evaluate=1, stop_return=-100.0)
-    runner.run()
-    assert runner.current_learning_iteration == 1
 
 
 def test_divergence_is_one_clear_error() -> None:
@@ -74,9 +53,7 @@ def test_divergence_is_one_clear_error() -> None:
 
 
 @pytest.mark.parametrize("part", ["weights", "moments"])
-def test_weights_that_are_not_finite_are_never_saved(
-    tmp_path: Path, part: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_weights_that_are_not_finite_are_never_saved(tmp_path: Path, part: str, monkeypatch) -> None:
     runner = make_runner(6, folder=tmp_path, save=1, evaluate=100)
     learn = runner.alg.update
 
@@ -96,9 +73,6 @@ def test_weights_that_are_not_finite_are_never_saved(
     again.resume(tmp_path / "state.pt")
     assert again.current_learning_iteration == 3
     assert all(torch.isfinite(value).all() for value in weights(again).values())
-
-
-# ---------------------------------------------------------------------------------------------------- resume
 
 
 @pytest.mark.parametrize(
@@ -139,16 +113,6 @@ def test_rows_beyond_the_checkpoint_are_written_again(tmp_path: Path) -> None:
     assert [row["iteration"] for row in read_metrics(tmp_path)] == [1, 2, 3, 4]
 
 
-def test_with_nothing_left_to_do_nothing_is_done(tmp_path: Path) -> None:
-    first = make_runner(1, folder=tmp_path)
-    first.run()
-    second = make_runner(1, folder=tmp_path)
-    second.resume(tmp_path / STATE)
-    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
-    second.run()
-    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
-
-
 def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:
     make_runner(1, folder=tmp_path).run()
     with pytest.raises(RunError, match="another kind of policy"):
@@ -165,9 +129,6 @@ def test_the_best_evaluation_is_kept(tmp_path: Path) -> None:
     content = load_checkpoint(tmp_path / "model_best.pt")
     assert content["iter"] == best == runner.best_iteration
     assert content["eval_return"] == pytest.approx(returns[best])
-
-
-# ----------------------------------------------------------------------------------------------- the adapter
 
 
 def test_actions_are_centred_and_scaled() -> None:
@@ -257,9 +218,6 @@ def test_normalised_rewards_follow_the_spread_of_discounted_returns() -> None:
 def test_training_wants_environments_that_reset_themselves() -> None:
     with pytest.raises(ConfigError, match="auto_reset=True"):
         adapt(make_env(auto_reset=False), ppo_settings())
-
-
-# ------------------------------------------------------------------------------------------------ evaluation
 
 
 def test_an_evaluation_is_the_sum_of_rewards_of_one_episode() -> None:

@@ -1,7 +1,5 @@
 """What rsl-rl has besides PPO of a feedforward policy: recurrent networks, random network distillation, symmetry."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Our PPO against rsl-rl's own, step by step and update by update: the same numbers drawn, the same things learned."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from learning import ENVS, ppo_settings, small_env
@@ -14,8 +12,7 @@ from warpvox.algos.training.runner import adapt
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 
 STEPS, LIMIT, UPDATES = 6, 10, 3
-ROUNDING = 1e-9
-"""What rounding in float64 can grow to in three updates."""
+ROUNDING = 1e-9  # what rounding in float64 can grow to in three updates
 CASES = {
     "parallel": {},
     "evogym": {"clip_values": True, "schedule": "fixed", "adam_eps": 1e-5, "clip": 0.1, "max_grad_norm": 0.5},

@@ -1,7 +1,5 @@
 """Targets of bodies: the last ones stay, and a body has its newest."""
 
-from __future__ import annotations
-
 import torch
 
 from warpvox.algos.training.ascent import Targets
