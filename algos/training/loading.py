@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,9 @@ from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.checkpoints.policy import Policy, read_policy
 from warpvox.algos.checkpoints.sampling import SampledController
+from warpvox.algos.disturbance import Disturbed
 from warpvox.algos.physics import sim_of
+from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.training.bodies import read_bodies, training_bodies
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.algos.training.settings import Training
@@ -26,6 +28,7 @@ from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError
 from warpvox.robots.entry import Robot
+from warpvox.robots.gait import Gait
 from warpvox.robots.replay import SEEDS, robot_env, torch_policy
 from warpvox.runs import CONFIG, Run, find_run
 from warpvox.trust import STORED, allowed, with_code
@@ -138,6 +141,8 @@ class Playing:
     Attributes:
         task, policy: code of the user's own that the run names, see :func:`warpvox.trust.allowed`.
         stochastic: sample actions as in training, instead of taking their mean.
+        protocol: the disturbances of the episodes, see :mod:`warpvox.algos.disturbance`.
+        num_envs: of each disturbance; they lie behind one another.
     """
 
     num_envs: int = 1
@@ -151,6 +156,7 @@ class Playing:
     memory_check: bool = True
     task: Any = None
     policy: str | None = None
+    protocol: str = NOMINAL
 
 
 def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:
@@ -179,6 +185,8 @@ def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) ->
         named = {"arithmetic": None} | named
     trained = dataclasses.replace(trained, threads=config.threads, memory_check=config.memory_check, **named)
     bodies = training_bodies(trained)
+    controller = load_controller(path, device, trained.policy)
+    parts = parts_of(_protocol(config), feedback=controller.spec.gait is None)
     count, judged = config.num_envs, bodies.judged
     if trained.is_many:
         judged = judged if designs is None else read_bodies(designs, config.seed or 0, "designs")
@@ -191,10 +199,20 @@ def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) ->
         )
     sim = dataclasses.replace(sim_of(trained), device=device, lanes=bodies.lanes(trained, device), grid=bodies.grid)
     options: dict[str, Any] = {"rules": trained.rules, "obs": trained.obs, "seed": trained.seed, "sim": sim}
-    env = make_vec(trained.task, judged, count, auto_reset=False, **options)
-    controller = load_controller(path, device, trained.policy)
+    env = make_vec(trained.task, judged, count * len(parts), auto_reset=False, **options)
     controller.check(env)
-    return env, SampledController(controller, trained.seed) if config.stochastic else controller
+    policy = SampledController(controller, trained.seed) if config.stochastic else controller
+    return env, _disturbed(policy, env, parts, trained.seed)
+
+
+def _protocol(config: Any) -> str:
+    """That of a command which has the key."""
+    return getattr(config, "protocol", NOMINAL)
+
+
+def _disturbed(policy: Any, env: VoxelVecEnv, parts: Sequence[str], seed: int) -> Any:
+    """The policy as it acts in the blocks of disturbances of ``env``."""
+    return policy if parts == (NOMINAL,) else Disturbed(policy, env, parts, seed)
 
 
 def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv, Any]:
@@ -208,11 +226,14 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
     if isinstance(config.task, Code) and task not in task_ids():  # an entry for a task of the user's own has its id
         task = config.task
     robot = dataclasses.replace(robot, task=task)
-    count = config.num_envs if get_task(robot.task).is_random else 1  # all episodes would be the same
+    parts = parts_of(_protocol(config), feedback=not isinstance(robot.policy, Gait))
+    alike = parts == (NOMINAL,) and not get_task(robot.task).is_random
+    count = 1 if alike else config.num_envs
     options = {name: value for name in ("dtype", "arithmetic", "seed") if (value := getattr(config, name)) is not None}
     if config.arithmetic == "fast":
         options.setdefault("dtype", "float32")
     options |= {"threads": config.threads, "memory_check": config.memory_check}
-    options |= {"device": resolve_device(config.device, count), "num_envs": count}
+    options |= {"device": resolve_device(config.device, count), "num_envs": count * len(parts)}
     seeds = [*SEEDS[:count], *range(SEEDS[-1] + 1, SEEDS[-1] + 1 + count - len(SEEDS))]
-    return robot_env(robot, seeds, **options), robot.policy
+    env = robot_env(robot, seeds * len(parts), **options)
+    return env, _disturbed(robot.policy, env, parts, SEEDS[0] if config.seed is None else config.seed)
