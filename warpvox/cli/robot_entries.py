@@ -32,7 +32,7 @@ ELSEWHERE = {"output_dir", "name", "resume", "config", "report", "export", "thre
 
 @dataclass(frozen=True)
 class Added:
-    """The result for a folder: the robot found there, and the return of the entry that was there before, if any."""
+    """The result for a folder: the robot found there, and the return under noise of the entry before, if any."""
 
     robot: Robot
     before: float | None
@@ -56,7 +56,7 @@ def find_sources(texts: Sequence[str]) -> list[Path]:
 
 
 def add(source: Path, folder: Path, top: int, task: str | None = None) -> Added:
-    """Evaluate the best robot of ``source`` in exact arithmetic; write its entry if its return is the higher one.
+    """Evaluate the best robot of ``source`` in exact arithmetic; write its entry if its mean under noise is higher.
 
     Args:
         source: as for :func:`robots_of`.
@@ -75,12 +75,13 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> Added:
     robots = [dataclasses.replace(robot, task=allowed("task", robot.task, task, home)) for robot in robots]
     command = command_of("codesign" if "search" in robots[0].about["config"] else "train", robots[0].about["config"])
     best = max(
-        (recorded(robot, {**robot.about, "command": command}) for robot in robots), key=lambda robot: robot.mean_return
+        (recorded(robot, {**robot.about, "command": command}) for robot in robots),
+        key=lambda robot: robot.robust_return,
     )
     best = dataclasses.replace(best, task=get_task(best.task).id)
     path = folder / f"{as_name(best.task)}.npz"
-    before = read_robot(path).mean_return if path.is_file() else None
-    if before is not None and best.mean_return <= before:
+    before = read_robot(path).robust_return if path.is_file() else None
+    if before is not None and best.robust_return <= before:
         return Added(best, before, None)
     return Added(best, before, save_robot(path, best))
 
