@@ -69,7 +69,7 @@ published return (mean of {episodes} episodes); {networks} of the {known} have f
 NOTES = """
 - *Under noise*: the mean of {episodes} episodes with its 95 % interval (Student's t), in bold where it is at or above
   the best published return. Normal noise with a deviation of {sigma:g} is added to each action, which is clipped to
-  0.6 to 1.6. All [protocols](evaluation.md#protocols) are in exact arithmetic (`python docs/results.py protocols`,
+  0.6 to 1.6. All [protocols](protocols.md) are in exact arithmetic (`python docs/results.py protocols`,
   {processor}); `docs/results/protocols.csv` has their intervals and 10 % quantiles.
 - *Nominal*: what `warpvox play zoo=TASK` repeats in the released simulator's arithmetic ([the zoo](zoo.md)), the
   mean of eight episodes in BidirectionalWalker-v0 and Catcher-v0, which draw at random. ▼ is below the best published

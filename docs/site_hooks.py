@@ -19,7 +19,7 @@ import task_pages  # noqa: E402
 PARTS = {
     "Tutorials": ("quickstart", "custom_tasks", "task_features", "design_in_episode"),
     "How to": (
-        *("codesign", "suite", "universal", "policies", "libraries", "evaluation", "gradients"),
+        *("codesign", "suite", "universal", "policies", "libraries", "evaluation", "protocols", "gradients"),
         *("see", "editor", "zoo", "evogym", "faq"),
     ),
     "Reference": ("commands", "observations", "search", "formats", "results", "figures"),
