@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from warpvox.algos.protocols import NOMINAL, episodes_of
 from warpvox.batch.options import MAX_WIDTH, SimOptions, lanes_for, resolve_arithmetic
 from warpvox.design import Design
 from warpvox.devices.names import resolve_device
@@ -20,6 +21,7 @@ class EnvFactory:
     """A task and how it is simulated; the arguments are those of :func:`warpvox.envs.vec_env.make_vec`.
 
     ``device="auto"`` is a GPU where there is one: all environments of a training are on one device, however many.
+    ``fitness``: of the episodes that designs are judged by, see :mod:`warpvox.algos.protocols`.
     """
 
     task: str | TaskSpec
@@ -27,6 +29,7 @@ class EnvFactory:
     obs: str = "task"
     max_episode_steps: int | None = None
     sim: SimOptions = CPU
+    fitness: str = NOMINAL
 
     def __post_init__(self) -> None:
         if self.sim.device == "auto":
@@ -35,6 +38,10 @@ class EnvFactory:
     def computed(self, **changes: Any) -> EnvFactory:
         """A copy that simulates in another way: ``changes`` of ``sim``."""
         return replace(self, sim=replace(self.sim, **changes))
+
+    def episodes(self, given: int | None) -> int:
+        """Episodes that a design is judged by, if ``given`` are asked for."""
+        return episodes_of(given, self.fitness)
 
     def make(
         self, bodies: Sequence[Design], envs: int, seeds: Sequence[int], auto_reset: bool, shared: bool = False

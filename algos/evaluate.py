@@ -8,6 +8,8 @@ from typing import Any, Protocol, runtime_checkable
 
 import torch
 
+from warpvox.algos.disturbance import as_judged
+from warpvox.algos.protocols import NOMINAL
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 
@@ -98,6 +100,9 @@ def evaluate(
     return EpisodeReturns(returns, lengths, unstable.cpu(), env.design_index.cpu())
 
 
-def evaluator(env: VoxelVecEnv, seed: int | Sequence[int] | None = None) -> Evaluator:
-    """An :class:`Evaluator` that uses ``env`` over and over; with ``seed`` for the same episodes."""
-    return lambda policy: evaluate(env, policy, seed=seed)
+def evaluator(env: VoxelVecEnv, seed: int | Sequence[int] | None = None, fitness: str = NOMINAL) -> Evaluator:
+    """An :class:`Evaluator` that uses ``env`` over and over; with ``seed`` for the same episodes.
+
+    ``fitness``: nominal, or robust: the episodes of each design are disturbed copies.
+    """
+    return lambda policy: evaluate(env, as_judged(policy, env, seed, fitness), seed=seed)

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from warpvox.algos.protocols import NOMINAL, PROTOCOLS
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, arithmetic_key
 from warpvox.configs.schema import EXPORTS, SHOW
 from warpvox.keys import key
@@ -86,6 +87,7 @@ class PlayConfig(_RolloutConfig):
     )
     rules: str | None = key(None, "with agent: evogym or paper; null: evogym", choices=("evogym", "paper"))
     num_envs: int = key(4, "number of environments, a multiple of the number of designs", low=1)
+    protocol: str = key(NOMINAL, "disturbances of a policy, see `warpvox evaluate --help`", choices=tuple(PROTOCOLS))
     rollout: str | None = key(None, "only show this rollout file, such as a dump of nan_guard=dump", path="read")
     window: str = key("auto", "show the episode in a window: on, off, or auto (if there is a display)", choices=SHOW)
     record: bool = key(
@@ -127,13 +129,21 @@ class EvaluateConfig:
         [], "stored robots to evaluate, instead of runs or beside them: task ids or files", path="read"
     )
     checkpoint: str = key("best", "checkpoint of each run: best, last, or an iteration")
-    episodes: int = key(16, "episodes of each run, a multiple of its number of designs", low=1)
+    episodes: int = key(
+        16, "episodes of each run (of each disturbance of protocol), a multiple of its number of designs", low=1
+    )
     designs: Any = key(
         None,
         "for runs over many bodies: bodies to evaluate on, as for train (random:100); null: those held out",
         path="read",
     )
     stochastic: bool = key(False, "sample actions from the policy as in training, instead of taking their mean")
+    protocol: str = key(
+        NOMINAL,
+        "episodes: undisturbed (nominal), with noise on the actions (noise), with repeated actions (sticky), with"
+        " random actions at the beginning (start), with noise on the observations (sensors), or all of these (robust)",
+        choices=tuple(PROTOCOLS),
+    )
     seed: int = key(
         1000,
         "seed of the episodes' random numbers and of sampled actions; not that of training, by which checkpoints"

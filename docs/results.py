@@ -3,7 +3,7 @@
     python docs/results.py                       # the page, from docs/results/*.csv and envs/known_returns.csv
     python docs/results.py export [FOLDER ...]   # the table from the zoo and from the design searches in folders
     python docs/results.py random                # what chance reaches, into envs/known_returns.csv; takes minutes
-    python docs/results.py noise                 # the zoo's robots under noise, into docs/results/noise.csv; minutes
+    python docs/results.py protocols             # the zoo's robots in disturbed episodes, into docs/results; minutes
 
 ``export`` takes a robot of the zoo before a search: its return is exact and can be replayed. Of several searches of a
 task the one with the best return stays, that of the table included. ``tests/docs`` says when the page is out of date.
@@ -23,32 +23,31 @@ import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, archives_in
 from warpvox.algos.evaluate import evaluate
+from warpvox.algos.protocols import DISTURBANCES, NOMINAL
 from warpvox.algos.report.members import SearchResult, read_members
 from warpvox.algos.statistics import mean_interval
 from warpvox.cli.robot_entries import command_of
 from warpvox.envs.known_returns import FILE as KNOWN_RETURNS, KnownReturn, known_returns
 from warpvox.envs.registry import task_ids
 from warpvox.io import writing
-from warpvox.robots import Gait, Robot, robot_env, zoo_tasks
-from warpvox.robots.entry import DIGITS
-from warpvox.robots.replay import SEEDS
+from warpvox.robots import Gait, zoo_tasks
+from warpvox.robots.returns import EPISODES, judge_robust
 from warpvox.runs import find_codesign
 from warpvox.system import processor_name
-from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 FOLDER = Path(__file__).resolve().parent
 KNOWN = FOLDER.parent / "envs" / KNOWN_RETURNS
-TABLE, NOISE, PAGE = FOLDER / "results" / "returns.csv", FOLDER / "results" / "noise.csv", FOLDER / "results.md"
+TABLE, DISTURBED, PAGE = FOLDER / "results" / "returns.csv", FOLDER / "results" / "protocols.csv", FOLDER / "results.md"
 COLUMNS = (
     *("task", "return", "episodes", "evaluation", "shape", "policy", "control_steps", "seconds", "date", "processor"),
     *("commit", "command"),
 )
 """``return``: of the robot of the zoo; ``evaluation``: the best deterministic evaluation of the search; ``policy``:
 ``gait``, open loop; else a network, without a name."""
-NOISE_COLUMNS = ("task", "episodes", "mean", "low", "high", "processor")
-"""``low``, ``high``: the 95 % interval of the mean (Student's t)."""
-EPISODES, SIGMA = 32, 0.01
-"""Under noise: normal on each action, with this deviation in units of goal length, 1 % of the range of actions."""
+DISTURBED_COLUMNS = ("task", "episodes", "n", "mean", "low", "high", "quantile_10", "processor")
+"""``episodes``: the disturbance; ``low``, ``high``: the 95 % interval of the mean (Student's t)."""
+NOISE = "noise"
+"""Disturbance that robots are ranked by."""
 GAIT = "gait"
 MANY = 6
 """From so many tasks on their number is given instead of their names."""
@@ -56,26 +55,27 @@ BODIES = 64
 """Random bodies of 5 x 5 cells, one episode each."""
 HEAD = """# Results
 
-The best robots found so far beside the best published returns with bodies of 5 x 5 cells.{sizes}
-
+The best robots found so far, chosen by their mean return under noise, beside the best published returns with bodies
+of 5 x 5 cells.
+{sizes}
 {summary}
 
-| task | our return | | under noise | best published | by | our control steps | our wall time |
-|---|---:|---|---:|---:|---|---:|---:|
+| task | | under noise | best published | by | nominal | sticky | start | sensors | our control steps | our wall time |
+|---|---|---:|---:|---|---:|---:|---:|---:|---:|---:|
 """
 SUMMARY = """\
-In one deterministic episode (two tasks: eight), the best of thousands tried, {reached} of {known} robots are at or
-above the best published return; {gaits} of the {known} are open loop and {networks} have feedback, and with normal
-noise of 1 % of the action range on every action {held} of the {known} hold (mean of {episodes} episodes)."""
+With normal noise of 1 % of the action range on every action, {held} of {known} robots are at or above the best
+published return (mean of {episodes} episodes); {networks} of the {known} have feedback, {gaits} are open loop."""
 NOTES = """
-- *Our return*: what `warpvox play zoo=TASK` repeats in the released simulator's arithmetic ([the zoo](zoo.md)), the
-  mean of eight episodes in BidirectionalWalker-v0 and Catcher-v0, which draw at random. Where the zoo has no robot
-  yet it is the best deterministic evaluation of a search, in float32, and in italics. ▼ is below the best published
-  return; ○ is an open-loop [gait](zoo.md#gaits), all others are networks that see what the task observes.
 - *Under noise*: the mean of {episodes} episodes with its 95 % interval (Student's t), in bold where it is at or above
   the best published return. Normal noise with a deviation of {sigma:g} is added to each action, which is clipped to
-  0.6 to 1.6 (`python docs/results.py noise`, {processor}). Where the return falls, the robot shows what its body can
-  do once, not what it does reliably.
+  0.6 to 1.6. All [protocols](protocols.md) are in exact arithmetic (`python docs/results.py protocols`,
+  {processor}); `docs/results/protocols.csv` has their intervals and 10 % quantiles.
+- *Nominal*: what `warpvox play zoo=TASK` repeats in the released simulator's arithmetic ([the zoo](zoo.md)), the
+  mean of eight episodes in BidirectionalWalker-v0 and Catcher-v0, which draw at random. ▼ is below the best published
+  return. Where noise takes most of it away, the robot shows what its body can do once, not what it does reliably.
+- ○ is an open-loop [gait](zoo.md#gaits), whose actions depend on the time alone; all others are networks with
+  feedback, which see what the task observes; *sensors* concerns them alone.
 - *Control steps*, *wall time*: of the whole search, and of the searches that it started from; one thread of a busy
   machine, so that the time is an upper bound. `warpvox zoo task=TASK` shows the last command,
   `docs/results/returns.csv` all of them with commits and processors; equal seeds give equal results on equal
@@ -83,37 +83,41 @@ NOTES = """
 
 ## Sources
 
-Published returns are the best of anybody; their protocols differ. A score of 1 in a [comparison of
-searches](evaluation.md#comparing-searches) is such a return.
+Published returns are the best of anybody, of one undisturbed episode each; their protocols differ. A score of 1 in a
+[comparison of searches](evaluation.md#comparing-searches) is such a return.
 
 | method | source | protocol | tasks |
 |---|---|---|---|
 """
 
 
-def page(rows: Sequence[Mapping[str, str]], noise: Sequence[Mapping[str, str]] = ()) -> str:
+def page(rows: Sequence[Mapping[str, str]], disturbed: Sequence[Mapping[str, str]] = ()) -> str:
     """``docs/results.md`` from the rows of the two tables."""
-    ours, noisy, published = {row["task"]: row for row in rows}, {row["task"]: row for row in noise}, known_returns()
+    ours, published = {row["task"]: row for row in rows}, known_returns()
+    judged = {(row["task"], row["episodes"]): row for row in disturbed}
     larger = [f"{row['task']} ({row['shape']})" for row in rows if row["shape"] not in ("", "5x5")]
-    sizes = f"\nOurs are as large, except those of {', '.join(larger)}." if larger else ""
-    lines = [_line(one, ours.get(task), noisy.get(task)) for task, one in published.items()]
-    processors = ", ".join(sorted({row["processor"] for row in noise}))
-    notes = NOTES.format(episodes=EPISODES, sigma=SIGMA, processor=processors)
-    head = HEAD.format(sizes=sizes, summary=summary(rows, noise))
+    sizes = f"Ours are as large, except those of {', '.join(larger)}.\n" if larger else ""
+    lines = [
+        _line(one, ours.get(task), {part: judged.get((task, part)) for part in DISTURBANCES})
+        for task, one in published.items()
+    ]
+    processors = ", ".join(sorted({row["processor"] for row in disturbed}))
+    notes = NOTES.format(episodes=EPISODES, sigma=DISTURBANCES[NOISE].noise, processor=processors)
+    head = HEAD.format(sizes=sizes, summary=summary(rows, disturbed))
     return "".join([head, *lines, notes, *_sources(published.values())])
 
 
-def summary(rows: Sequence[Mapping[str, str]], noise: Sequence[Mapping[str, str]]) -> str:
+def summary(rows: Sequence[Mapping[str, str]], disturbed: Sequence[Mapping[str, str]]) -> str:
     """The sentence that README repeats."""
     best = {task: one.best for task, one in known_returns().items() if one.best is not None}
     ours = {row["task"]: row for row in rows if row["task"] in best}
     gaits = sum(row["policy"] == GAIT for row in ours.values())
+    noisy = [row for row in disturbed if row["task"] in ours and row["episodes"] == NOISE]
     return SUMMARY.format(
-        reached=sum(_return(row) >= best[task] for task, row in ours.items()),
         known=len(ours),
         gaits=gaits,
         networks=len(ours) - gaits,
-        held=sum(float(row["mean"]) >= best[row["task"]] for row in noise if row["task"] in ours),
+        held=sum(float(row["mean"]) >= best[row["task"]] for row in noisy),
         episodes=EPISODES,
     )
 
@@ -122,19 +126,32 @@ def _return(row: Mapping[str, str]) -> float:
     return float(row["return"] or row["evaluation"])
 
 
-def _line(one: KnownReturn, row: Mapping[str, str] | None, noisy: Mapping[str, str] | None) -> str:
+def _line(one: KnownReturn, row: Mapping[str, str] | None, judged: Mapping[str, Mapping[str, str] | None]) -> str:
     best = "" if one.best is None else f"{one.best:g}"
-    cells = ["-", "", "", best, one.method, "", ""]
+    cells = [
+        "",
+        "-",
+        best,
+        one.method,
+        "-",
+        *(
+            "" if found is None else f"{float(found['mean']):.3f}"
+            for found in (judged[part] for part in ("sticky", "start", "sensors"))
+        ),
+        "",
+        "",
+    ]
     if row is not None:
         value = _return(row)
-        cells[0] = f"{value:.3f}" if row["return"] else f"*{value:.3f}*"
-        below = one.best is not None and value < one.best
-        cells[1] = "▼" * below + "○" * (row["policy"] == GAIT)
-        cells[5:] = [f"{int(row['control_steps']):,}", _duration(row["seconds"])]
+        below = "▼" if one.best is not None and value < one.best else ""
+        cells[0] = "○" * (row["policy"] == GAIT)
+        cells[4] = (f"{value:.3f}" if row["return"] else f"*{value:.3f}*") + below
+        cells[-2:] = [f"{int(row['control_steps']):,}", _duration(row["seconds"])]
+    noisy = judged[NOISE]
     if noisy is not None:
         mean, high = float(noisy["mean"]), float(noisy["high"])
         bold = "**" * (one.best is not None and mean >= one.best)
-        cells[2] = f"{bold}{mean:.3f}{bold} ± {high - mean:.3f}"
+        cells[1] = f"{bold}{mean:.3f}{bold} ± {high - mean:.3f}"
     return f"| {' | '.join([one.task, *cells])} |\n"
 
 
@@ -251,45 +268,35 @@ def measure_random() -> None:
     write_table(KNOWN, rows.values())
 
 
-def noisy_returns(robot: Robot) -> np.ndarray:
-    """Returns ``[EPISODES]`` of ``robot`` in exact arithmetic with noise on each action.
-
-    A further episode without noise runs beside them.
+def measure_disturbed() -> None:
+    """Renew the table of returns in disturbed episodes.
 
     Raises:
-        ValueError: that one does not repeat the recorded return.
+        ValueError: a robot does not get what its entry records.
     """
-    draws = np.random.default_rng(0)
-    env = robot_env(robot, seeds=[SEEDS[0], *range(SEEDS[0], SEEDS[0] + EPISODES)])
-
-    def policy(obs: Any) -> np.ndarray:
-        noise = SIGMA * draws.standard_normal((1 + EPISODES, env.num_actions))
-        noise[0] = 0.0
-        return np.clip(robot.policy(obs) + noise.astype(np.float32), ACTION_LOW, ACTION_HIGH)
-
-    without, *returns = evaluate(env, policy).returns.tolist()
-    if round(without, DIGITS) != robot.about["returns"][0]:
-        raise ValueError(f"{robot.task}: {without!r} without noise, but {robot.about['returns'][0]} is recorded")
-    return np.array(returns)
-
-
-def measure_noise() -> None:
-    """Renew the table of returns under noise."""
     rows = []
-    for task in zoo_tasks():
-        found = mean_interval(noisy_returns(wv.zoo(task)))
-        values = [f"{value:.3f}" for value in (found.mean, found.low, found.high)]
-        rows.append(dict(zip(NOISE_COLUMNS, (task, EPISODES, *values, processor_name()), strict=True)))
-        print(task, *values, flush=True)
-    write_table(NOISE, rows)
+    for task in task_ids():
+        robot = wv.zoo(task)
+        for part, returns in judge_robust(robot).items():
+            if part == NOISE and returns != robot.about[NOISE]["returns"]:
+                raise ValueError(
+                    f"{task}: its entry records {robot.robust_return!r} under noise, not {np.mean(returns)!r}"
+                )
+            if part == NOMINAL:
+                continue  # the page has that of the entry
+            found = mean_interval(returns)
+            values = [f"{value:.3f}" for value in (found.mean, found.low, found.high, np.quantile(returns, 0.1))]
+            rows.append(dict(zip(DISTURBED_COLUMNS, (task, part, found.n, *values, processor_name()), strict=True)))
+        print(task, flush=True)
+    write_table(DISTURBED, rows)
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["random"]:
         measure_random()
-    elif sys.argv[1:2] == ["noise"]:
-        measure_noise()
+    elif sys.argv[1:2] == ["protocols"]:
+        measure_disturbed()
     elif sys.argv[1:2] == ["export"]:
         write_table(TABLE, export([Path(text) for text in sys.argv[2:]], read_table()))
     else:
-        writing.write_text(PAGE, page(read_table(), read_table(NOISE)))
+        writing.write_text(PAGE, page(read_table(), read_table(DISTURBED)))

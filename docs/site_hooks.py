@@ -20,7 +20,7 @@ PARTS = {
     "Tutorials": ("quickstart", "custom_tasks", "task_features", "design_in_episode"),
     "How to": (
         *("codesign", "gaits", "suite", "clusters", "universal", "universal_cpg", "common_policy"),
-        *("policies", "libraries", "evaluation", "gradients", "see", "editor", "zoo", "evogym", "faq"),
+        *("policies", "libraries", "evaluation", "protocols", "gradients", "see", "editor", "zoo", "evogym", "faq"),
     ),
     "Reference": ("commands", "observations", "search", "archive", "formats", "results", "figures"),
     "Background": ("concepts", "physics", "paper", "performance", "trials", "reliability"),

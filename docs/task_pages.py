@@ -137,20 +137,21 @@ def _units(task: TaskSpec) -> list[str]:
 
 
 def _returns(task: str) -> Iterator[tuple[str, str]]:
-    known, ours, noisy = known_returns()[task], _rows("returns.csv").get(task), _rows("noise.csv").get(task)
-    if ours:
-        yield "our best robot", f"{float(ours['return'] or ours['evaluation']):.3f}"
-    if noisy:
-        yield "the same under noise", f"{float(noisy['mean']):.3f} ± {float(noisy['high']) - float(noisy['mean']):.3f}"
+    known, ours = known_returns()[task], [row for row in _rows("returns.csv") if row["task"] == task]
+    noisy = [row for row in _rows("protocols.csv") if (row["task"], row["episodes"]) == (task, "noise")]
+    for row in noisy:
+        yield "our best robot, under noise", f"{float(row['mean']):.3f} ± {float(row['high']) - float(row['mean']):.3f}"
+    for row in ours:
+        yield "the same, undisturbed", f"{float(row['return'] or row['evaluation']):.3f}"
     published = f"best published ({known.method}: {known.protocol})"
     yield (published, f"{known.best:g}") if known.best is not None else ("best published", "none")
     yield "random bodies under random actions", f"{known.random:.3f}"
 
 
 @cache
-def _rows(file: str) -> dict[str, dict[str, str]]:
+def _rows(file: str) -> list[dict[str, str]]:
     with (RESULTS / file).open(encoding="utf-8", newline="") as table:
-        return {row["task"]: row for row in csv.DictReader(table)}
+        return list(csv.DictReader(table))
 
 
 def _paper(task: TaskSpec) -> str:

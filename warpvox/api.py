@@ -128,6 +128,7 @@ def evaluate(
     episodes: int = 32,
     checkpoint: str = "best",
     stochastic: bool = False,
+    protocol: str = "nominal",
     seed: int = 1000,
     level: float = 0.95,
     obs: str | None = None,
@@ -144,7 +145,9 @@ def evaluate(
         episodes: of each policy, a multiple of its number of bodies.
         checkpoint: of runs.
         stochastic: of runs: sample actions as in training.
-        seed: of the episodes' random numbers and of sampled actions.
+        protocol: ``nominal``; or disturbed episodes: ``noise`` on actions, ``sticky`` actions, ``start`` with random
+            actions, ``sensors`` with noise on observations; ``robust``: all of them, a row each.
+        seed: of the random numbers of episodes and disturbances, and of sampled actions.
         level: of the intervals.
         obs: what functions observe, see :func:`warpvox.make_vec`.
         output_dir: where ``latest`` is looked for.
@@ -154,6 +157,8 @@ def evaluate(
         RunError: no such run. ConfigError: a function without a task, an unknown option. WarpvoxError: as
             :func:`warpvox.make_vec`.
     """
+    from warpvox.algos.disturbance import Disturbed
+    from warpvox.algos.protocols import NOMINAL, PROTOCOLS, parts_of
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.job import own_torch
     from warpvox.algos.training.loading import TrainedRun, is_alone, load_policy
@@ -169,9 +174,12 @@ def evaluate(
             raise ConfigError(
                 f"evaluate has no argument {key!r}.{did_you_mean(key, names)} Options: {listing(PLAYED)}."
             )
+    if protocol not in PROTOCOLS:
+        hint = did_you_mean(protocol, PROTOCOLS)
+        raise ConfigError(f"protocol must be one of {listing(PROTOCOLS)}; got {protocol!r:.80}.{hint}")
     several = isinstance(policies, Sequence) and not isinstance(policies, str)
     own = Code(task) if is_code(task) else task
-    how = Playing(episodes, checkpoint, stochastic, seed, task=own, **options)
+    how = Playing(episodes, checkpoint, stochastic, seed, task=own, protocol=protocol, **options)
     rows = []
     with own_torch(1):
         for number, policy in enumerate(policies if several else [policies]):
@@ -181,7 +189,7 @@ def evaluate(
                 policy = load_policy(policy)
             if isinstance(policy, str | Path):
                 for run in find_runs([str(policy)], str(output_dir)):
-                    rows.append(evaluate_run(run, how, design if run.is_many else None, level))
+                    rows.extend(evaluate_run(run, how, design if run.is_many else None, level))
                 continue
             about: Mapping[str, Any] = getattr(policy, "metadata", {})
             where, body = own or about.get("task"), about.get("design") if design is None else design
@@ -189,7 +197,10 @@ def evaluate(
                 what = "a run, or a function of observations with task=... and design=..."
                 raise ConfigError(f"Policy {number} must be {what}; got {policy!r:.80}.")
             given = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
-            env = make_vec(where, load_bodies(body, seed), episodes, seed=seed, auto_reset=False, **given, **options)
+            parts = parts_of(protocol, feedback=getattr(getattr(policy, "spec", None), "gait", None) is None)
+            count = episodes * len(parts)
+            env = make_vec(where, load_bodies(body, seed), count, seed=seed, auto_reset=False, **given, **options)
             name = getattr(policy, "__name__", f"policy {number}")
-            rows.append(EvaluatedPolicy.of(name, env, policy, level))
+            acting = Disturbed(policy, env, parts, seed) if protocol != NOMINAL else policy
+            rows.extend(EvaluatedPolicy.each(name, env, acting, level, parts))
     return PolicyTable(rows)

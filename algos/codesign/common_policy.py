@@ -15,7 +15,7 @@ from warpvox.algos.checkpoints.files import read_tensors, save_checkpoint, spec_
 from warpvox.algos.codesign.population_evaluator import describe, read_evaluation, save_evaluation
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.algos.env_factory import EnvFactory
-from warpvox.algos.evaluate import evaluate
+from warpvox.algos.evaluate import evaluator
 from warpvox.algos.policies.registry import voxels_of
 from warpvox.algos.settings import CPG, Ppo
 from warpvox.algos.training.ascent import AscentRunner
@@ -166,9 +166,9 @@ class _Course:
 
     def _judge(self) -> list[Outcome]:
         runner, settings = self.runner, self.settings
-        env = self._make(settings.eval_envs, auto_reset=False)
+        env = self._make(self.factory.episodes(settings.eval_envs), auto_reset=False)
         runner.alg.eval_mode()
-        result = evaluate(env, runner.controller, seed=[self.seed] * len(self.candidates))
+        result = evaluator(env, [self.seed] * len(self.candidates), self.factory.fitness)(runner.controller)
         state = runner.alg.get_policy().state_dict()
         policy = {name: tensor.detach().cpu().clone() for name, tensor in state.items()}
         learning = settings.iterations * self.ppo.steps * settings.envs

@@ -10,7 +10,9 @@ import torch
 
 from warpvox.algos.checkpoints.files import actions_of
 from warpvox.algos.codesign.gaits import Gait
+from warpvox.algos.disturbance import Draws, with_noise
 from warpvox.algos.policies.gait import AMPLITUDE, gait_outputs
+from warpvox.algos.protocols import DISTURBANCES
 from warpvox.envs.episodes import state_rows
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.types import Cell
@@ -19,6 +21,8 @@ __all__ = ["actions_of_gaits", "begin_alike", "play"]
 
 AT_ONCE = 1 << 20
 """Actions that are computed at once, about: those of many control steps, if environments are few."""
+NOISE = DISTURBANCES["noise"].noise
+"""Deviation of the noise on disturbed actions."""
 CHECK_EVERY = 25
 """Control steps between checks whether all episodes have ended."""
 
@@ -38,14 +42,20 @@ def play(
     episodes: int,
     first: int = 0,
     last: int | None = None,
+    noise: Draws | None = None,
 ) -> torch.Tensor:
     """Step episodes that have begun; arguments as for :func:`actions_of_gaits`.
+
+    Args:
+        noise: on the actions, of as many copies as ``episodes``: the same for all gaits; None: there is none.
 
     Returns:
         The mean return of each gait so far, float64 ``[designs, gaits]`` on the CPU.
     """
     with torch.no_grad():
         for step, actions in enumerate(actions_of_gaits(env, bodies, gaits, episodes, first, last)):
+            if noise is not None:
+                actions = with_noise(actions, noise, first + step, NOISE)
             _, _, terminated, truncated, _ = env.step(actions)
             if step % CHECK_EVERY == 0 and bool((terminated | truncated).all()):
                 break

@@ -10,6 +10,7 @@ import torch
 
 from warpvox.algos.codesign.gait_actions import play
 from warpvox.algos.codesign.gaits import Gait, Motion, draw_motion, gait_of, motions_of, mutate_motion
+from warpvox.algos.disturbance import Draws
 from warpvox.envs.episodes import state_rows
 from warpvox.envs.vec_env import VoxelVecEnv
 
@@ -41,12 +42,14 @@ class Beam:
         bodies: the designs.
         count: continuations that are tried in each stage.
         episodes: of each gait, whose mean return counts.
+        noise: on the actions of these episodes, the same for all gaits.
     """
 
     env: VoxelVecEnv
     bodies: Sequence[np.ndarray]
     count: int
     episodes: int
+    noise: Draws | None = None
 
     def search(
         self, known: Sequence[Sequence[Gait]], random: Sequence[np.random.Generator], seed: int, steps: int
@@ -75,7 +78,7 @@ class Beam:
                 state = state_rows(state, self._environments(searches))
                 before = state["length"]
                 env.set_state(state)
-                values = play(env, self.bodies, gaits, self.episodes, first, last).tolist()
+                values = play(env, self.bodies, gaits, self.episodes, first, last, self.noise).tolist()
                 state = env.state()
                 spent += (state["length"] - before).view(len(searches), -1).sum(1).cpu().numpy()
                 ended = (state["terminated"] | state["truncated"]).view(len(searches), self.count, -1).all(2).tolist()

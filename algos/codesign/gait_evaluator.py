@@ -18,8 +18,10 @@ from warpvox.algos.checkpoints.files import PolicySpec, spec_dict
 from warpvox.algos.codesign.gait_actions import begin_alike, play
 from warpvox.algos.codesign.gait_beam import Beam
 from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait, with_stages
+from warpvox.algos.disturbance import SEARCHED, Draws
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.policies.gait import AMPLITUDE
+from warpvox.algos.protocols import NOMINAL
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError
@@ -60,6 +62,7 @@ class GaitEvaluator:
         passes: beam searches before the rounds.
         beam: continuations that a beam search tries in each stage.
         stage_steps: control steps of a stage in the first beam search; others have longer and shorter ones.
+        fitness: nominal, or robust: with noise on the actions.
         known: gaits of candidates with the origin :data:`warpvox.algos.candidate.START`, by the bytes of the body.
     """
 
@@ -73,6 +76,11 @@ class GaitEvaluator:
     beam: int = 64
     stage_steps: int = 20
     known: Mapping[bytes, Gait] = field(default_factory=dict)
+    fitness: str = NOMINAL
+
+    def noise(self, device: Any) -> Draws | None:
+        """That on the actions of the episodes of each gait, the same for all of them; None: there is none."""
+        return None if self.fitness == NOMINAL else Draws(self.seed, SEARCHED, self.episodes, device)
 
     def evaluate(
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
@@ -179,7 +187,8 @@ class _Rounds:
         how = self.how
         known = [[best[1]] for best in self.best] if self.best else self.inherited
         steps = max(1, round(how.stage_steps * STRETCH[self.round % len(STRETCH)]))
-        return Beam(self.env, self.bodies, how.beam, how.episodes).search(known, self.random, how.seed, steps)
+        beam = Beam(self.env, self.bodies, how.beam, how.episodes, how.noise(self.env.device))
+        return beam.search(known, self.random, how.seed, steps)
 
     def _try(self) -> tuple[list[tuple[float, Gait]], np.ndarray]:
         """The same of an episode of each gait that is tried next."""
@@ -188,7 +197,7 @@ class _Rounds:
             self.env = self._environments(how.count)
         gaits = [self._gaits(place) for place in range(len(self.bodies))]
         begin_alike(self.env, len(self.bodies), how.count, how.episodes, how.seed)
-        returns = play(self.env, self.bodies, gaits, how.episodes).numpy()
+        returns = play(self.env, self.bodies, gaits, how.episodes, noise=how.noise(self.env.device)).numpy()
         found = [(float(got.max()), tried[int(got.argmax())]) for got, tried in zip(returns, gaits, strict=True)]
         return found, self.env.state()["length"].view(len(self.bodies), -1).sum(1).cpu().numpy()
 

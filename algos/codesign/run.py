@@ -250,7 +250,10 @@ def _run_of_design(settings: Codesign, task: str, candidate: Candidate, outcome:
         "num_envs": training.envs,
         "max_iterations": training.iterations,
         **{name: getattr(training, name) for name in ("eval_interval", "eval_envs")},
-        "lanes": lanes_for(training.eval_envs),  # as in the evaluation that found the fitness
+        "fitness": settings.fitness,
+        "lanes": lanes_for(
+            settings.factory().episodes(training.eval_envs)
+        ),  # as in the evaluation that found the fitness
         "physics": dataclasses.asdict(settings.physics),
         "ppo": dataclasses.asdict(training.ppo),
     }

@@ -79,7 +79,9 @@ class SequentialEvaluator:
             torch.manual_seed(seed)
             env = adapt(self.factory.make([candidate.body], settings.envs, [seed], auto_reset=True), settings.ppo)
             on_cpu = self.factory.computed(device="cpu")  # where few environments are faster
-            judge = evaluator(on_cpu.make([candidate.body], settings.eval_envs, [seed], auto_reset=False), [self.seed])
+            episodes = self.factory.episodes(settings.eval_envs)
+            judged = on_cpu.make([candidate.body], episodes, [seed], auto_reset=False)
+            judge = evaluator(judged, [self.seed], self.factory.fitness)
 
             def evaluate(policy: Any) -> EpisodeReturns:
                 result = judge(policy)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation, Specialist
 from warpvox.algos.physics import PRESETS, PhysicsConfig, physics_of, sim_of
+from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.search.settings import GA, SearchSettings, settings_from
 from warpvox.algos.settings import DesignTraining
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, arithmetic_key
@@ -56,6 +57,12 @@ class Codesign:
     )
     search: SearchSettings = key(GA, "how designs are proposed")
     evaluation: Evaluation = key(Specialist, "how designs are compared")
+    fitness: str = key(
+        NOMINAL,
+        "episodes by which designs and policies are compared: undisturbed (nominal), or several with noise on the"
+        " actions, whose mean counts (robust)",
+        choices=FITNESS,
+    )
     training: DesignTraining = key(DesignTraining, "how a design's own policy is trained")
     policy: str = key(
         "mlp",
@@ -133,7 +140,7 @@ class Codesign:
         """Makes the environments; ``device`` may still be auto."""
         from warpvox.algos.env_factory import EnvFactory
 
-        return EnvFactory(self.task, self.rules, obs, sim=self.sim)
+        return EnvFactory(self.task, self.rules, obs, sim=self.sim, fitness=self.fitness)
 
     def resolved(self, folder: Path | None = None) -> Codesign:
         """A copy with what its names stand for: settings of the evaluation, and all constants.

@@ -16,6 +16,7 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
 from warpvox.algos.checkpoints.files import actions_of
+from warpvox.algos.disturbance import as_judged
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.population.model import PopulationModel
@@ -86,7 +87,9 @@ class PopulationTraining:
         training = self.factory.make(self.bodies, settings.envs, self.seeds, auto_reset=True)
         self.env = adapt(training, self.ppo, apart=True)
         self._eval_seeds = [self.eval_seed] * self.num_designs
-        self._judge = self.factory.make(self.bodies, settings.eval_envs, self._eval_seeds, auto_reset=False)
+        self._judge = self.factory.make(
+            self.bodies, self.factory.episodes(settings.eval_envs), self._eval_seeds, auto_reset=False
+        )
 
     def _algorithm(self, networks: Sequence[Networks]) -> PopulationPPO:
         device, obs = str(self.env.device), self.env.get_observations()
@@ -148,7 +151,8 @@ class PopulationTraining:
             return actions_of(means, self.ppo.action_scale)
 
         diverged = torch.zeros(self.num_designs, dtype=torch.bool, device=self.algorithm.device)
-        return evaluate(self._judge, policy, seed=self._eval_seeds).fitness.masked_fill(diverged.cpu(), math.nan)
+        judged = as_judged(policy, self._judge, self.eval_seed, self.factory.fitness)
+        return evaluate(self._judge, judged, seed=self._eval_seeds).fitness.masked_fill(diverged.cpu(), math.nan)
 
     def policy(self, design: int) -> dict[str, torch.Tensor]:
         """The design's policy as the state of a stock actor."""

@@ -18,6 +18,7 @@ from warpvox.algos.checkpoints.policy import Policy, policy_of
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator, evaluator
 from warpvox.algos.physics import physics_of, sim_of
 from warpvox.algos.policies.registry import MLP, check_network, check_policy, voxels_of
+from warpvox.algos.protocols import episodes_of
 from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.bodies import Bodies, TrainingBodies, load_bodies, read_bodies, training_bodies
 from warpvox.algos.training.distributed import ProcessGroup, join_process_group
@@ -171,9 +172,9 @@ class Job:
         """
         lanes = bodies.lanes(settings, settings.device)
         sim = dataclasses.replace(sim_of(settings), device="cpu", lanes=lanes, grid=bodies.grid)
-        count = settings.eval_envs * len(bodies.judged)
+        count = episodes_of(settings.eval_envs, settings.fitness) * len(bodies.judged)
         options = options | {"auto_reset": False, "seed": settings.seed, "sim": sim}
-        judge = evaluator(make_vec(settings.task, bodies.judged, count, **options), settings.seed)
+        judge = evaluator(make_vec(settings.task, bodies.judged, count, **options), settings.seed, settings.fitness)
         if not settings.is_many:
             return judge
         return HeldOut(judge, bodies.judged, "bodies" if bodies.own else "held_out", str(task_name(settings.task)))

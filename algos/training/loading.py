@@ -13,8 +13,9 @@ import torch
 
 from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.policy import Policy, read_policy
+from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.training.metrics import read_metrics
-from warpvox.algos.training.playing import Playing, load_trained
+from warpvox.algos.training.playing import Playing, disturbed, load_trained
 from warpvox.code import Code, is_code
 from warpvox.devices.names import resolve_device
 from warpvox.envs.registry import get_task, task_ids
@@ -22,6 +23,7 @@ from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 from warpvox.robots.entry import Robot
+from warpvox.robots.gait import Gait
 from warpvox.robots.replay import SEEDS, robot_env, torch_policy
 from warpvox.runs import CONFIG, Run, find_run
 from warpvox.trust import STORED, allowed
@@ -143,11 +145,14 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
     if isinstance(config.task, Code) and task not in task_ids():  # an entry for a task of the user's own has its id
         task = config.task
     robot = dataclasses.replace(robot, task=task)
-    count = config.num_envs if get_task(robot.task).is_random else 1  # all episodes would be the same
+    parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=not isinstance(robot.policy, Gait))
+    alike = parts == (NOMINAL,) and not get_task(robot.task).is_random
+    count = 1 if alike else config.num_envs
     options = {name: value for name in ("dtype", "arithmetic", "seed") if (value := getattr(config, name)) is not None}
     if config.arithmetic == "fast":
         options.setdefault("dtype", "float32")
     options |= {"threads": config.threads, "memory_check": config.memory_check}
-    options |= {"device": resolve_device(config.device, count), "num_envs": count}
+    options |= {"device": resolve_device(config.device, count), "num_envs": count * len(parts)}
     seeds = [*SEEDS[:count], *range(SEEDS[-1] + 1, SEEDS[-1] + 1 + count - len(SEEDS))]
-    return robot_env(robot, seeds, **options), robot.policy
+    env = robot_env(robot, seeds * len(parts), **options)
+    return env, disturbed(robot.policy, env, parts, SEEDS[0] if config.seed is None else config.seed)

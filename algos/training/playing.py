@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 
 from warpvox.algos.checkpoints.files import Controller, actions_of, load_controller
+from warpvox.algos.disturbance import Disturbed
 from warpvox.algos.physics import sim_of
+from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.training.bodies import read_bodies, training_bodies
 from warpvox.algos.training.settings import Training
 from warpvox.code import is_code
@@ -27,6 +30,8 @@ class Playing:
     Attributes:
         task, policy: code of the user's own that the run names, see :func:`warpvox.trust.allowed`.
         stochastic: sample actions as in training, instead of taking their mean.
+        protocol: the disturbances of the episodes, see :mod:`warpvox.algos.disturbance`.
+        num_envs: of each disturbance; they lie behind one another.
     """
 
     num_envs: int = 1
@@ -40,6 +45,7 @@ class Playing:
     memory_check: bool = True
     task: Any = None
     policy: str | None = None
+    protocol: str = NOMINAL
 
 
 def own_code(settings: Any) -> dict[str, Any]:
@@ -98,6 +104,8 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
         named = {"arithmetic": None} | named
     trained = dataclasses.replace(trained, threads=config.threads, memory_check=config.memory_check, **named)
     bodies = training_bodies(trained)
+    controller = load_controller(path, device, trained.policy)
+    parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=controller.spec.gait is None)
     count, judged = config.num_envs, bodies.judged
     if trained.is_many:
         judged = judged if designs is None else read_bodies(designs, config.seed or 0, "designs")
@@ -110,7 +118,12 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
         )
     sim = dataclasses.replace(sim_of(trained), device=device, lanes=bodies.lanes(trained, device), grid=bodies.grid)
     options: dict[str, Any] = {"rules": trained.rules, "obs": trained.obs, "seed": trained.seed, "sim": sim}
-    env = make_vec(trained.task, judged, count, auto_reset=False, **options)
-    controller = load_controller(path, device, trained.policy)
+    env = make_vec(trained.task, judged, count * len(parts), auto_reset=False, **options)
     controller.check(env)
-    return env, SampledController(controller, trained.seed) if config.stochastic else controller
+    policy = SampledController(controller, trained.seed) if config.stochastic else controller
+    return env, disturbed(policy, env, parts, trained.seed)
+
+
+def disturbed(policy: Any, env: VoxelVecEnv, parts: Sequence[str], seed: int) -> Any:
+    """The policy as it acts in the blocks of disturbances of ``env``."""
+    return policy if parts == (NOMINAL,) else Disturbed(policy, env, parts, seed)

@@ -7,7 +7,11 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
+import numpy as np
+
+from warpvox.algos.disturbance import Disturbed
 from warpvox.algos.evaluate import evaluate
+from warpvox.algos.protocols import NOMINAL
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.algos.training.loading import load_run
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -23,14 +27,28 @@ class EvaluatedPolicy:
     returns: list[float]
     independent: list[float]
     level: float
+    disturbance: str = NOMINAL
 
     @classmethod
-    def of(cls, name: str, env: VoxelVecEnv, policy: Any, level: float, drawn: bool = False) -> EvaluatedPolicy:
-        """The row of one episode in each environment; ``drawn``: they differ by chance in any case."""
+    def each(
+        cls,
+        name: str,
+        env: VoxelVecEnv,
+        policy: Any,
+        level: float,
+        parts: Sequence[str] = (NOMINAL,),
+        drawn: bool = False,
+    ) -> list[EvaluatedPolicy]:
+        """A row of each disturbance, after one episode in each environment; ``drawn``: all of them differ by chance."""
         found = evaluate(env, policy)
-        returns = found.returns.tolist()
-        independent = returns if drawn or env.spec.is_random else [found.mean_return]
-        return cls(name, env.spec.id, returns, independent, level)
+        designs = int(found.design_index.max()) + 1
+        blocks = found.returns.view(designs, len(parts), -1).transpose(0, 1).flatten(1)
+        rows = []
+        for part, returns in zip(parts, blocks.tolist(), strict=True):
+            differ = drawn or part != NOMINAL or env.spec.is_random
+            independent = returns if differ else [sum(returns) / len(returns)]
+            rows.append(cls(name, env.spec.id, returns, independent, level, part))
+        return rows
 
     @property
     def interval(self) -> Interval:
@@ -41,6 +59,11 @@ class EvaluatedPolicy:
     def mean(self) -> float:
         """The mean return."""
         return self.interval.mean
+
+    @property
+    def low_tenth(self) -> float:
+        """The 10 % quantile of the returns."""
+        return float(np.quantile(self.independent, 0.1))
 
 
 @dataclass(frozen=True)
@@ -56,10 +79,12 @@ class PolicyTable(Sequence):
         return len(self.rows)
 
     def _cells(self) -> Iterator[tuple[str, ...]]:
-        yield "policy", "task", "mean return", f"{100 * self.rows[0].level:g} % interval", "episodes"
+        percent = f"{100 * self.rows[0].level:g} % interval"
+        yield "policy", "task", "episodes", "mean return", percent, "10 % quantile", "n"
         for row in self.rows:
             low, high, n = row.interval.low, row.interval.high, row.interval.n
-            yield row.name, row.task, f"{row.mean:.3f}", f"{low:.3f} to {high:.3f}" if n > 1 else "-", str(n)
+            interval = f"{low:.3f} to {high:.3f}" if n > 1 else "-"
+            yield row.name, row.task, row.disturbance, f"{row.mean:.3f}", interval, f"{row.low_tenth:.3f}", str(n)
 
     def _repr_html_(self) -> str:
         lines = ("".join(f"<td>{escape(cell)}</td>" for cell in line) for line in self._cells())
@@ -71,12 +96,13 @@ class PolicyTable(Sequence):
         return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in cells)
 
 
-def evaluate_run(run: Run, config: Any, designs: Any = None, level: float = 0.95) -> EvaluatedPolicy:
-    """One episode in each environment of a run.
+def evaluate_run(run: Run, config: Any, designs: Any = None, level: float = 0.95) -> list[EvaluatedPolicy]:
+    """One episode in each environment of a run: a row of each disturbance of the protocol.
 
     Args:
         config, designs: see :func:`warpvox.algos.training.loading.load_run`.
         level: of the interval.
     """
     env, policy = load_run(run, config, designs, every=True)
-    return EvaluatedPolicy.of(str(run.folder), env, policy, level, config.stochastic or run.is_many)
+    parts = policy.parts if isinstance(policy, Disturbed) else (NOMINAL,)
+    return EvaluatedPolicy.each(str(run.folder), env, policy, level, parts, config.stochastic or run.is_many)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from warpvox.algos.physics import PRESETS, PhysicsConfig
+from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.settings import LOGGERS, REFRESH, Ppo
 from warpvox.errors import ConfigError
 from warpvox.examples import AUTO, example_for
@@ -97,7 +98,13 @@ class Training:
     num_envs: int = key(512, "environments stepped in parallel", low=1)
     max_iterations: int = key(400, "training iterations in total, including those before a resume", low=1)
     eval_interval: int = key(10, "iterations between deterministic evaluations", low=1)
-    eval_envs: int = key(1, "evaluation environments for each design", low=1)
+    eval_envs: int | None = key(None, "evaluation episodes for each design; null: 1, with fitness=robust 8", low=1)
+    fitness: str = key(
+        NOMINAL,
+        "episodes by which the best policy is chosen: undisturbed (nominal), or several with noise on the actions,"
+        " whose mean counts (robust)",
+        choices=FITNESS,
+    )
     stop_return: float | None = key(None, "stop as soon as an evaluation reaches this return; null: never")
     save_interval: int = key(50, "iterations between checkpoints", low=1)
     seed: int = key(0, "seed of all random numbers", low=0)

@@ -40,9 +40,9 @@ def find_sources(texts: Sequence[str]) -> list[Path]:
 
 
 def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[Robot, float | None, Path | None]:
-    """Evaluate the best robot of ``source`` in exact arithmetic; write its entry if its return is the higher one.
+    """Evaluate the best robot of ``source`` in exact arithmetic; write its entry if its mean under noise is higher.
 
-    Returns the robot, the return of the entry that was there before, if any, and the file, if it was written.
+    Returns the robot, the return under noise of the entry that was there before, if any, and the file if written.
 
     Args:
         source: as for :func:`robots_of`.
@@ -56,12 +56,13 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[
     robots = [dataclasses.replace(robot, task=allowed("task", robot.task, task, home)) for robot in robots]
     command = command_of("codesign" if "search" in robots[0].about["config"] else "train", robots[0].about["config"])
     best = max(
-        (recorded(robot, {**robot.about, "command": command}) for robot in robots), key=lambda robot: robot.mean_return
+        (recorded(robot, {**robot.about, "command": command}) for robot in robots),
+        key=lambda robot: robot.robust_return,
     )
     best = dataclasses.replace(best, task=get_task(best.task).id)
     path = folder / f"{as_name(best.task)}.npz"
-    before = read_robot(path).mean_return if path.is_file() else None
-    if before is not None and best.mean_return <= before:
+    before = read_robot(path).robust_return if path.is_file() else None
+    if before is not None and best.robust_return <= before:
         return best, before, None
     return best, before, save_robot(path, best)
 

@@ -49,8 +49,9 @@ class Robot:
         connections: EvoGym's index pairs, int32 ``[2, k]``.
         policy: observations, those of :attr:`obs`, to actions; None: a body alone.
         about: of an entry of the zoo ``return`` (mean over ``returns``), ``returns``, ``lengths``, ``seeds`` (one an
-            episode), ``control_steps`` and ``wall_s`` (of the search or training that it comes from), ``command``,
-            ``config``, ``date``, ``version``, ``commit``; of one from elsewhere at least ``return``.
+            episode), ``noise`` (``return`` and ``returns`` of 32 episodes under noise), ``control_steps`` and
+            ``wall_s`` (of the search or training that it comes from), ``command``, ``config``, ``date``, ``version``,
+            ``commit``; of one from elsewhere at least ``return``.
         sha256: of all arrays.
     """
 
@@ -74,6 +75,11 @@ class Robot:
         """The recorded return; NaN: none is known."""
         value = self.about.get("return")
         return float("nan") if value is None else float(value)
+
+    @property
+    def robust_return(self) -> float:
+        """The recorded mean return under noise, by which the zoo ranks; NaN: none is known."""
+        return float(self.about.get("noise", {}).get("return", "nan"))
 
     @property
     def obs(self) -> str:

@@ -7,11 +7,18 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from typing import Any, cast
 
+from warpvox.algos.disturbance import Disturbed
+from warpvox.algos.evaluate import evaluate
+from warpvox.algos.protocols import ROBUST, parts_of
 from warpvox.envs.adapters.gym import VoxelEnv
 from warpvox.envs.registry import get_task
 from warpvox.errors import RunError
 from warpvox.robots.entry import DIGITS, Robot
-from warpvox.robots.replay import SEEDS, check_sizes
+from warpvox.robots.gait import Gait
+from warpvox.robots.replay import SEEDS, check_sizes, robot_env
+
+EPISODES = 32
+"""Disturbed episodes of a robot."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +55,23 @@ def judge(robot: Robot, seeds: Sequence[int] | None = None) -> Judgement:
     return Judgement(list(returns), list(lengths), seeds)
 
 
+def judge_robust(robot: Robot, protocol: str = ROBUST, episodes: int = EPISODES) -> dict[str, list[float]]:
+    """Returns of ``robot`` in disturbed episodes in exact arithmetic: ``episodes`` of each disturbance.
+
+    Those of :data:`warpvox.algos.protocols.PROTOCOLS`, side by side; :func:`judge` gives the nominal ones.
+
+    Raises:
+        RunError: a policy for other environments. ConfigError: no disturbance of ``protocol`` concerns its policy.
+    """
+    parts = parts_of(protocol, feedback=not isinstance(robot.policy, Gait))
+    env = robot_env(robot, [SEEDS[0] + number for number in range(episodes)] * len(parts))
+    found = evaluate(env, Disturbed(cast(Any, robot.policy), env, parts, SEEDS[0])).returns
+    return {
+        part: [round(value, DIGITS) for value in row.tolist()]
+        for part, row in zip(parts, found.view(len(parts), -1), strict=True)
+    }
+
+
 def _episode(env: VoxelEnv, robot: Robot, seed: int) -> tuple[float, int]:
     """Return and control steps."""
     obs, _ = env.reset(seed=seed)
@@ -60,8 +84,10 @@ def _episode(env: VoxelEnv, robot: Robot, seed: int) -> tuple[float, int]:
 
 
 def recorded(robot: Robot, about: dict[str, Any]) -> Robot:
-    """``robot`` with its returns and ``about`` as an entry of the zoo states them."""
+    """``robot`` with its returns, nominal and under noise, and ``about`` as an entry of the zoo states them."""
     result = judge(robot)
     found = {"return": result.mean_return, "returns": result.returns, "lengths": result.lengths, "seeds": result.seeds}
+    noisy = judge_robust(robot, "noise")["noise"]
+    found["noise"] = {"return": round(sum(noisy) / len(noisy), DIGITS), "returns": noisy}
     date = datetime.now(timezone.utc).strftime("%Y-%m-%d")
     return replace(robot, about=found | about | {"date": date})

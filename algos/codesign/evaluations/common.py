@@ -42,7 +42,7 @@ class CommonPolicy(Screened):
     network: Any = key(None, "settings of this network, {width:32} for instance; null: its defaults")
     envs: int = key(16, "training environments for each design", low=1)
     iterations: int = key(10, "training iterations on the designs of each generation", low=0)
-    eval_envs: int = key(1, "evaluation environments for each design", low=1)
+    eval_envs: int | None = key(None, "evaluation episodes for each design; null: 1, with fitness=robust 8", low=1)
     save_interval: int = key(10, "iterations between checkpoints of this training", low=1)
     ppo: Any = key(None, "settings of PPO that differ from training.ppo: {epochs:4,schedule:adaptive}")
 
@@ -90,7 +90,7 @@ class CommonPolicy(Screened):
         """The first is about as many."""
         each = (self.ppo or {}).get("steps", search.training.ppo.steps) * self.iterations * self.envs
         last = self.finalists * steps_of_training(search.training, self.finalists)
-        return each + self.eval_envs * task.max_episode_steps, last
+        return each + search.factory().episodes(self.eval_envs) * task.max_episode_steps, last
 
     def workloads(self, search: Codesign) -> list[Workload]:
         population, ppo = search.search.population, self.ppo_of(search)
@@ -105,7 +105,7 @@ class CommonPolicy(Screened):
             **{name: getattr(self, name) for name in ("policy", "network", "ppo", "eval_envs")},
             "num_envs": self.envs,
             **dict.fromkeys(("max_iterations", "eval_interval"), max(1, self.iterations)),
-            "lanes": search.factory().shared_lanes(self.eval_envs),
+            "lanes": search.factory().shared_lanes(search.factory().episodes(self.eval_envs)),
             "designs": {"bodies": bodies, "refresh": "none", "held_out": bodies},
         }
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.evaluations.base import Workload, steps_of_training
 from warpvox.algos.codesign.evaluations.specialist import Screened
+from warpvox.algos.protocols import episodes_of
 from warpvox.algos.settings import MLP
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec
     from warpvox.robots.entry import Robot
 
-EPISODES = 4
-"""Of a gait in tasks that draw at random, or the best of many returns would be a lucky one."""
+DRAWN = 4
+"""Episodes of a gait in tasks that draw at random, or the best of many returns would be a lucky one."""
 
 
 @dataclass
@@ -38,6 +39,9 @@ class Gaits(Screened):
     beam: int = key(32, "motions that a design tries in each stage of a beam search", low=1)
     stage_steps: int = key(
         20, "control steps of a stage in the first beam search; others have longer and shorter ones", low=1
+    )
+    episodes: int | None = key(
+        None, "episodes of each gait; null: 1, 4 in tasks that draw at random, with fitness=robust 8", low=1
     )
     final_rounds: int = key(40, "number of rounds for finalists, before their training", low=0)
     final_gaits: int | None = key(None, "gaits that a finalist tries in a round; null: as many as the others", low=1)
@@ -69,7 +73,7 @@ class Gaits(Screened):
         return True
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float]:
-        steps = _episodes(search) * task.max_episode_steps
+        steps = self._episodes(search) * task.max_episode_steps
         first = self.passes * self.beam + self.rounds * self.gaits
         last = self.final_passes * self.final_beam + self.final_rounds * self._final_gaits
         return first * steps, self.finalists * (last * steps + steps_of_training(search.training, self.finalists))
@@ -82,8 +86,14 @@ class Gaits(Screened):
         for designs, keys in ((search.search.population, first), (self.finalists, last)):
             name = max(keys, key=keys.__getitem__)
             together = min(search.batch or designs, designs)
-            found.append(Workload(together, keys[name] * _episodes(search), name, keys[name]))
+            found.append(Workload(together, keys[name] * self._episodes(search), name, keys[name]))
         return found
+
+    def _episodes(self, search: Codesign) -> int:
+        """Of each gait."""
+        from warpvox.envs.registry import get_task
+
+        return episodes_of(self.episodes, search.fitness, DRAWN if get_task(search.task).is_random else 1)
 
     @property
     def _final_gaits(self) -> int:
@@ -93,7 +103,7 @@ class Gaits(Screened):
         from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 
         own = {name: getattr(self, name) for name in ("rounds", "stages", "passes", "beam", "stage_steps")}
-        fixed = {"seed": search.seed, "episodes": _episodes(search), "known": known}
+        fixed = {"seed": search.seed, "episodes": self._episodes(search), "known": known, "fitness": search.fitness}
         return GaitEvaluator(search.factory(), count=self.gaits, **fixed, **own)
 
     def final(self, search: Codesign, known: Any) -> DesignEvaluator:
@@ -109,11 +119,5 @@ class Gaits(Screened):
         if not (outcome.spec and outcome.spec.get("gait")):
             return {}
         count = self._final_gaits if candidate.origin == FINALIST else self.gaits
-        lanes = search.factory().shared_lanes(count * _episodes(search))
-        return {"policy": MLP, "network": None, "obs": "timed", "lanes": lanes, "eval_envs": _episodes(search)}
-
-
-def _episodes(search: Codesign) -> int:
-    from warpvox.envs.registry import get_task
-
-    return EPISODES if get_task(search.task).is_random else 1
+        lanes = search.factory().shared_lanes(count * self._episodes(search))
+        return {"policy": MLP, "network": None, "obs": "timed", "lanes": lanes, "eval_envs": self._episodes(search)}

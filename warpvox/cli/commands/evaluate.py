@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
+from warpvox.algos.protocols import NOMINAL, PROTOCOLS
 from warpvox.algos.report.learning_curves import Group
 from warpvox.algos.statistics import Interval, difference, mean_interval
 from warpvox.cli.application import run_command
@@ -37,10 +38,15 @@ SEVERAL = "several"
 
 @dataclass(frozen=True)
 class Judged:
-    """Runs with the same settings, and what each has got."""
+    """Runs with the same settings, and what each has got in episodes of one disturbance."""
 
     group: Group
     rows: list[EvaluatedPolicy]
+
+    @property
+    def disturbance(self) -> str:
+        """That of the episodes."""
+        return self.rows[0].disturbance
 
     @property
     def over(self) -> str:
@@ -73,12 +79,18 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
     for number, each_run in enumerate(found):
         with console.status(f"evaluating run {number + 1} of {len(found)}"):
             rows[id(each_run)] = _evaluate(each_run, config)
-    judged = [Judged(group, [rows[id(each_run)] for each_run in group.runs]) for group in group_runs(found)]
+    judged = []
+    for group in group_runs(found):
+        of_runs = [rows[id(each_run)] for each_run in group.runs]
+        for part in PROTOCOLS[config.protocol]:
+            same = [[row for row in one if row.disturbance == part] for one in of_runs]
+            if all(same):
+                judged.append(Judged(group, [row for one in same for row in one]))
     tasks = {str(each_run.config["task"]) for each_run in found}
     place = as_name(tasks.pop()) if len(tasks) == 1 else SEVERAL
     with new_folder(config.output_dir, "evaluate", place, config.name, to_yaml(config)) as folder:
         _print(judged, config, console)
-        _say_alike(list(rows.values()), config, console)
+        _say_alike([row for one in rows.values() for row in one], config, console)
         _write(folder, judged, config)
     for name in ("runs.csv", "groups.csv", "comparisons.csv", "summary.json"):
         if (folder / name).is_file():
@@ -86,14 +98,14 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
     return folder
 
 
-def _evaluate(found: Run, config: EvaluateConfig) -> EvaluatedPolicy:
+def _evaluate(found: Run, config: EvaluateConfig) -> list[EvaluatedPolicy]:
     """One episode in each of ``config.episodes`` environments."""
     from warpvox.algos.training.loading import Playing
     from warpvox.algos.training.policy_table import evaluate_run
     from warpvox.cli.process import prepare
 
     prepare(config.torch_threads, config.seed)
-    names = ("checkpoint", "stochastic", "seed", "device", "dtype", "arithmetic", "threads")
+    names = ("checkpoint", "stochastic", "protocol", "seed", "device", "dtype", "arithmetic", "threads")
     task = config.task if found.robot or is_code(found.config["task"]) else None
     policy = config.policy if is_code(found.config.get("policy")) else None
     same = {name: getattr(config, name) for name in names}
@@ -101,8 +113,12 @@ def _evaluate(found: Run, config: EvaluateConfig) -> EvaluatedPolicy:
 
 
 def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged, Interval]]:
-    """The difference of the mean returns of each two groups on one task, first less second, with Welch's interval."""
-    pairs = [pair for pair in combinations(judged, 2) if pair[0].rows[0].task == pair[1].rows[0].task]
+    """Differences of mean returns on one task under one disturbance, first less second, with Welch's interval."""
+    pairs = [
+        (first, second)
+        for first, second in combinations(judged, 2)
+        if (first.rows[0].task, first.disturbance) == (second.rows[0].task, second.disturbance)
+    ]
     return [(first, second, difference(first.values, second.values, level)) for first, second in pairs]
 
 
@@ -110,22 +126,28 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
     percent = f"{100 * config.level:g} %"
     kind = "sampled actions" if config.stochastic else "deterministic"
     title = f"mean return, {kind}, {config.episodes} episodes of each run"
-    table = _table(title, "settings", "run", "mean", f"{percent} interval", "n", "over")
+    table = _table(title, "settings", "run", "episodes", "mean", f"{percent} interval", "10 % quantile", "n", "over")
+    before = None
     for entry in judged:
+        label, before = "" if entry.group is before else entry.group.label, entry.group
         for each_run, row in zip(entry.group.runs, entry.rows, strict=True):
-            table.add_row(*map(literal, (entry.group.label, each_run.folder.name, *_cells(row.interval), "episodes")))
+            mean, interval, n = _cells(row.interval)
+            name = (label, each_run.folder.name, entry.disturbance)
+            table.add_row(*map(literal, (*name, mean, interval, f"{row.low_tenth:.3f}", n, "episodes")))
         if entry.over == "runs":
-            table.add_row(*map(literal, ("", "all", *_cells(mean_interval(entry.values, config.level)), "runs")))
+            mean, interval, n = _cells(mean_interval(entry.values, config.level))
+            table.add_row(*map(literal, ("", "all", entry.disturbance, mean, interval, "", n, "runs")))
         table.add_section()
     console.print(table)
     pairs = compare(judged, config.level)
     if pairs:
         title = f"differences of mean returns, Welch's {percent} interval"
-        table = _table(title, "first", "less second", "difference", f"{percent} interval", "n", "over")
+        table = _table(title, "first", "less second", "episodes", "difference", f"{percent} interval", "n", "over")
         for first, second, interval in pairs:
             over = first.over if first.over == second.over else f"{first.over} and {second.over}"
             sizes = f"{len(first.values)}, {len(second.values)}"
-            cells = (first.group.label, second.group.label, *_cells(interval)[:2], sizes, over)
+            names = (first.group.label, second.group.label, first.disturbance)
+            cells = (*names, *_cells(interval)[:2], sizes, over)
             table.add_row(*map(literal, cells))
         console.print(table)
     echo(
@@ -144,7 +166,7 @@ def _table(title: str, *headings: str) -> Table:
 
 def _say_alike(rows: list[EvaluatedPolicy], config: EvaluateConfig, console: Console) -> None:
     """Report runs whose episodes are all the same, so that more of them add no information."""
-    alike = [row for row in rows if len(row.independent) < len(row.returns)]
+    alike = [row for row in rows if len(row.independent) < len(row.returns)] if config.protocol == NOMINAL else []
     if alike:
         which = "all runs" if len(alike) == len(rows) else f"{len(alike)} of {len(rows)} runs"
         echo(
@@ -165,11 +187,17 @@ def _write(folder: Path, judged: list[Judged], config: EvaluateConfig) -> None:
     for entry in judged:
         for each_run, one in zip(entry.group.runs, entry.rows, strict=True):
             row = {"settings": entry.group.label, "run": str(each_run.folder), "seed": each_run.config.get("seed")}
-            runs.append(row | _row(one.interval) | {"returns": one.returns})
-        row = {"settings": entry.group.label, "over": entry.over}
+            row["episodes"] = entry.disturbance
+            runs.append(row | _row(one.interval) | {"quantile_10": one.low_tenth, "returns": one.returns})
+        row = {"settings": entry.group.label, "episodes": entry.disturbance, "over": entry.over}
         groups.append(row | _row(mean_interval(entry.values, config.level)))
     pairs = [
-        {"first": first.group.label, "second": second.group.label, "over": f"{first.over}, {second.over}"}
+        {
+            "first": first.group.label,
+            "second": second.group.label,
+            "episodes": first.disturbance,
+            "over": f"{first.over}, {second.over}",
+        }
         | _row(interval, "difference")
         for first, second, interval in compare(judged, config.level)
     ]
@@ -177,9 +205,16 @@ def _write(folder: Path, judged: list[Judged], config: EvaluateConfig) -> None:
         if table:
             columns = [column for column in table[0] if column != "returns"]
             write_table(folder / f"{name}.csv", columns, ([row[column] for column in columns] for row in table))
-    values = [value for entry in judged for one in entry.rows for value in one.returns]
+    first = [one for one in judged if one.disturbance == judged[0].disturbance]
+    values = [value for one in first for row in one.rows for value in row.returns]
     facts = {"command": "evaluate", "checkpoint": config.checkpoint, "stochastic": config.stochastic}
-    facts |= {"episodes": config.episodes, "seed": config.seed, "level": config.level, "interval": "Student t, Welch"}
+    facts |= {
+        "protocol": config.protocol,
+        "episodes": config.episodes,
+        "seed": config.seed,
+        "level": config.level,
+        "interval": "Student t, Welch",
+    }
     facts["mean_return"] = sum(values) / len(values)
     write_summary(folder, facts | {"runs": runs, "groups": groups, "comparisons": pairs})
 

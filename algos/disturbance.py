@@ -1,0 +1,129 @@
+"""Disturbed episodes: what a policy is worth when actions, beginnings and sensors are not quite as it expects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+import torch
+
+from warpvox.algos.protocols import DISTURBANCES, NOMINAL
+from warpvox.envs.random_stream import RandomStream
+from warpvox.envs.vec_env import VoxelVecEnv
+from warpvox.types import ACTION_HIGH, ACTION_LOW
+
+__all__ = ["JUDGED", "SEARCHED", "Disturbed", "Draws", "as_judged", "with_noise"]
+
+JUDGED, SEARCHED = 0x7E57, 0x5EED
+"""Streams of random numbers: no seed makes the disturbances of a search those of a judgement."""
+GRID = 2.0**20
+"""Normal numbers are multiples of its inverse, so that machines whose logarithms differ in a last bit agree."""
+BITS = 1 << 53
+"""Numbers that are drawn for one in [0, 1)."""
+NOISE, STICKY, START, SENSORS, LENGTH = range(5)
+"""Purposes of random numbers, a stream each."""
+STEPS = 1 << 20
+"""More control steps than an episode has."""
+
+
+class Draws:
+    """Random numbers of disturbed episodes, functions of the seed, the copy, the control step and the purpose.
+
+    Args:
+        seed: with the stream, :data:`JUDGED` or :data:`SEARCHED`.
+        copies: episodes with numbers of their own; whatever is compared meets the same ones.
+        device: of the numbers.
+    """
+
+    def __init__(self, seed: int, stream: int, copies: int, device: Any = "cpu") -> None:
+        self.stream = RandomStream(cast(Any, [(stream, seed)]), copies, device)
+
+    def uniform(self, purpose: int, step: int, count: int) -> torch.Tensor:
+        """float64 ``[copies, count]`` in [0, 1)."""
+        self.stream.episode.fill_(purpose * STEPS + step)
+        return self.stream.rewind().integers(0, BITS, count).double() / BITS
+
+    def normal(self, purpose: int, step: int, count: int) -> torch.Tensor:
+        """float64 ``[copies, count]``, standard normal (Box and Muller)."""
+        first, second = self.uniform(purpose, step, 2 * count).unflatten(1, (count, 2)).unbind(2)
+        values = torch.sqrt(-2.0 * torch.log(1.0 - first)) * torch.cos(2.0 * math.pi * second)
+        return torch.round(values * GRID) / GRID
+
+
+def with_noise(actions: torch.Tensor, draws: Draws, step: int, deviation: Any) -> torch.Tensor:
+    """Actions ``[n * copies, num_actions]`` with noise: row r has that of copy ``r % copies``.
+
+    Args:
+        deviation: of the noise, a number or ``[n * copies, 1]``.
+    """
+    noise = draws.normal(NOISE, step, actions.shape[1])
+    noise = noise.repeat(len(actions) // len(noise), 1)
+    return (actions + (deviation * noise).to(actions.dtype)).clamp(ACTION_LOW, ACTION_HIGH)
+
+
+class Disturbed:
+    """A policy in disturbed environments: for every design a block of episodes of each disturbance in turn.
+
+    Args:
+        policy: observations to actions, as :func:`warpvox.algos.evaluate.evaluate` takes it.
+        env: its environments, a multiple of designs times disturbances.
+        parts: names of the disturbances of the blocks.
+        seed, stream: see :class:`Draws`.
+    """
+
+    def __init__(
+        self,
+        policy: Callable[[Any], Any],
+        env: VoxelVecEnv,
+        parts: Sequence[str],
+        seed: int,
+        stream: int = JUDGED,
+    ) -> None:
+        designs = int(env.design_index.max()) + 1
+        copies = env.num_envs // (designs * len(parts))
+        self.policy, self.draws = policy, Draws(seed, stream, copies, env.device)
+        self.parts, self.kinds = tuple(parts), [DISTURBANCES[name] for name in parts for _ in range(copies)] * designs
+        column = lambda name: torch.tensor([[getattr(kind, name)] for kind in self.kinds], device=env.device)  # noqa: E731
+        self.noise, self.sticky, self.sensors = (column(name).double() for name in ("noise", "sticky", "sensors"))
+        most = column("start")
+        lengths = self._each(self.draws.uniform(LENGTH, 0, 1))
+        self.random_steps = torch.where(most > 0, 1 + (lengths * most).long(), 0)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin the episodes again."""
+        self.step, self.before = 0, None
+        if hasattr(self.policy, "reset"):
+            self.policy.reset()
+
+    def _each(self, numbers: torch.Tensor) -> torch.Tensor:
+        """The numbers of the copies, by environment."""
+        return numbers.repeat(len(self.kinds) // len(numbers), 1)
+
+    def __call__(self, obs: torch.Tensor) -> torch.Tensor:
+        """Actions ``[num_envs, num_actions]`` for observations ``[num_envs, num_obs]``."""
+        draws, step = self.draws, self.step
+        if bool((self.sensors > 0).any()):
+            noise = self._each(draws.normal(SENSORS, step, obs.shape[1]))
+            obs = obs + (self.sensors * noise).to(obs.dtype)
+        actions = torch.as_tensor(self.policy(obs), device=obs.device)
+        if bool((self.random_steps > step).any()):
+            uniform = self._each(draws.uniform(START, step, actions.shape[1]))
+            uniform = (ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * uniform).to(actions.dtype)
+            actions = torch.where(self.random_steps > step, uniform, actions)
+        if self.before is not None and bool((self.sticky > 0).any()):
+            repeats = self._each(draws.uniform(STICKY, step, 1)) < self.sticky
+            actions = torch.where(repeats, self.before, actions)
+        if bool((self.noise > 0).any()):
+            actions = torch.where(self.noise > 0, with_noise(actions, draws, step, self.noise), actions)
+        self.step, self.before = step + 1, actions
+        return actions
+
+
+def as_judged(policy: Any, env: VoxelVecEnv, seed: int | Sequence[int] | None, fitness: str) -> Any:
+    """A policy as a search or a training with this ``fitness`` judges it; ``seed``: of its episodes."""
+    if fitness == NOMINAL:
+        return policy
+    first = seed[0] if isinstance(seed, Sequence) else seed
+    return Disturbed(policy, env, ["noise"], first or 0, SEARCHED)

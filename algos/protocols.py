@@ -1,0 +1,62 @@
+"""Protocols of evaluation: the episodes by which a policy is judged, and those by which a search chooses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from warpvox.errors import ConfigError
+
+__all__ = [
+    "COPIES", "DISTURBANCES", "FITNESS", "NOMINAL", "PROTOCOLS", "ROBUST", "Disturbance", "episodes_of", "parts_of",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """A disturbance of episodes.
+
+    Attributes:
+        noise: deviation of normal noise on each action, in units of goal length (actions are 0.6 to 1.6).
+        sticky: probability that the actions of the control step before are repeated, all of them (Machado et al.
+            2018, section 5.2).
+        start: most control steps with uniform actions at the beginning, at least 1 of them; rewards count.
+        sensors: deviation of normal noise on each observation.
+    """
+
+    noise: float = 0.0
+    sticky: float = 0.0
+    start: int = 0
+    sensors: float = 0.0
+
+
+NOMINAL, ROBUST = "nominal", "robust"
+DISTURBANCES = {
+    NOMINAL: Disturbance(),
+    "noise": Disturbance(noise=0.01),
+    "sticky": Disturbance(sticky=0.25),
+    "start": Disturbance(start=10),
+    "sensors": Disturbance(sensors=0.01),
+}
+PROTOCOLS = {name: (name,) for name in DISTURBANCES} | {ROBUST: tuple(DISTURBANCES)}
+"""Disturbances that a protocol judges by."""
+FITNESS = (NOMINAL, ROBUST)
+"""Episodes that a search or a training chooses by: one undisturbed, or copies with noise on the actions."""
+COPIES = 8
+"""Disturbed episodes of a design, or of a gait, where no other number is given."""
+
+
+def parts_of(protocol: str, feedback: bool) -> tuple[str, ...]:
+    """The disturbances of a protocol that concern a policy, with feedback or without.
+
+    Raises:
+        ConfigError: none does.
+    """
+    found = tuple(name for name in PROTOCOLS[protocol] if feedback or name != "sensors")
+    if not found:
+        raise ConfigError("protocol=sensors needs a policy with feedback; an open-loop gait observes the time alone.")
+    return found
+
+
+def episodes_of(given: int | None, fitness: str, nominal: int = 1) -> int:
+    """Episodes that a design is judged by: as many as given, or as ``fitness`` needs."""
+    return given or (COPIES if fitness == ROBUST else nominal)

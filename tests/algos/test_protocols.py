@@ -1,0 +1,134 @@
+"""Disturbed episodes: their numbers, what they change, and that searches choose by what a judgement could repeat."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from population_cases import candidates, factory
+
+import warpvox as wv
+from warpvox.algos.candidate import candidate_seed
+from warpvox.algos.checkpoints.files import Controller, build_actor, load_controller, spec_of
+from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
+from warpvox.algos.disturbance import JUDGED, NOISE, SEARCHED, Disturbed, Draws
+from warpvox.algos.evaluate import evaluator
+from warpvox.algos.protocols import COPIES, DISTURBANCES, PROTOCOLS
+from warpvox.errors import ConfigError
+from warpvox.robots.returns import judge_robust
+from warpvox.types import ACTION_HIGH, ACTION_LOW
+
+COUNT = 500
+
+
+def test_numbers_are_normal_and_uniform() -> None:
+    draws = Draws(3, JUDGED, COUNT)
+    normal, uniform = draws.normal(NOISE, 7, 20).flatten(), draws.uniform(NOISE, 7, 20).flatten()
+    for values, mean, deviation in (normal, 0.0, 1.0), (uniform, 0.5, 12**-0.5):
+        assert float(values.mean()) == pytest.approx(mean, abs=4 * deviation / len(values) ** 0.5)
+        assert float(values.std()) == pytest.approx(deviation, rel=0.04)
+    assert float((normal.abs() > 1.96).double().mean()) == pytest.approx(0.05, abs=0.01)
+
+
+def test_numbers_depend_on_copy_step_seed_and_stream_alone() -> None:
+    first = Draws(3, JUDGED, 4).normal(NOISE, 7, 5)
+    assert torch.equal(Draws(3, JUDGED, 9).normal(NOISE, 7, 8)[:4, :5], first)  # not on how many there are
+    others = [Draws(4, JUDGED, 4), Draws(3, SEARCHED, 4), Draws(3, JUDGED, 4)]
+    for step, draws in zip((7, 7, 8), others, strict=True):
+        assert not torch.isin(draws.normal(NOISE, step, 5), first).any()
+
+
+def played(parts: tuple[str, ...], copies: int) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+    """Observations that a policy is given, and actions ``[parts, copies, num_actions]`` that follow."""
+    env = wv.make_vec("Walker-v0", "mini", len(parts) * copies, device="cpu", auto_reset=False)
+    seen, done = [], []
+
+    def policy(obs: torch.Tensor) -> torch.Tensor:
+        seen.append(obs.view(len(parts), copies, -1))
+        return torch.full((env.num_envs, env.num_actions), 1.0 + 0.01 * len(seen))
+
+    disturbed = Disturbed(policy, env, parts, seed=0)
+    obs, _ = env.reset()
+    for _ in range(25):
+        actions = disturbed(obs)
+        done.append(actions.view(len(parts), copies, -1))
+        obs, *_ = env.step(actions)
+    return seen, done
+
+
+def test_each_block_is_disturbed_in_its_way() -> None:
+    names = tuple(DISTURBANCES)
+    seen, done = played(names, 40)
+    actions, obs = torch.stack(done), torch.stack(seen)
+    given = 1.0 + 0.01 * torch.arange(1, 26)[:, None, None]
+    nominal, noise, sticky, start, sensors = (actions[:, names.index(name)] for name in names)
+    assert torch.equal(nominal, given.expand_as(nominal))
+    assert torch.equal(sensors, given.expand_as(sensors))
+    assert float((noise - given).std()) == pytest.approx(0.01, rel=0.05)
+    repeats = (sticky[1:] == sticky[:-1]).all(2)
+    assert torch.equal(repeats, (sticky[1:] == sticky[:-1]).any(2))  # all actuators together
+    assert float(repeats.double().mean()) == pytest.approx(0.25, abs=0.05)
+    lengths = (start != given).any(2).sum(0)
+    assert set(lengths.tolist()) <= set(range(1, 11))
+    assert len(set(lengths.tolist())) > 5
+    drawn = start[:1]
+    assert ACTION_LOW <= float(drawn.min()) < 0.7
+    assert 1.5 < float(drawn.max()) <= ACTION_HIGH
+    differences = obs[0, names.index("sensors")] - obs[0, 0]
+    assert float(differences.std()) == pytest.approx(0.01, rel=0.1)
+    assert torch.equal(obs[0, 1], obs[0, 0])
+
+
+def test_the_nominal_rows_of_all_protocols_are_the_same() -> None:
+    (nominal,) = wv.evaluate("zoo:BridgeWalker-v0", episodes=2)
+    rows = wv.evaluate("zoo:BridgeWalker-v0", episodes=2, protocol="robust")
+    assert [row.disturbance for row in rows] == list(PROTOCOLS["robust"])
+    assert set(rows[0].returns) == {nominal.mean}
+    assert all(np.ptp(row.returns) > 0 for row in rows[1:])
+    (noise,) = wv.evaluate("zoo:BridgeWalker-v0", episodes=2, protocol="noise")
+    assert noise.returns == rows[1].returns
+    assert "noise" in repr(rows)
+    assert "10 % quantile" in repr(rows)
+
+
+def test_a_gait_has_no_sensors() -> None:
+    rows = wv.evaluate("zoo:Walker-v0", episodes=2, protocol="robust")
+    assert [row.disturbance for row in rows] == ["nominal", "noise", "sticky", "start"]
+    with pytest.raises(ConfigError, match="policy with feedback"):
+        wv.evaluate("zoo:Walker-v0", protocol="sensors")
+    with pytest.raises(ConfigError, match="Did you mean 'sticky'"):
+        wv.evaluate("zoo:Walker-v0", protocol="stiky")
+
+
+@pytest.mark.usefixtures("narrow_packs")
+def test_a_robust_gait_is_worth_what_its_policy_gets_in_the_same_copies() -> None:
+    (candidate,) = candidates(1)
+    how = GaitEvaluator(factory(), 4, passes=1, beam=4, rounds=1, episodes=COPIES, fitness="robust")
+    (outcome,) = how.evaluate([candidate], {})
+    spec = spec_of(outcome.spec)
+    actor = build_actor(spec)
+    actor.load_state_dict(outcome.policy)
+    where = dataclasses.replace(factory(), obs="timed").computed(lanes=8)
+    env = where.make([candidate.body], COPIES, [candidate_seed(0, 0)], auto_reset=False)
+    found = evaluator(env, 0, "robust")(Controller(actor, spec))
+    assert outcome.fitness == pytest.approx(found.mean_return, abs=1e-5)
+    assert np.ptp(found.returns.numpy()) > 0
+
+
+def test_a_training_chooses_by_disturbed_copies(tmp_path: Path) -> None:
+    small = {"design": "mini", "num_envs": 8, "max_iterations": 2, "eval_interval": 1, "device": "cpu"}
+    run = wv.train(fitness="robust", folder=tmp_path / "run", progress=False, **small)
+    env = wv.make_vec("Walker-v0", "mini", COPIES, seed=0, device="cpu", auto_reset=False)
+    policy = load_controller(run.folder / "model_best.pt")
+    assert run.best_return == evaluator(env, 0, "robust")(policy).mean_return
+    assert run.best_return != evaluator(env, 0)(policy).mean_return
+
+
+@pytest.mark.parametrize("task", ["Walker-v0", "Balancer-v0"])
+def test_a_robot_gets_the_recorded_returns_under_noise(task: str) -> None:
+    about = wv.zoo(task).about["noise"]
+    assert judge_robust(wv.zoo(task), "noise")["noise"] == about["returns"]
+    assert about["return"] == pytest.approx(np.mean(about["returns"]))
