@@ -42,7 +42,7 @@ PROTOCOLS = {name: (name,) for name in DISTURBANCES} | {ROBUST: tuple(DISTURBANC
 FITNESS = (NOMINAL, ROBUST)
 """Episodes that a search or a training chooses by: one undisturbed, or copies with noise on the actions."""
 COPIES = 8
-"""Disturbed episodes of a design, or of a gait, where no other number is given."""
+"""Disturbed episodes of a trained policy where no other number is given."""
 
 
 def parts_of(protocol: str, feedback: bool) -> tuple[str, ...]:
@@ -57,6 +57,6 @@ def parts_of(protocol: str, feedback: bool) -> tuple[str, ...]:
     return found
 
 
-def episodes_of(given: int | None, fitness: str, nominal: int = 1) -> int:
-    """Episodes that a design is judged by: as many as given, or as ``fitness`` needs."""
-    return given or (COPIES if fitness == ROBUST else nominal)
+def episodes_of(given: int | None, fitness: str) -> int:
+    """Episodes that a policy is judged by: as many as given, or as ``fitness`` needs."""
+    return given or (COPIES if fitness == ROBUST else 1)

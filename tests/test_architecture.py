@@ -153,9 +153,7 @@ def test_docstrings_begin_with_a_noun_or_a_verb() -> None:
         f"{place(path, node.body[0].lineno)} begins with {text.split()[0]}"
         for name, path in SOURCES.items()
         for node in ast.walk(parse(path))
-        if isinstance(node, documented)
-        and "codesign.gait_" not in name
-        and (text := ast.get_docstring(node) or "").startswith(("Of ", "What "))
+        if isinstance(node, documented) and (text := ast.get_docstring(node) or "").startswith(("Of ", "What "))
     ]
     assert not wrong, "\n".join(wrong)
 

@@ -150,7 +150,7 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
 
 
 def _matches(text: str) -> list[Path] | None:
-    """What lies where a pattern says, or what a sweep has made, by its folder or table; None: ``text`` is a name."""
+    """Paths that match a pattern, or that a sweep, named by its folder or table, has made; None: ``text`` is a name."""
     pattern = os.path.expanduser(text)
     sweep = Path(pattern.removesuffix(".csv"))
     if sweep.name.startswith("sweep_") and sweep.is_dir():  # where a run says that it is, seen from the sweep

@@ -98,8 +98,10 @@ class Beam:
 
 @dataclass(frozen=True)
 class _Beginning:
-    """Of an episode: the place that it was played in, its motions, and whether they are those of the best known gait,
-    which is continued whatever its value."""
+    """The beginning of an episode: where it was played, its motions, and whether they are those of the best known gait.
+
+    The latter is continued whatever its value.
+    """
 
     place: int = 0
     begun: Begun = ()
@@ -127,7 +129,7 @@ class _Search:
         self._gaits: list[Gait] = []
 
     def continued(self, first: int, last: int) -> list[Gait]:
-        """What is tried from control step ``first`` to ``last``, which is not among them."""
+        """Motions to be tried from control step ``first`` to ``last``, which is not among them."""
         if not self.beginnings:  # environments that have ended stay as they are
             self.sources = list(range(self.count))
             return self._gaits

@@ -49,7 +49,7 @@ class Playing:
 
 
 def own_code(settings: Any) -> dict[str, Any]:
-    """What the user has named in ``settings`` of a run, for :class:`Playing`: task and policy of their own."""
+    """Task and policy that the user has named in ``settings`` of a run, for :class:`Playing`."""
     policies = settings.policy, getattr(getattr(settings, "evaluation", None), "policy", None)
     task = settings.task if is_code(settings.task) or isinstance(settings.task, TaskSpec) else None
     return {"task": task, "policy": next(filter(is_code, policies), None)}

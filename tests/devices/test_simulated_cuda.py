@@ -308,7 +308,7 @@ def test_designs_that_are_trained_one_by_one_are_evaluated_on_the_cpu(cuda: Simu
     made: list[str] = []
     judge = sequential_evaluator.evaluator
     monkeypatch.setattr(
-        sequential_evaluator, "evaluator", lambda env, seed: made.append(env.device) or judge(env, seed)
+        sequential_evaluator, "evaluator", lambda env, *how: made.append(env.device) or judge(env, *how)
     )
     settings = training_preset("fast", {"steps": 2}, envs=8, iterations=1, eval_interval=1)
     factory = EnvFactory("Walker-v0", max_episode_steps=3, sim=SimOptions("cuda:0", threads=1))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.evaluations.base import Workload, steps_of_training
 from warpvox.algos.codesign.evaluations.specialist import Screened
-from warpvox.algos.protocols import episodes_of
+from warpvox.algos.protocols import ROBUST
 from warpvox.algos.settings import MLP
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec
     from warpvox.robots.entry import Robot
 
-DRAWN = 4
-"""Episodes of a gait in tasks that draw at random, or the best of many returns would be a lucky one."""
+COPIES = 4
+"""Episodes of a gait where they differ: in tasks that draw at random, and with noise on the actions."""
 
 
 @dataclass
@@ -41,7 +41,7 @@ class Gaits(Screened):
         20, "control steps of a stage in the first beam search; others have longer and shorter ones", low=1
     )
     episodes: int | None = key(
-        None, "episodes of each gait; null: 1, 4 in tasks that draw at random, with fitness=robust 8", low=1
+        None, "episodes of each gait; null: 1; with fitness=robust and in tasks that draw at random 4", low=1
     )
     final_rounds: int = key(40, "number of rounds for finalists, before their training", low=0)
     final_gaits: int | None = key(None, "gaits that a finalist tries in a round; null: as many as the others", low=1)
@@ -90,10 +90,10 @@ class Gaits(Screened):
         return found
 
     def _episodes(self, search: Codesign) -> int:
-        """Of each gait."""
+        """Number of episodes of each gait."""
         from warpvox.envs.registry import get_task
 
-        return episodes_of(self.episodes, search.fitness, DRAWN if get_task(search.task).is_random else 1)
+        return self.episodes or (COPIES if search.fitness == ROBUST or get_task(search.task).is_random else 1)
 
     @property
     def _final_gaits(self) -> int:

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 
-from warpvox.algos.protocols import NOMINAL, PROTOCOLS
-from warpvox.algos.report.learning_curves import Group
-from warpvox.algos.statistics import Interval, difference, mean_interval
+from warpvox.algos.protocols import NOMINAL
+from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
 from warpvox.cli.run_groups import group_runs
@@ -27,36 +23,12 @@ from warpvox.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
 from warpvox.trust import STORED
 
 if TYPE_CHECKING:
+    from warpvox.algos.training.judged import Judged
     from warpvox.algos.training.policy_table import EvaluatedPolicy
-
-__all__ = ["Judged", "compare", "evaluate_runs", "run"]
 
 LATEST = "latest"
 SEVERAL = "several"
 """Name of the folder where the runs are of more than one task."""
-
-
-@dataclass(frozen=True)
-class Judged:
-    """Runs with the same settings, and what each has got in episodes of one disturbance."""
-
-    group: Group
-    rows: list[EvaluatedPolicy]
-
-    @property
-    def disturbance(self) -> str:
-        """That of the episodes."""
-        return self.rows[0].disturbance
-
-    @property
-    def over(self) -> str:
-        """Sample of an interval: runs where there are several, else the episodes of the only one."""
-        return "runs" if len(self.rows) > 1 else "episodes"
-
-    @property
-    def values(self) -> list[float]:
-        """Independent values: the mean return of each run, or the returns of the only one."""
-        return [row.mean for row in self.rows] if len(self.rows) > 1 else self.rows[0].independent
 
 
 def run(words: list[str]) -> None:
@@ -70,6 +42,8 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
     Raises:
         WarpvoxError: a run that does not exist or cannot be evaluated as asked; nothing is written then.
     """
+    from warpvox.algos.training.judged import judged_groups
+
     if config.task is not None and not (config.task == STORED or isinstance(config.task, Code)):
         raise ConfigError("task names the code of runs of your own tasks (stored, FILE.py:NAME); a run knows its task.")
     robots = [f"{ZOO}{name}" for name in config.zoo]
@@ -79,13 +53,7 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
     for number, each_run in enumerate(found):
         with console.status(f"evaluating run {number + 1} of {len(found)}"):
             rows[id(each_run)] = _evaluate(each_run, config)
-    judged = []
-    for group in group_runs(found):
-        of_runs = [rows[id(each_run)] for each_run in group.runs]
-        for part in PROTOCOLS[config.protocol]:
-            same = [[row for row in one if row.disturbance == part] for one in of_runs]
-            if all(same):
-                judged.append(Judged(group, [row for one in same for row in one]))
+    judged = judged_groups(group_runs(found), lambda each_run: rows[id(each_run)])
     tasks = {str(each_run.config["task"]) for each_run in found}
     place = as_name(tasks.pop()) if len(tasks) == 1 else SEVERAL
     with new_folder(config.output_dir, "evaluate", place, config.name, to_yaml(config)) as folder:
@@ -112,16 +80,6 @@ def _evaluate(found: Run, config: EvaluateConfig) -> list[EvaluatedPolicy]:
     return evaluate_run(found, Playing(config.episodes, task=task, policy=policy, **same), config.designs, config.level)
 
 
-def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged, Interval]]:
-    """Differences of mean returns on one task under one disturbance, first less second, with Welch's interval."""
-    pairs = [
-        (first, second)
-        for first, second in combinations(judged, 2)
-        if (first.rows[0].task, first.disturbance) == (second.rows[0].task, second.disturbance)
-    ]
-    return [(first, second, difference(first.values, second.values, level)) for first, second in pairs]
-
-
 def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> None:
     percent = f"{100 * config.level:g} %"
     kind = "sampled actions" if config.stochastic else "deterministic"
@@ -139,6 +97,8 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
             table.add_row(*map(literal, ("", "all", entry.disturbance, mean, interval, "", n, "runs")))
         table.add_section()
     console.print(table)
+    from warpvox.algos.training.judged import compare
+
     pairs = compare(judged, config.level)
     if pairs:
         title = f"differences of mean returns, Welch's {percent} interval"
@@ -183,42 +143,15 @@ def _cells(interval: Interval) -> tuple[str, str, str]:
 
 def _write(folder: Path, judged: list[Judged], config: EvaluateConfig) -> None:
     """The tables as CSV, and everything in ``summary.json``."""
-    runs, groups = [], []
-    for entry in judged:
-        for each_run, one in zip(entry.group.runs, entry.rows, strict=True):
-            row = {"settings": entry.group.label, "run": str(each_run.folder), "seed": each_run.config.get("seed")}
-            row["episodes"] = entry.disturbance
-            runs.append(row | _row(one.interval) | {"quantile_10": one.low_tenth, "returns": one.returns})
-        row = {"settings": entry.group.label, "episodes": entry.disturbance, "over": entry.over}
-        groups.append(row | _row(mean_interval(entry.values, config.level)))
-    pairs = [
-        {
-            "first": first.group.label,
-            "second": second.group.label,
-            "episodes": first.disturbance,
-            "over": f"{first.over}, {second.over}",
-        }
-        | _row(interval, "difference")
-        for first, second, interval in compare(judged, config.level)
-    ]
-    for name, table in {"runs": runs, "groups": groups, "comparisons": pairs}.items():
+    from warpvox.algos.training.judged import tables
+
+    found = tables(judged, config.level)
+    for name, table in found.items():
         if table:
             columns = [column for column in table[0] if column != "returns"]
             write_table(folder / f"{name}.csv", columns, ([row[column] for column in columns] for row in table))
+    same = ("checkpoint", "stochastic", "protocol", "episodes", "seed", "level")
+    facts = {"command": "evaluate", "interval": "Student t, Welch"} | {name: getattr(config, name) for name in same}
     first = [one for one in judged if one.disturbance == judged[0].disturbance]
     values = [value for one in first for row in one.rows for value in row.returns]
-    facts = {"command": "evaluate", "checkpoint": config.checkpoint, "stochastic": config.stochastic}
-    facts |= {
-        "protocol": config.protocol,
-        "episodes": config.episodes,
-        "seed": config.seed,
-        "level": config.level,
-        "interval": "Student t, Welch",
-    }
-    facts["mean_return"] = sum(values) / len(values)
-    write_summary(folder, facts | {"runs": runs, "groups": groups, "comparisons": pairs})
-
-
-def _row(interval: Interval, name: str = "mean") -> dict[str, Any]:
-    low, high = ((value if math.isfinite(value) else None) for value in (interval.low, interval.high))
-    return {name: interval.mean, "low": low, "high": high, "n": interval.n}
+    write_summary(folder, facts | {"mean_return": sum(values) / len(values)} | found)
