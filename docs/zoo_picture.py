@@ -1,20 +1,23 @@
 """Draws the robots of the zoo at work: ``python docs/zoo_picture.py`` (``make zoo_picture``).
 
 Not part of the library. Every robot repeats its recorded episode, of which the first six seconds are shown, in a
-picture for the page of its task and in a tile of the picture of all.
+picture for the page of its task and in a tile of the picture of all. Two of one task also meet noise on their actions:
+a gait that was chosen by a single episode, and the robot of the zoo.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 from PIL import Image, ImageDraw
 
+from warpvox.algos.disturbance import Disturbed
 from warpvox.cli.process import prepare
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.io.writing import atomic_path
-from warpvox.robots.entry import Robot, zoo, zoo_tasks
+from warpvox.robots.entry import Robot, read_robot, zoo, zoo_tasks
 from warpvox.robots.replay import SEEDS, robot_env
 from warpvox.view.painter import INK, Painter, font
 from warpvox.view.rollout import record
@@ -30,6 +33,8 @@ PICTURES, PAUSE = 60, 80
 LONGEST = 300
 """Control steps that are shown of an episode."""
 PAPER = (255, 255, 255)
+FRAGILE = Path(__file__).parent / "results" / "UpStepper-v0_one_episode.npz"
+"""A gait chosen by its return in one undisturbed episode."""
 
 
 def tiles_of(robot: Robot) -> list[Image.Image]:
@@ -66,14 +71,35 @@ def draw(names: list[str]) -> list[Image.Image]:
             sheet.paste(tile, (x, y + LABEL))
             pen = ImageDraw.Draw(sheet)
             pen.text((x, y + LABEL / 2), name.removesuffix("-v0"), INK, letters, "lm")
-            pen.text((x + TILE[0], y + LABEL / 2), f"{robot.mean_return:.1f}", INK, letters, "rm")
-        print(f"{name}: {robot.mean_return:.3f}")
+            pen.text((x + TILE[0], y + LABEL / 2), f"{robot.robust_return:.1f}", INK, letters, "rm")
+        print(f"{name}: {robot.robust_return:.3f} under noise")
+    return sheets
+
+
+def nudged() -> list[Image.Image]:
+    """A gait and a policy with feedback, without noise and with it; each picture says what the whole episode returns."""
+    known = read_robot(FRAGILE)
+    robots = {"open loop, chosen by one episode": known, "feedback, chosen under noise": zoo(known.task)}
+    sheets = [Image.new("RGB", (2 * (FILM[0] + GAP) + GAP, 2 * (FILM[1] + 2 * LABEL)), PAPER) for _ in range(PICTURES)]
+    for row, (name, robot) in enumerate(robots.items()):
+        for column, part in enumerate(("nominal", "noise")):
+            env = robot_env(robot)
+            rollout = record(env, Disturbed(cast(Any, robot.policy), env, (part,), SEEDS[0]))
+            painter = Painter(rollout, 0, FILM, VOXELS)
+            frames = np.linspace(0, int(rollout.lengths[0]), PICTURES).round().astype(int).tolist()
+            x, y = GAP + column * (FILM[0] + GAP), row * (FILM[1] + 2 * LABEL)
+            text = f"{name}; {part}: {rollout.returns[-1, 0]:.2f}"
+            for sheet, frame in zip(sheets, frames, strict=True):
+                sheet.paste(painter.frame(frame), (x, y + 2 * LABEL - GAP))
+                ImageDraw.Draw(sheet).text((x, y + LABEL), text, INK, font(11), "lm")
+            print(text)
     return sheets
 
 
 def main() -> None:
     """Write the pictures."""
     prepare(1, 0)
+    save(IMAGES / "nudge.webp", nudged(), 2 * PAUSE, quality=50)
     known = zoo_tasks()
     save(IMAGES / "zoo.webp", draw([name for name in task_ids() if name in known]), PAUSE, quality=55)
 
