@@ -3,7 +3,7 @@
     python docs/results.py                       # the page, from docs/results/*.csv and envs/known_returns.csv
     python docs/results.py export [FOLDER ...]   # the table from the zoo and from the design searches in folders
     python docs/results.py random                # what chance reaches, into envs/known_returns.csv; takes minutes
-    python docs/results.py protocols             # the zoo's robots in disturbed episodes, into docs/results; minutes
+    python docs/results.py protocols [TASK ...]  # the zoo's robots in disturbed episodes, into docs/results; minutes
 
 ``export`` takes a robot of the zoo before a search: its return is exact and can be replayed. Of several searches of a
 task the one with the best return stays, that of the table included. ``tests/docs`` says when the page is out of date.
@@ -76,8 +76,9 @@ NOTES = """
   return. Where noise takes most of it away, the robot shows what its body can do once, not what it does reliably.
 - ○ is an open-loop [gait](zoo.md#gaits), whose actions depend on the time alone; all others are networks with
   feedback, which see what the task observes; *sensors* concerns them alone.
-- *Control steps*, *wall time*: of the whole search, and of the searches that it started from; one thread of a busy
-  machine, so that the time is an upper bound. `warpvox zoo task=TASK` shows the last command,
+- *Control steps*, *wall time*: of the whole search or training, and of those that it started from; one thread of a busy
+  machine, so that the time is an upper bound. A training for one body does not include the search that found it.
+  `warpvox zoo task=TASK` shows the last command,
   `docs/results/returns.csv` all of them with commits and processors; equal seeds give equal results on equal
   machines.
 
@@ -268,14 +269,14 @@ def measure_random() -> None:
     write_table(KNOWN, rows.values())
 
 
-def measure_disturbed() -> None:
-    """Renew the table of returns in disturbed episodes.
+def measure_disturbed(tasks: Sequence[str]) -> None:
+    """Renew the rows of ``tasks`` in the table of returns in disturbed episodes.
 
     Raises:
         ValueError: a robot does not get what its entry records.
     """
-    rows = []
-    for task in task_ids():
+    rows = [row for row in read_table(DISTURBED) if row["task"] not in tasks]
+    for task in tasks:
         robot = wv.zoo(task)
         for part, returns in judge_robust(robot).items():
             if part == NOISE and returns != robot.about[NOISE]["returns"]:
@@ -295,7 +296,7 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["random"]:
         measure_random()
     elif sys.argv[1:2] == ["protocols"]:
-        measure_disturbed()
+        measure_disturbed(sys.argv[2:] or task_ids())
     elif sys.argv[1:2] == ["export"]:
         write_table(TABLE, export([Path(text) for text in sys.argv[2:]], read_table()))
     else:

@@ -122,8 +122,20 @@ def _of_run(path: Path) -> Iterator[Robot]:
         raise RunError(
             f"{path}: the zoo has robots with a body of their own that observe what the task has (obs=task)."
         )
+    yield _robot(run.config["task"], check_design(run.config["design"]), run.find_checkpoint("best"), _of_training(run))
+
+
+def _of_training(run: Run) -> dict[str, Any]:
+    """Facts from the files of a training; what it has cost includes the one whose policy it began with."""
     about = _about(run) | {"control_steps": read_summary(run.folder).get("steps")}
-    yield _robot(run.config["task"], check_design(run.config["design"]), run.find_checkpoint("best"), about)
+    if source := run.config.get("pretrained"):
+        known = _of_training(find_run(source, ""))
+        about["config"]["pretrained"] = "/".join(Path(source).parts[-3:])
+        for name in "control_steps", "wall_s":
+            about[name] = None if None in (about[name], known[name]) else about[name] + known[name]
+        names = ("control_steps", "wall_s", "processor", "config")
+        about["start"] = [*known.get("start", ()), {name: known[name] for name in names}]
+    return about
 
 
 def _robot(task: str, body: np.ndarray, checkpoint: Path, about: dict[str, Any]) -> Robot:

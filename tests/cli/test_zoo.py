@@ -18,6 +18,7 @@ from warpvox.design import full_connections, load_design
 from warpvox.robots.entry import Robot, read_robot, save_robot, zoo, zoo_tasks
 from warpvox.robots.gait import Gait
 from warpvox.robots.returns import recorded
+from warpvox.runs import read_summary
 from warpvox.view.rollout import Rollout
 
 TASK = min(zoo_tasks(), key=lambda task: sum(zoo(task).about["lengths"]))
@@ -87,6 +88,18 @@ def test_a_run_becomes_an_entry_and_only_a_better_one_replaces_it(warpvox: Calla
     evaluated = warpvox("evaluate", "zoo=[mine/Walker-v0.npz]")
     assert evaluated.code == 0, evaluated.err
     assert summary("evaluate/*/*/summary.json")["mean_return"] == pytest.approx(robot.mean_return, abs=1e-9)
+
+
+def test_an_entry_has_cost_what_its_pretrained_policy_has(warpvox: Callable, train: Callable) -> None:
+    first = train("task=Walker-v0", "max_iterations=2")
+    second = train("task=Walker-v0", "max_iterations=1", f"pretrained={first}")
+    assert warpvox("zoo", f"add={second}", "folder=mine").code == 0
+    about = read_robot("mine/Walker-v0.npz").about
+    steps = [read_summary(run)["steps"] for run in (first, second)]
+    assert about["control_steps"] == sum(steps)
+    (before,) = about["start"]
+    assert (before["control_steps"], "max_iterations=2" in before["command"]) == (steps[0], True)
+    assert about["command"].endswith(f"pretrained=Walker-v0/{first.name}/model_best.pt")
 
 
 def test_a_gait_is_listed_shown_played_and_loaded(warpvox: Callable) -> None:

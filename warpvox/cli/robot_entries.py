@@ -54,7 +54,10 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[
         raise RunError(f"The design search {source} has no evaluated design yet.")
     home = source if source.is_dir() else source.parent
     robots = [dataclasses.replace(robot, task=allowed("task", robot.task, task, home)) for robot in robots]
-    command = command_of("codesign" if "search" in robots[0].about["config"] else "train", robots[0].about["config"])
+    command = _command(robots[0].about)
+    for before in robots[0].about.get("start", ()):
+        if "config" in before:  # of a training whose policy the next one began with
+            before["command"] = _command(before)
     best = max(
         (recorded(robot, {**robot.about, "command": command}) for robot in robots),
         key=lambda robot: robot.robust_return,
@@ -65,6 +68,10 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[
     if before is not None and best.robust_return <= before:
         return best, before, None
     return best, before, save_robot(path, best)
+
+
+def _command(about: dict[str, Any]) -> str:
+    return command_of("codesign" if "search" in about["config"] else "train", about["config"])
 
 
 def command_of(command: str, config: dict[str, Any]) -> str:

@@ -91,6 +91,7 @@ def _print_one(path: Path, console: Console) -> None:
         ("control steps", f"{listing(about.get('lengths', []))}{limit}"),
         ("policy", _policy(robot.policy)),
         ("training", _training(about)),
+        *(("first", before["command"]) for before in about.get("start", ()) if "command" in before),
         ("command", about.get("command", "unknown")),
         (
             "made",
