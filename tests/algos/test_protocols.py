@@ -18,7 +18,8 @@ from warpvox.algos.disturbance import JUDGED, NOISE, SEARCHED, Disturbed, Draws
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.protocols import COPIES, DISTURBANCES, PROTOCOLS
 from warpvox.errors import ConfigError
-from warpvox.robots.returns import judge_robust
+from warpvox.robots.entry import zoo_tasks
+from warpvox.robots.returns import EPISODES, judge_robust
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 COUNT = 500
@@ -127,8 +128,10 @@ def test_a_training_chooses_by_disturbed_copies(tmp_path: Path) -> None:
     assert run.best_return != evaluator(env, 0)(policy).mean_return
 
 
-@pytest.mark.parametrize("task", ["Walker-v0", "Balancer-v0"])
-def test_a_robot_gets_the_recorded_returns_under_noise(task: str) -> None:
-    about = wv.zoo(task).about["noise"]
-    assert judge_robust(wv.zoo(task), "noise")["noise"] == about["returns"]
-    assert about["return"] == pytest.approx(np.mean(about["returns"]))
+@pytest.mark.parametrize("episodes", [1, pytest.param(EPISODES, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("task", zoo_tasks())
+def test_a_robot_gets_the_recorded_returns_under_noise(task: str, episodes: int) -> None:
+    robot = wv.zoo(task)
+    recorded = robot.about["noise"]["returns"]
+    assert judge_robust(robot, "noise", episodes)["noise"] == recorded[:episodes]
+    assert (len(recorded), robot.robust_return) == (EPISODES, pytest.approx(np.mean(recorded)))
