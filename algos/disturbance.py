@@ -89,6 +89,8 @@ class Disturbed:
         most = column("start")
         lengths = self._each(self.draws.uniform(LENGTH, 0, 1))
         self.random_steps = torch.where(most > 0, 1 + (lengths * most).long(), 0)
+        # known beforehand: a step does not wait for the device
+        self.most = {name: max(getattr(kind, name) for kind in self.kinds) for name in vars(self.kinds[0])}
         self.reset()
 
     def reset(self) -> None:
@@ -104,18 +106,18 @@ class Disturbed:
     def __call__(self, obs: torch.Tensor) -> torch.Tensor:
         """Actions ``[num_envs, num_actions]`` for observations ``[num_envs, num_obs]``."""
         draws, step = self.draws, self.step
-        if bool((self.sensors > 0).any()):
+        if self.most["sensors"]:
             noise = self._each(draws.normal(SENSORS, step, obs.shape[1]))
             obs = obs + (self.sensors * noise).to(obs.dtype)
         actions = torch.as_tensor(self.policy(obs), device=obs.device)
-        if bool((self.random_steps > step).any()):
+        if step < self.most["start"]:
             uniform = self._each(draws.uniform(START, step, actions.shape[1]))
             uniform = (ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * uniform).to(actions.dtype)
             actions = torch.where(self.random_steps > step, uniform, actions)
-        if self.before is not None and bool((self.sticky > 0).any()):
+        if self.before is not None and self.most["sticky"]:
             repeats = self._each(draws.uniform(STICKY, step, 1)) < self.sticky
             actions = torch.where(repeats, self.before, actions)
-        if bool((self.noise > 0).any()):
+        if self.most["noise"]:
             actions = torch.where(self.noise > 0, with_noise(actions, draws, step, self.noise), actions)
         self.step, self.before = step + 1, actions
         return actions
