@@ -126,7 +126,9 @@ class EvaluateConfig:
         path="read",
     )
     zoo: list[str] = key(
-        [], "stored robots to evaluate, instead of runs or beside them: task ids or files", path="read"
+        [],
+        "stored robots to evaluate, instead of runs or beside them: task ids or files; all: the whole zoo",
+        path="read",
     )
     checkpoint: str = key("best", "checkpoint of each run: best, last, or an iteration")
     episodes: int = key(

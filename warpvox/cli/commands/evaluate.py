@@ -19,6 +19,7 @@ from warpvox.configs.show import EvaluateConfig
 from warpvox.errors import ConfigError
 from warpvox.io.console import echo, literal, shown
 from warpvox.io.writing import write_table
+from warpvox.robots.entry import zoo_tasks
 from warpvox.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
 from warpvox.trust import STORED
 
@@ -46,7 +47,7 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
 
     if config.task is not None and not (config.task == STORED or isinstance(config.task, Code)):
         raise ConfigError("task names the code of runs of your own tasks (stored, FILE.py:NAME); a run knows its task.")
-    robots = [f"{ZOO}{name}" for name in config.zoo]
+    robots = [f"{ZOO}{name}" for name in (zoo_tasks() if config.zoo == ["all"] else config.zoo)]
     runs = [] if robots and config.runs == [LATEST] else config.runs
     found = find_runs([*runs, *robots], config.output_dir)
     rows = {}
