@@ -22,7 +22,16 @@ PARTS = {
         *("codesign", "gaits", "suite", "clusters", "universal", "universal_cpg", "common_policy"),
         *("policies", "libraries", "evaluation", "protocols", "gradients", "see", "editor", "zoo", "evogym", "faq"),
     ),
-    "Reference": ("commands", "observations", "search", "archive", "formats", "results", "figures"),
+    "Reference": (
+        "commands",
+        "observations",
+        "search",
+        "archive",
+        "formats",
+        "results",
+        "paper_experiments",
+        "figures",
+    ),
     "Background": ("concepts", "physics", "paper", "performance", "trials", "reliability"),
 }
 """Parts of the site and their pages, in order; a page that is named nowhere comes last in the second part."""
