@@ -37,13 +37,13 @@ def test_the_order_lets_a_cut_be_useful() -> None:
 
 def test_the_page_says_what_the_searches_that_are_done_carry() -> None:
     one = [row("Walker-v0", "bo_paper", 0, 10, 9)]
-    text = experiments.page(one)
-    assert "**1 of 156 searches" in text and "## " not in text  # nothing of GA, nothing to compare
+    assert "**1 of 156 searches" in experiments.page(one)
+    assert "## " not in experiments.page(one)  # nothing of GA, nothing to compare
     three = [*one, row("Walker-v0", "ga", 0, 10, 9.5), row("Walker-v0", "cppn_neat", 0, 8, 7)]
     text = experiments.page([*three, row("Walker-v0", "ga", 1, 12, 10), row("Traverser-v0", "ga", 0, 5, 4)])
     assert "| Walker-v0 | 2 | 11.000 (10.000 to 12.000) | 9.750 (9.500 to 10.000) | 10.598 |" in text
     assert "| Walker-v0 | 1 | **10.000** | **10.000** | 8.000 | **9.500** | 9.000 | 7.000 |" in text
-    assert "| BO | 0.944 | 0.852 | 0.500 | 1.000 |" in text
+    assert "| BO | 0.945 | 0.852 | 0.500 | 1.000 |" in text
     assert "highest mean on 0 of 1 tasks (BO 0, CPPN-NEAT 0), under noise on 1" in text  # a tie is nobody's
 
 
