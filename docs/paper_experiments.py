@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import itertools
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +59,7 @@ JUDGED = ("return", "noise")
 Row = Mapping[str, str]
 
 
+@cache
 def members() -> list[Member]:
     """All design searches in the order in which they are made, so that a cut leaves something to compare."""
 
@@ -180,8 +181,8 @@ minutes in the median, one thread of a busy machine ({processors}).
     python docs/paper_experiments.py run   # makes searches that are not done; may run several times at once
     python docs/paper_experiments.py       # this page, of docs/results/paper_members.csv and paper_curves.csv
 """
-Returns = dict[str, dict[int, float]]
-"""Of a search: by task and seed."""
+Returns = dict[tuple[str, str], dict[int, list[float]]]
+"""Nominal and under noise, by task and search, by seed."""
 
 
 def page(rows: Sequence[Row]) -> str:
@@ -202,22 +203,23 @@ def page(rows: Sequence[Row]) -> str:
     )
     if not rows:
         return head
-    returns: list[dict[str, Returns]] = [{name: {} for name in SEARCHES} for _ in JUDGED]
-    for row, (judged, found) in itertools.product(rows, zip(JUDGED, returns, strict=True)):
-        found[row["search"]].setdefault(row["task"], {})[int(row["seed"])] = float(row[judged])
+    returns: Returns = {}
+    for row in rows:
+        task, search, seed = _key(row)
+        returns.setdefault((task, search), {})[seed] = [float(row[name]) for name in JUDGED]
     minutes = np.median([float(row["seconds"]) / 60 for row in rows])
     notes = NOTES.format(minutes=minutes, processors=", ".join(sorted({row["processor"] for row in rows})))
-    return "".join([head, PICTURE, *_ga_lines(*(found["ga"] for found in returns)), *_comparison(returns), notes])
+    return "".join([head, PICTURE, *_ga_lines(returns), *_comparison(returns), notes])
 
 
-def _ga_lines(nominal: Returns, noise: Returns) -> Iterator[str]:
-    if nominal:
+def _ga_lines(returns: Returns) -> Iterator[str]:
+    if any(search == "ga" for _, search in returns):
         yield GA_TABLE
     for task, known in known_returns().items():
-        if task in nominal:
-            cells = " | ".join(_range(list(found[task].values())) for found in (nominal, noise))
+        if found := returns.get((task, "ga")):
+            cells = " | ".join(map(_range, zip(*found.values(), strict=True)))
             best = "" if known.best is None else f"{known.best:g}"
-            yield f"| {task} | {len(nominal[task])} | {cells} | {best} | {known.method} |\n"
+            yield f"| {task} | {len(found)} | {cells} | {best} | {known.method} |\n"
 
 
 def _range(values: Sequence[float]) -> str:
@@ -225,17 +227,17 @@ def _range(values: Sequence[float]) -> str:
     return f"{np.mean(values):.3f}{more}"
 
 
-def _comparison(returns: Sequence[Mapping[str, Returns]]) -> Iterator[str]:
+def _comparison(returns: Returns) -> Iterator[str]:
     """The three searches on the tasks on which all of them have done a seed."""
-    done = {task: [set(found.get(task, ())) for found in returns[0].values()] for task in BENCHMARK10}
+    done = {task: [set(returns.get((task, name), ())) for name in SEARCHES] for task in BENCHMARK10}
     seeds = {task: common for task, every in done.items() if (common := set.intersection(*every))}
     if not seeds:
         return
     yield COMPARED
     wins, scores = np.zeros((len(JUDGED), len(SEARCHES)), int), {}
     for task, common in seeds.items():
-        runs = np.array([[[found[task][k] for k in common] for found in of_all.values()] for of_all in returns])
-        means = runs.mean(-1)
+        runs = np.array([[returns[task, name][seed] for seed in common] for name in SEARCHES])
+        means = runs.mean(1).T  # [judged, searches]
         best = means == means.max(1, keepdims=True)
         wins += best & (best.sum(1, keepdims=True) == 1)
         cells = (f"**{mean:.3f}**" if top else f"{mean:.3f}" for mean, top in zip(means.flat, best.flat, strict=True))
@@ -244,14 +246,14 @@ def _comparison(returns: Sequence[Mapping[str, Returns]]) -> Iterator[str]:
             scores[task] = np.vectorize(known.score)(runs)
     if scores:
         yield SCORES.format(len(scores))
-        ga, *others = (
-            [{task: of_task[judged, search] for task, of_task in scores.items()} for judged in range(len(JUDGED))]
-            for search in range(len(SEARCHES))
-        )
-        for shown, mine in zip(SEARCHES.values(), (ga, *others), strict=True):
+        for number, name in enumerate(SEARCHES.values()):
+            ga, mine = (
+                [{task: runs[k, :, judged] for task, runs in scores.items()} for judged in range(len(JUDGED))]
+                for k in (0, number)
+            )
             cells = [str(interval(interquartile_mean, one)) for one in mine]
-            cells += ["" if mine is ga else str(interval(improvement, *pair)) for pair in zip(ga, mine, strict=True)]
-            yield f"| {shown} | {' | '.join(cells)} |\n"
+            cells += [str(interval(improvement, *pair)) if number else "" for pair in zip(ga, mine, strict=True)]
+            yield f"| {name} | {' | '.join(cells)} |\n"
     most = wins[:, 0] > len(seeds) / 2
     said = "a majority" if most.all() else "a majority by one of the two" if most.any() else "no majority"
     runs = sum(map(len, seeds.values()))
