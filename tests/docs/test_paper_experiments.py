@@ -3,8 +3,6 @@
 import importlib.util
 from pathlib import Path
 
-import pytest
-
 from warpvox.algos.suite.members import DONE
 from warpvox.cli.suite_plan import BENCHMARK10
 from warpvox.io.writing import claimed
@@ -47,7 +45,7 @@ def test_the_page_says_what_the_searches_that_are_done_carry() -> None:
     assert "highest mean on 0 of 1 tasks (BO 0, CPPN-NEAT 0), under noise on 1" in text  # a tie is nobody's
 
 
-def test_a_search_is_made_by_one_process_and_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_is_made_by_one_process_and_once(tmp_path: Path, monkeypatch) -> None:
     made, (first, second, third) = [], experiments.members()[:3]
     monkeypatch.setattr(experiments, "RESULTS", tmp_path)
     monkeypatch.setattr(experiments, "members", lambda: [first, second, third])
