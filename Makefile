@@ -162,11 +162,12 @@ charts: $(STAMP)
 pictures: $(STAMP)
 	$(BIN)/python docs/pictures.py
 
-# Renews the page of results from the zoo, and from design searches: SEARCHES="FOLDER ...", and the comparison of searches.
+# Renews the page of results from the zoo, and from design searches: SEARCHES="FOLDER ...", and the pages that compare searches.
 results: $(STAMP)
 	$(BIN)/python docs/results.py export $(SEARCHES)
 	$(BIN)/python docs/results.py
 	$(BIN)/python docs/comparison.py
+	$(BIN)/python docs/paper_experiments.py
 
 # The robots of the zoo at work; to be made again after entries have changed.
 zoo_picture: $(STAMP)

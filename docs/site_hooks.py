@@ -23,7 +23,7 @@ PARTS = {
         *("policies", "libraries", "evaluation", "protocols", "gradients", "see", "editor", "zoo", "evogym", "faq"),
     ),
     "Reference": ("commands", "observations", "search", "archive", "formats", "results", "figures"),
-    "Background": ("concepts", "physics", "paper", "performance", "trials", "reliability"),
+    "Background": ("concepts", "physics", "paper", "paper_experiments", "performance", "trials", "reliability"),
 }
 """Parts of the site and their pages, in order; a page that is named nowhere comes last in the second part."""
 MARK = re.compile(r"^<!-- (help .*|end of help|bench \w+|end) -->\n?", re.MULTILINE)

@@ -1,0 +1,290 @@
+"""Makes the experiments of Evolution Gym's paper and the page with their numbers. Not part of the library.
+
+    python docs/paper_experiments.py run [FOLDER]   # design searches that are not done, in outputs/paper
+    python docs/paper_experiments.py                # the page of the committed tables
+
+Several processes may share a folder: each search is made by one of them. What was interrupted, by ``timeout 60m`` for
+instance, is gone on with. ``paper_members.csv`` and ``paper_curves.csv`` in the folder hold the committed rows as well:
+copied to ``docs/results`` they are what the page is made of. ``tests/docs`` says when it is out of date.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from warpvox.algos.codesign.robots import robots_of
+from warpvox.algos.interrupt import terminable
+from warpvox.algos.report.charts import COLOURS, PANEL, Series, chart, sheet
+from warpvox.algos.report.members import read_members
+from warpvox.algos.statistics import improvement, interquartile_mean, interval
+from warpvox.algos.suite.members import DONE, Member
+from warpvox.algos.suite.run import FAILED, make_member
+from warpvox.cli.config import load
+from warpvox.cli.suite_plan import BENCHMARK10, plan
+from warpvox.envs.known_returns import known_returns
+from warpvox.envs.registry import task_ids
+from warpvox.errors import RunError
+from warpvox.io.writing import claimed, write_table, write_text
+from warpvox.robots.returns import recorded
+from warpvox.runs import read_summary
+
+FOLDER = Path(__file__).resolve().parent
+RESULTS, PAGE, CHART = FOLDER / "results", FOLDER / "paper_experiments.md", FOLDER / "images" / "paper_experiments.svg"
+MEMBERS, CURVES = "paper_members.csv", "paper_curves.csv"
+STEPS = 20_000_000
+"""Control steps of a search."""
+SETTINGS = ["training=fast"]
+"""Keys of all searches, besides those of ``suite=paper``."""
+SEARCHES = {"ga": "GA", "bo_paper": "BO", "cppn_neat": "CPPN-NEAT"}
+"""Names of the searches and what the paper calls them."""
+KEY = ("task", "search", "seed")
+FACTS = ("evaluations", "control_steps", "generations", "return", "noise", "seconds", "processor", "commit")
+COLUMNS = (*KEY, *FACTS)
+"""``return``: of the best design, in exact arithmetic; ``noise``: its mean in disturbed episodes."""
+FRACTIONS = [k / 20 for k in range(1, 21)]
+AXES = ("control_steps", "evaluations")
+CURVE_COLUMNS = (*KEY, "axis", *map("{:g}".format, FRACTIONS))
+"""The best fitness so far at fractions of the budget in control steps, or in evaluations."""
+JUDGED = ("return", "noise")
+
+Row = Mapping[str, str]
+
+
+@cache
+def members() -> list[Member]:
+    """All design searches in the order in which they are made, so that a cut leaves something to compare."""
+
+    def planned(*words: str) -> list[Member]:
+        common = ["suite=paper", f"control_steps={STEPS}", f"codesign=[{','.join(SETTINGS)}]", "device=cpu"]
+        return plan(load("suite", [*common, *words]))
+
+    others = [one for one in planned("tasks=[all]", "searches=[ga]") if one.task not in BENCHMARK10]
+    return sorted([*planned(), *others], key=lambda one: one.seed)
+
+
+def read_rows(name: str, folder: Path = RESULTS) -> list[Row]:
+    """The committed rows of a table and those in ``folder``, which replace them."""
+    files = [path / name for path in dict.fromkeys((RESULTS, folder)) if (path / name).is_file()]
+    rows = [row for file in files for row in csv.DictReader(file.read_text(encoding="utf-8").splitlines())]
+    return list({(*map(row.get, KEY), row.get("axis")): row for row in rows}.values())
+
+
+def _key(row: Row) -> tuple[str, str, int]:
+    return row["task"], row["search"], int(row["seed"])
+
+
+def run(folder: Path) -> None:
+    """Make the members that are not done, until an interrupt."""
+    with terminable(), suppress(KeyboardInterrupt):
+        for member in members():
+            place = folder / member.folder
+            place.mkdir(parents=True, exist_ok=True)
+            try:
+                with claimed(place):  # not the search's own folder, which it claims itself
+                    if member.key in map(_key, read_rows(MEMBERS, folder)):
+                        continue
+                    print(*member.key, flush=True)
+                    outcome = make_member(dataclasses.replace(member.settings, threads=1), place / "search")
+                    if outcome["status"] == DONE:
+                        store(folder, member, place / "search")
+                    elif outcome["status"] != FAILED:
+                        break
+            except RunError as error:  # another process makes it
+                print(error, flush=True)
+
+
+def store(folder: Path, member: Member, place: Path) -> None:
+    """Judge the best design of a search that is done, and add its rows to the tables."""
+    summary, about = read_summary(place), recorded(next(robots_of(place, 1)), {}).about
+    (found,) = read_members([place])
+    last = member.settings.search.max_evaluations
+    places = {
+        "control_steps": [found.best_at(share * STEPS) for share in FRACTIONS],
+        "evaluations": [found.best[: max(1, int(share * last + 1e-9))].max() for share in FRACTIONS],
+    }
+    facts = {"control_steps": "steps", "seconds": "elapsed_seconds"}
+    values = {name: summary.get(facts.get(name, name)) for name in FACTS}
+    values |= {"return": about["return"], "noise": about["noise"]["return"]}
+    curves = [[*member.key, axis, *(f"{value:.6g}" for value in places[axis])] for axis in AXES]
+    while True:
+        with suppress(RunError), claimed(folder):
+            for name, columns, rows in (
+                (CURVES, CURVE_COLUMNS, curves),  # first: a member with a row is done
+                (MEMBERS, COLUMNS, [[*member.key, *values.values()]]),
+            ):
+                write_table(folder / name, columns, [*(row.values() for row in read_rows(name, folder)), *rows])
+            return
+        time.sleep(0.1)
+
+
+HEAD = """# The paper's experiments in numbers
+
+The paper shows its experiments as curves: the genetic algorithm (GA) on all 32 tasks (Figure 35), and GA, Bayesian
+optimisation (BO) and CPPN-NEAT on ten of them. Here they are design searches with {steps:g} million control steps each.
+**{all} searches are done**: {ga} with GA on all tasks, {ten} of the comparison on ten, with three
+seeds (GA on the ten counts in both).
+
+Searches, populations and shapes (5 x 7 for Lifter-v0, else 5 x 5) are those of the paper's Tables 2 to 5 (`search=ga`,
+`bo_paper` and `cppn_neat`, [search](search.md)). Each body is trained for as many control steps as in the paper,
+512,000, but with `training=fast`; tasks are those of the [release](paper.md). **The budget is much smaller than the
+paper's**: {designs} bodies, where the paper has 250, 500 or 750. A first generation of {population} is random, for GA
+and BO with equal seeds the same, and the search chooses {rest} more. So the numbers say what such a budget brings, and
+little about larger ones.
+"""
+PICTURE = f"""
+![Best fitness over control steps, a panel a task](images/{CHART.name})
+
+The best fitness so far, in the float32 arithmetic of the searches: mean and range of the seeds that are done.
+"""
+GA_TABLE = """
+## GA on all tasks
+
+| task | seeds | nominal | under noise | best published | by |
+|---|---:|---:|---:|---:|---|
+"""
+COMPARED = """
+## GA, BO and CPPN-NEAT
+
+Means of the seeds that all three have done, the best in bold.
+
+| task | seeds | GA | BO | CPPN-NEAT | GA under noise | BO under noise | CPPN-NEAT under noise |
+|---|---:|---:|---:|---:|---:|---:|---:|
+"""
+SCORES = """
+The interquartile mean of the [scores](evaluation.md#comparing-searches) on {} of these tasks, those with a
+published return (0 is chance, 1 that return), and the probability that a run of GA is better; with 95 % bootstrap
+intervals where a task has several seeds.
+
+| search | nominal | under noise | GA better, nominal | GA better, under noise |
+|---|---:|---:|---:|---:|
+"""
+VERDICT = """
+The paper: "we found the GA baseline algorithm outperformed the other baselines algorithms the majority of the time"
+(section E). Here GA alone has the highest mean on {} of {count} tasks (BO {}, CPPN-NEAT {}), under noise on {} (BO {},
+CPPN-NEAT {}): {said}, as far as {runs} of 30 runs of each search say.
+"""
+NOTES = """
+*Nominal* is the return of a search's best body in exact arithmetic, as an entry of [the zoo](zoo.md) states it; *under
+noise* its mean in 32 [episodes with noise on the actions](protocols.md). Means over seeds, in brackets the lowest and
+the highest. Published returns are the best of anybody ([results](results.md#sources)). A search took {minutes:.0f}
+minutes in the median, one thread of a busy machine ({processors}).
+
+    python docs/paper_experiments.py run   # makes searches that are not done; may run several times at once
+    python docs/paper_experiments.py       # this page, of docs/results/paper_members.csv and paper_curves.csv
+"""
+Returns = dict[tuple[str, str], dict[int, list[float]]]
+"""Nominal and under noise, by task and search, by seed."""
+
+
+def page(rows: Sequence[Row]) -> str:
+    """``docs/paper_experiments.md`` from the rows of the members that are done."""
+    every, finished = members(), {_key(row) for row in rows}
+    settings = every[0].settings.search
+    parts = {
+        "all": {one.key for one in every},
+        "ga": {one.key for one in every if one.search == "ga"},
+        "ten": {one.key for one in every if one.task in BENCHMARK10},
+    }
+    head = HEAD.format(
+        steps=STEPS / 1e6,
+        designs=settings.max_evaluations,
+        population=settings.population,
+        rest=settings.max_evaluations - settings.population,
+        **{name: f"{len(keys & finished)} of {len(keys)}" for name, keys in parts.items()},
+    )
+    if not rows:
+        return head
+    returns: Returns = {}
+    for row in rows:
+        task, search, seed = _key(row)
+        returns.setdefault((task, search), {})[seed] = [float(row[name]) for name in JUDGED]
+    minutes = np.median([float(row["seconds"]) / 60 for row in rows])
+    notes = NOTES.format(minutes=minutes, processors=", ".join(sorted({row["processor"] for row in rows})))
+    return "".join([head, PICTURE, *_ga_lines(returns), *_comparison(returns), notes])
+
+
+def _ga_lines(returns: Returns) -> Iterator[str]:
+    if any(search == "ga" for _, search in returns):
+        yield GA_TABLE
+    for task, known in known_returns().items():
+        if found := returns.get((task, "ga")):
+            cells = " | ".join(map(_range, zip(*found.values(), strict=True)))
+            best = "" if known.best is None else f"{known.best:g}"
+            yield f"| {task} | {len(found)} | {cells} | {best} | {known.method} |\n"
+
+
+def _range(values: Sequence[float]) -> str:
+    more = f" ({min(values):.3f} to {max(values):.3f})" if len(values) > 1 else ""
+    return f"{np.mean(values):.3f}{more}"
+
+
+def _comparison(returns: Returns) -> Iterator[str]:
+    """The three searches on the tasks on which all of them have done a seed."""
+    done = {task: [set(returns.get((task, name), ())) for name in SEARCHES] for task in BENCHMARK10}
+    seeds = {task: common for task, every in done.items() if (common := set.intersection(*every))}
+    if not seeds:
+        return
+    yield COMPARED
+    wins, scores = np.zeros((len(JUDGED), len(SEARCHES)), int), {}
+    for task, common in seeds.items():
+        runs = np.array([[returns[task, name][seed] for seed in common] for name in SEARCHES])
+        means = runs.mean(1).T  # [judged, searches]
+        best = means == means.max(1, keepdims=True)
+        wins += best & (best.sum(1, keepdims=True) == 1)
+        cells = (f"**{mean:.3f}**" if top else f"{mean:.3f}" for mean, top in zip(means.flat, best.flat, strict=True))
+        yield f"| {task} | {len(common)} | {' | '.join(cells)} |\n"
+        if (known := known_returns()[task]).best is not None:
+            scores[task] = np.vectorize(known.score)(runs)
+    if scores:
+        yield SCORES.format(len(scores))
+        for number, name in enumerate(SEARCHES.values()):
+            ga, mine = (
+                [{task: runs[k, :, judged] for task, runs in scores.items()} for judged in range(len(JUDGED))]
+                for k in (0, number)
+            )
+            cells = [str(interval(interquartile_mean, one)) for one in mine]
+            cells += [str(interval(improvement, *pair)) if number else "" for pair in zip(ga, mine, strict=True)]
+            yield f"| {name} | {' | '.join(cells)} |\n"
+    most = wins[:, 0] > len(seeds) / 2
+    said = "a majority" if most.all() else "a majority by one of the two" if most.any() else "no majority"
+    runs = sum(map(len, seeds.values()))
+    yield VERDICT.format(*wins.flat, count=len(seeds), said=said, runs=runs)
+
+
+def picture(curves: Sequence[Row]) -> str:
+    """The chart: a panel for each task with a member that is done."""
+    panels, steps = [], [share * STEPS for share in FRACTIONS]
+    names = [Series(shown, [], colour=colour) for shown, colour in zip(SEARCHES.values(), COLOURS, strict=False)]
+    for task in [task for task in task_ids() if any(row["task"] == task for row in curves)]:
+        series = []
+        for search, name in zip(SEARCHES, names, strict=True):
+            mine = [row for row in curves if (row["task"], row["search"], row["axis"]) == (task, search, AXES[0])]
+            if mine:
+                found = np.array([[float(row[column]) for column in CURVE_COLUMNS[-len(steps) :]] for row in mine])
+                mean, low, high = (
+                    list(zip(steps, ends, strict=True)) for ends in (found.mean(0), found.min(0), found.max(0))
+                )
+                series.append(dataclasses.replace(name, points=mean, band=[*high, *reversed(low)]))
+        panels.append(chart(series, "control steps", task, PANEL, names=False))
+    return sheet(panels, names, 4)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["run"]:
+        run(Path(*sys.argv[2:] or ["outputs/paper"]))
+    elif sys.argv[1:]:
+        raise SystemExit(__doc__)
+    else:
+        done = read_rows(MEMBERS)
+        write_text(PAGE, page(done))
+        if done:
+            write_text(CHART, picture(read_rows(CURVES)))
