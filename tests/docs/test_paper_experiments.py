@@ -30,7 +30,7 @@ def test_the_order_lets_a_cut_be_useful() -> None:
     assert len({one.key for one in every}) == len(every) == 156
     assert {one.key for one in every[:30]} == {(t, s, 0) for t in BENCHMARK10 for s in experiments.SEARCHES}
     assert {(one.search, one.seed) for one in every[30:52]} == {("ga", 0)}
-    assert {one.settings.search.max_evaluations for one in every} == {20_000_000 // 512_000}
+    assert {one.settings.search.max_evaluations for one in every} == {20_000_000 // (32 * 64 * 60)}
 
 
 def test_the_page_says_what_the_searches_that_are_done_carry() -> None:
