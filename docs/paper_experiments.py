@@ -43,7 +43,7 @@ MEMBERS, CURVES = "paper_members.csv", "paper_curves.csv"
 STEPS = 20_000_000
 """Control steps of a search."""
 SETTINGS = ["training=fast", "training.iterations=60"]
-"""Keys of all searches, besides those of ``suite=paper``: the paper's 512,000 control steps for a body would leave 39."""
+"""Keys of all searches, besides those of ``suite=paper``; the paper's 512,000 control steps would leave 39 bodies."""
 SEARCHES = {"ga": "GA", "bo_paper": "BO", "cppn_neat": "CPPN-NEAT"}
 """Names of the searches and what the paper calls them."""
 KEY = ("task", "search", "seed")
@@ -136,8 +136,8 @@ seeds (GA on the ten counts in both).
 Searches, populations and shapes (5 x 7 for Lifter-v0, else 5 x 5) are those of the paper's Tables 2 to 5 (`search=ga`,
 `bo_paper` and `cppn_neat`, [search](search.md)). Each body is trained by `{settings}` for
 122,880 control steps, where the paper has 512,000; tasks are those of the [release](paper.md). **The budget is smaller
-than the paper's**: {designs} bodies, where the paper has 250, 500 or 750. A first generation of {population} is random, for
-GA and BO with equal seeds the same, and the search chooses {rest} more. So the numbers say what such a budget brings,
+than the paper's**: {designs} bodies, where the paper has 250, 500 or 750. A first generation of {population} is random,
+for GA and BO with equal seeds the same, and the search chooses {rest} more. So the numbers say what such a budget brings,
 and little about larger ones.
 """
 PICTURE = f"""
