@@ -137,8 +137,8 @@ Searches, populations and shapes (5 x 7 for Lifter-v0, else 5 x 5) are those of 
 `bo_paper` and `cppn_neat`, [search](search.md)). Each body is trained by `{settings}` for
 122,880 control steps, where the paper has 512,000; tasks are those of the [release](paper.md). **The budget is smaller
 than the paper's**: {designs} bodies, where the paper has 250, 500 or 750. A first generation of {population} is random,
-for GA and BO with equal seeds the same, and the search chooses {rest} more. So the numbers say what such a budget brings,
-and little about larger ones.
+for GA and BO with equal seeds the same, and the search chooses {rest} more. So the numbers say what such a budget
+brings, and little about larger ones.
 """
 PICTURE = f"""
 ![Best fitness over control steps, a panel a task](images/{CHART.name})
