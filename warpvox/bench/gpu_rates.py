@@ -123,8 +123,7 @@ def training(config: Any, report: Report, counts: tuple[int, ...], designs: int)
 
 def learning(config: Any, report: Report) -> None:
     """How long it takes to the return that the configuration names."""
-    limit = min(config.learning.seconds, LEARNING_SECONDS, max(report.left, 1.0))
-    config = replace(config, learning=replace(config.learning, seconds=limit))
+    config = replace(config, seconds=min(LEARNING_SECONDS, max(report.left, 1.0)))
     found = learn(config, one_body(config), config.learning.ppo[0], config.seed)
     took = f"{found['seconds']:.1f} s" if found["seconds"] is not None else "not reached"
     text = f"ppo={config.learning.ppo[0]}, {found['num_envs']} environments: return {config.learning.stop_return:g}"
