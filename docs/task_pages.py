@@ -20,7 +20,7 @@ from warpvox.envs.spec import TaskSpec
 from warpvox.envs.worlds import task_world
 from warpvox.robots.entry import zoo, zoo_tasks
 from warpvox.robots.gait import Gait
-from warpvox.view.world_picture import draw_world
+from warpvox.view.body_picture import draw_world
 
 RESULTS = Path(__file__).resolve().parent / "results"
 PAGE = """\

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from warpvox.algos.disturbance import Disturbed
-from warpvox.cli.process import prepare
+from warpvox.devices.startup import prepare
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.io.writing import atomic_path
 from warpvox.robots.entry import Robot, read_robot, zoo, zoo_tasks

@@ -8,42 +8,17 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
-from warpvox.algos.candidate import FINALIST, Candidate, Outcome, Parent, Parents, Search
+from warpvox.algos.candidate import FINALIST, Candidate, Listener, Outcome, Parent, Parents, Search
 from warpvox.algos.codesign.archive import Archive, Finished, Record, body_text
 from warpvox.algos.codesign.executors import Batch, Executor, batches
 from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
 from warpvox.errors import DivergenceError, RunError
-
-if TYPE_CHECKING:
-    from warpvox.algos.codesign.run import SearchRun
-
-
-class Listener:
-    """Callbacks of a search; the methods of this class do nothing."""
-
-    def begun(self, run: SearchRun) -> None:
-        """The search begins, or goes on."""
-
-    def ended(self, summary: Mapping[str, Any]) -> None:
-        """The search has ended; ``summary`` is what ``summary.json`` says, empty if it could not be written."""
-
-    def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
-        """``waiting`` of the ``total`` candidates of a generation will be trained."""
-
-    def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
-        """Take what an evaluator reports of the training of these candidates; see :data:`PROGRESS`."""
-
-    def finished(self, records: Sequence[Record]) -> None:
-        """These candidates are evaluated and stored."""
-
-    def told(self, generation: int, fresh: bool) -> None:
-        """The search has learned from a generation; not ``fresh``: it had been complete before this run."""
 
 
 @dataclass

@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox import __version__
-from warpvox.algos.candidate import FINALIST
+from warpvox.algos.candidate import FINALIST, Listener
 from warpvox.algos.codesign.archive import Archive, Record
-from warpvox.algos.codesign.loop import Listener
 from warpvox.algos.evaluate import evaluate
-from warpvox.algos.report import FILE as REPORT, write_report
+from warpvox.algos.report import FILE as REPORT, FILM, write_report
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.algos.training.playing import Playing, load_trained, own_code
 from warpvox.checks import is_number
 from warpvox.envs.registry import get_task
 from warpvox.io.console import duration
+from warpvox.io.writing import atomic_path
 from warpvox.runs import find_run, read_summary, write_summary
 from warpvox.view.body_picture import write_bodies
+from warpvox.view.painter import Painter
+from warpvox.view.rollout import record
 
 if TYPE_CHECKING:
     from warpvox.algos.codesign.settings import Codesign
+
 
 FRESH = 64
 """Episodes of a winner that its search never met, in tasks that draw at random."""
@@ -150,3 +153,29 @@ def fresh_text(facts: Mapping[str, Any]) -> str:
     """The return of a winner in episodes of fresh seeds, in words."""
     found = Interval(facts["mean"], facts["low"], facts["high"], facts["episodes"])
     return f"{found} in {facts['episodes']} episodes"
+
+
+SIZE, VOXELS = (320, 150), 13.0
+"""Of a picture, in pixels, and the height of what it shows."""
+LONGEST, EVERY, PAUSE = 300, 5, 100
+"""Control steps that are shown at most, those from one picture to the next, and the milliseconds that they take."""
+
+
+def film_designs(folder: Path, records: Sequence[Record], settings: Any) -> None:
+    """Have each robot act for an episode, and write it beside its policy; one that is there already stays.
+
+    Args:
+        folder: of the search.
+        records: designs; those without a policy, or whose policy is gone, are left out.
+        settings: of the search, with the code that the user has named.
+    """
+    for one in records:
+        policy = folder / str(one.policy)
+        file = policy.with_name(FILM)
+        if file.is_file() or not policy.is_file():
+            continue
+        rollout = record(*load_trained(find_run(str(file.parent), ""), Playing(**own_code(settings))), LONGEST)
+        painter = Painter(rollout, 0, SIZE, VOXELS)
+        first, *others = [painter.frame(frame) for frame in range(0, rollout.num_frames, EVERY)]
+        with atomic_path(file) as temporary:
+            first.save(temporary, "WEBP", save_all=True, append_images=others, duration=PAUSE, loop=0, quality=40)

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation, Specialist
-from warpvox.algos.physics import PRESETS, PhysicsConfig, physics_of, sim_of
 from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.search.settings import GA, SearchSettings, settings_from
-from warpvox.algos.settings import DesignTraining
+from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, physics_of, sim_of
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, arithmetic_key
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import check_values, convert, key, plain

@@ -16,9 +16,9 @@ from rich.console import Console
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.checkpoints.policy import Policy, policy_of
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator, evaluator
-from warpvox.algos.physics import physics_of, sim_of
 from warpvox.algos.policies.registry import MLP, check_network, check_policy, voxels_of
 from warpvox.algos.protocols import episodes_of
+from warpvox.algos.settings import physics_of, sim_of
 from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.bodies import Bodies, TrainingBodies, load_bodies, read_bodies, training_bodies
 from warpvox.algos.training.distributed import ProcessGroup, join_process_group

@@ -10,8 +10,8 @@ import torch
 
 from warpvox.algos.checkpoints.files import Controller, actions_of, load_controller
 from warpvox.algos.disturbance import Disturbed
-from warpvox.algos.physics import sim_of
 from warpvox.algos.protocols import NOMINAL, parts_of
+from warpvox.algos.settings import sim_of
 from warpvox.algos.training.bodies import read_bodies, training_bodies
 from warpvox.algos.training.settings import Training
 from warpvox.code import is_code

@@ -9,9 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from warpvox.algos.physics import PRESETS, PhysicsConfig
 from warpvox.algos.protocols import FITNESS, NOMINAL
-from warpvox.algos.settings import LOGGERS, REFRESH, Ppo
+from warpvox.algos.settings import LOGGERS, PRESETS, REFRESH, PhysicsConfig, Ppo
 from warpvox.errors import ConfigError
 from warpvox.examples import AUTO, example_for
 from warpvox.keys import check_values, convert, key, plain

@@ -51,7 +51,7 @@ class Adapter:
     def _pictures(self) -> Sequence[np.ndarray]:
         """A picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
         if self._view is None:
-            from warpvox.view.live import LiveView
+            from warpvox.view.painter import LiveView
 
             self._view = LiveView(self.vec.sim, self.render_size)
         return self._view.pictures()

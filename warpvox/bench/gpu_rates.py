@@ -13,7 +13,7 @@ from warpvox.bench.learning import learn
 from warpvox.bench.machine import available_memory, per_environment
 from warpvox.bench.report import Report, middle, number
 from warpvox.bench.runner import Runner, measure, seconds
-from warpvox.configs.presets import training_preset
+from warpvox.configs.composition import training_preset
 from warpvox.kernels.step import record_step
 
 PREDICTED = {4096: (5.3, 13.8), 16384: (5.3, 13.8), 65536: (6.6, 13.8)}

@@ -69,9 +69,8 @@ def _make(job: Job, console: Console) -> Path:
         return _report(job.config, console)
     with console.status("loading"):
         from warpvox.algos.codesign.archive import FILE, Archive
-        from warpvox.algos.codesign.films import film_designs
         from warpvox.algos.codesign.progress import SearchProgress
-        from warpvox.algos.codesign.results import Results
+        from warpvox.algos.codesign.results import Results, film_designs
         from warpvox.algos.codesign.run import run_codesign
     listeners = [SearchProgress(console)]
     found = run_codesign(job.settings, job.folder, listeners, stored=job.stored, console=console)
@@ -96,8 +95,7 @@ def _export(folder: Path, formats: Sequence[str], console: Console) -> None:
 def _report(config: CodesignConfig, console: Console) -> Path:
     """Make report, pictures and exports of a search again, also while it is running; returns its folder."""
     from warpvox.algos.codesign.archive import FILE, Archive
-    from warpvox.algos.codesign.films import film_designs
-    from warpvox.algos.codesign.results import Results
+    from warpvox.algos.codesign.results import Results, film_designs
 
     texts = [str(text) for text in (config.report if isinstance(config.report, list) else [config.report])]
     if texts != ["latest"]:

@@ -132,8 +132,8 @@ def _training(about: Mapping[str, Any]) -> str:
 
 def _add(config: ZooConfig, folder: Path, console: Console) -> None:
     """Add what can be added and report each; raises the first error after all have been tried."""
-    from warpvox.cli.process import prepare
     from warpvox.cli.robot_entries import add, find_sources
+    from warpvox.devices.startup import prepare
 
     sources, failed = find_sources(config.add), []
     prepare(1, 0)
