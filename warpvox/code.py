@@ -128,7 +128,6 @@ def _load_file(path: Path) -> _Loaded:
 
 
 def _run(path: Path) -> ModuleType:
-    """Execute a file as a module."""
     name = f"_code_{path.stem}"  # json.py must not stand in for what everybody uses
     spec: Any = spec_from_file_location(name, path)  # there is one for every .py
     module = sys.modules[name] = module_from_spec(spec)  # dataclasses look their module up

@@ -151,7 +151,6 @@ class Gradients:
 
 
 def _parts(state: torch.Tensor) -> dict[str, torch.Tensor]:
-    """A state as fields of that of the simulation."""
     return dict(zip(PARTS, state.unbind(1), strict=True))
 
 

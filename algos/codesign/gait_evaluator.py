@@ -165,7 +165,6 @@ class _Rounds:
         return [Gait(**{name: parent.policy[name].numpy() for name in fields}) for parent in found]
 
     def _gaits(self, place: int) -> list[Gait]:
-        """Gaits that a design is tried with next."""
         rng, body, count = self.random[place], self.bodies[place], self.how.count
         steps = self.env.max_episode_steps
         known, gaits = self.inherited[place], []

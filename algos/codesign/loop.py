@@ -100,7 +100,6 @@ class Loop:
                 raise RunError(f"Candidate {one.id} belongs to generation {self.generation}, not {one.generation}.")
 
     def _evaluate(self, asked: Sequence[Candidate], interrupt: Interrupt) -> None:
-        """Evaluate the candidates without a result."""
         done = {record.id for record in self.archive.records(self.generation) if record.finished}
         originals = self._originals(asked)
         # batches are cut before what is done is left out: a resumed generation trains the same designs together

@@ -93,7 +93,6 @@ def _names(groups: Groups) -> dict[str, Series]:
 
 
 def _winners(groups: Groups) -> dict[str, SearchResult]:
-    """The best search of each task."""
     every = {task: [one for runs in named.values() for one in runs] for task, named in groups.items()}
     return {task: max(several, key=lambda one: fitness_of(one.winner)) for task, several in every.items()}
 
@@ -168,7 +167,6 @@ def _gallery(path: Path, groups: Groups) -> str:
 
 
 def _write_table(path: Path, members: Sequence[SearchResult]) -> None:
-    """A row for each search."""
     fresh, rows = ("mean", "low", "high", "episodes"), []
     for one in members:
         winner = [one.winner.fitness, one.winner.id] if one.winner else [None, None]

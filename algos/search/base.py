@@ -259,6 +259,14 @@ class BaseSearch(ABC):
                 raise SearchError(f"{who} a body with parents {proposal.parents}: expected ids of evaluated bodies.")
 
 
+class RandomSearch(BaseSearch):
+    """Designs by EvoGym's sampling rule, each a new one: the baseline that every other search has to beat."""
+
+    def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
+        """``count`` random bodies."""
+        return [self.random_proposal(rng) for _ in range(count)]
+
+
 def _check_same(told: Sequence[Candidate], asked: Sequence[Candidate]) -> None:
     known, again = ([(one.id, one.body.tolist()) for one in several] for several in (told, asked))
     if known != again:

@@ -14,7 +14,7 @@ from warpvox.errors import ConfigError, listing
 
 SEARCHES = {
     "ga": ("ga", "GeneticSearch"),
-    "random": ("random_search", "RandomSearch"),
+    "random": ("base", "RandomSearch"),
     "bo": ("bo", "BayesianSearch"),
     "cppn_neat": ("cppn_neat", "CppnNeatSearch"),
     "map_elites": ("map_elites", "MapElitesSearch"),

@@ -235,7 +235,6 @@ class AscentRunner(Runner):
         return 0.0
 
     def _episodes(self) -> dict[str, float]:
-        """Beginnings of episodes in the rollout."""
         return {"episodes": self.env.num_envs, "length_mean": self.ppo.steps, "diverged": 0} | self._found
 
 

@@ -121,7 +121,6 @@ class Job:
                 self._learn(listener)
 
     def _prepare(self, listener: Listener) -> None:
-        """Make environments and runner."""
         with listener.console.status("loading"):
             self.group = group = join_process_group(self.settings.device)
             listener.console.quiet |= not group.is_main_process
@@ -286,7 +285,6 @@ def resolved(settings: Training) -> Any:
 
 
 def _cells(design: Any) -> Any:
-    """A design as lists."""
     return {name: _cells(body) for name, body in design.items()} if isinstance(design, dict) else design.tolist()
 
 
@@ -296,7 +294,6 @@ def task_name(task: Any) -> str:
 
 
 def _trained_on(settings: Training) -> dict[str, Any]:
-    """Facts of a training for its checkpoints."""
     known = {"task": str(task_name(settings.task)), "rules": settings.rules, "seed": settings.seed}
     if not settings.is_many:
         return known | {"design": settings.design}

@@ -306,7 +306,6 @@ class Runner(OnPolicyRunner):
         }
 
     def _action_std(self) -> float:
-        """Mean deviation of the actions drawn."""
         return self.alg.get_policy().output_std.mean().item()
 
     def _quantiles(self, evaluated: float) -> dict[str, float]:

@@ -119,7 +119,6 @@ def _nodes_of(command: str, values: dict[str, Any]) -> list[str]:
 
 
 def _set(config: DictConfig, override: Override, command: str) -> None:
-    """Set the value of a key."""
     key, keys = override.key_or_group, dict(flat_keys(schema_of(command)))
     if override.package is not None or not _has(config, key):
         raise _unknown(command, override.get_key_element(), config)
@@ -132,7 +131,6 @@ def _set(config: DictConfig, override: Override, command: str) -> None:
 
 
 def _has(config: DictConfig, key: str) -> bool:
-    """Whether a composed configuration has a key."""
     parent, _, name = key.rpartition(".")
     section = OmegaConf.select(config, parent) if parent else config
     return isinstance(section, DictConfig) and name in set(section)

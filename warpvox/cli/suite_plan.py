@@ -67,7 +67,6 @@ def task_names(names: list[str]) -> list[str]:
 
 
 def _tasks(names: list[str]) -> dict[str, TaskSpec]:
-    """The tasks by the names that they are given by."""
     tasks = {name: get_task(name) for name in task_names(names)}
     ids = [spec.id for spec in tasks.values()]
     twice = next((name for name in ids if ids.count(name) > 1), None)
@@ -104,7 +103,6 @@ def _searches(config: SuiteConfig, config_dir: Path | None) -> dict[str, Codesig
 
 
 def _has(config: Any, key: str) -> bool:
-    """Whether a configuration has a dotted key."""
     for name in key.split("."):
         if not hasattr(config, name):
             return False

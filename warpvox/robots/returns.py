@@ -73,7 +73,6 @@ def judge_robust(robot: Robot, protocol: str = ROBUST, episodes: int = EPISODES)
 
 
 def _episode(env: VoxelEnv, robot: Robot, seed: int) -> tuple[float, int]:
-    """Return and control steps."""
     obs, _ = env.reset(seed=seed)
     rewards: list[float] = []
     terminated, limit = False, get_task(robot.task).max_episode_steps

@@ -34,7 +34,6 @@ def write_pictures(file: BinaryIO, pictures: Iterable[Image.Image], pause: int) 
 
 
 def _parts(pictures: Iterator[Image.Image]) -> Iterator[list[Image.Image]]:
-    """The pictures in lists of about :data:`PART_BYTES`."""
     for first in pictures:
         count = max(1, PART_BYTES // (first.width * first.height))
         yield list(islice(chain([first], pictures), count))

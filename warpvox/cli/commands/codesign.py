@@ -83,7 +83,6 @@ def _make(job: Job, console: Console) -> Path:
 
 
 def _export(folder: Path, formats: Sequence[str], console: Console) -> None:
-    """Write the archive in other formats and say where."""
     from warpvox.algos.codesign.archive import FILE, Archive
     from warpvox.algos.codesign.archive_export import export
 
