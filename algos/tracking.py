@@ -1,7 +1,5 @@
 """Runs in Weights & Biases: the whole configuration, figures as they come, a film of the result."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from contextlib import suppress

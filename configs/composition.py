@@ -1,7 +1,5 @@
 """Hydra on the YAML files and schemas of this package."""
 
-from __future__ import annotations
-
 import copy
 import functools
 from collections.abc import Iterator, Sequence

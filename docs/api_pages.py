@@ -3,8 +3,6 @@
 What is public is read from ``warpvox/__init__.pyi``; mkdocstrings reads the docstrings without importing anything.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import cache

@@ -7,8 +7,6 @@ A suite may be run in parts, at different times: rows of the same search, task a
 ``tests/docs`` says when the page is out of date.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -4,8 +4,6 @@ Formulas are those of the terms, returns those of ``docs/results`` and ``envs/kn
 makes the films.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterator

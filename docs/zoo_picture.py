@@ -5,8 +5,6 @@ picture for the page of its task and in a tile of the picture of all. Two of one
 a gait that was chosen by a single episode, and the robot of the zoo.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, cast
 

@@ -5,8 +5,6 @@ unknown objects and memories, exceptions. Values that are not finite later termi
 term.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The best returns that are known of each task with bodies of 5 x 5 cells, and what chance reaches: to compare with."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import dataclass
 from functools import cache

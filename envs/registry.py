@@ -1,7 +1,5 @@
 """Tasks by name."""
 
-from __future__ import annotations
-
 from warpvox.code import is_code, load_code
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.tasks import climb, locomotion, manipulate, misc, shape, traverse

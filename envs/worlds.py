@@ -4,8 +4,6 @@ Cells are written ``.`` empty, ``R`` rigid, ``S`` soft, ``H`` and ``V`` actuator
 list of runs: ``"20. 10F"`` is twenty empty cells and ten fixed ones, a run of one cell needs no number.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest

@@ -7,8 +7,6 @@ file is a module of that package. The modules beside it are forgotten afterwards
 of the same name. A module is looked for in the current folder and among what is installed, and stays imported.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import os

@@ -3,8 +3,6 @@
 All are our own. Each is a starting point for one kind of task, not the best body for it.
 """
 
-from __future__ import annotations
-
 AUTO = "auto"
 """The name that stands for the example made for the task."""
 

@@ -1,7 +1,5 @@
 """Gradients through the physics: control steps that torch differentiates by their actions and by the state before."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Run folders: ``outputs/<command>/<task>/<date_time>[_name]/``."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import functools

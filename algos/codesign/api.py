@@ -1,7 +1,5 @@
 """Design search from Python."""
 
-from __future__ import annotations
-
 import dataclasses
 import tempfile
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Exports of an archive: tables for analysis, bodies in EvoGym's formats."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

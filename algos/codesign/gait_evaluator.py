@@ -1,7 +1,5 @@
 """Evaluation of designs without a policy: a few gaits are tried with each, and handed on to its descendants."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

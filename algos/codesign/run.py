@@ -1,7 +1,5 @@
 """A design search from its settings: everything is checked, then the loop runs with its archive in a folder."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json

@@ -3,8 +3,6 @@
 It is made from archives alone, also while the searches are running. Formulas and sources: docs/evaluation.md.
 """
 
-from __future__ import annotations
-
 import base64
 import itertools
 from collections.abc import Mapping, Sequence

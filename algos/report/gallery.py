@@ -1,7 +1,5 @@
 """Tasks in one picture: each world where its robot begins."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Base class of searches: ask and tell, numbering, the budget, no body proposed twice."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence

@@ -4,8 +4,6 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownLambdaType=false
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager

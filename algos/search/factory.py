@@ -1,7 +1,5 @@
 """From settings to a search; each algorithm's module, and the libraries it needs, load when it is made."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any

@@ -1,7 +1,5 @@
 """Training by gradients through the physics: ``method=gradients``, of a policy that moves by body and time alone."""
 
-from __future__ import annotations
-
 import copy
 from functools import partial
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Trained policies in environments of their run, to be played and evaluated."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The training loop: PPO with evaluations, metrics, atomic checkpoints and exact resumption."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math

@@ -1,7 +1,5 @@
 """Common parts of the adapters: environments from their arguments, bounds of observations and actions, pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The figures of ``warpvox bench suite=gpu``: speeds by size, bodies, training."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

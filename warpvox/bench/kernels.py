@@ -1,7 +1,5 @@
 """``warpvox bench suite=kernels``: where a control step spends its time, memory, and the first compilation."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

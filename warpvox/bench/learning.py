@@ -1,7 +1,5 @@
 """``warpvox bench suite=learning``: how long it takes to learn, with EvoGym's settings of PPO and with ours."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Parts that all commands with keys share: options, help, checked configurations, one run or a sweep of them."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import functools

@@ -1,7 +1,5 @@
 """From ``KEY=VALUE`` to a checked configuration: Hydra composes, the schema's metadata judges."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """Hydra's own application under our commands: its views, shell completion, sweepers and launchers."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The members of a suite from its keys: tasks x searches x seeds, each with the settings of its design search."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Several runs by Hydra's sweeper and launcher (``--multirun``): what they differ by, and their results."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

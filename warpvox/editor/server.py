@@ -7,8 +7,6 @@ Origin is another's. Requests have a size limit, a client that stays silent is d
 in one folder only.
 """
 
-from __future__ import annotations
-
 import hmac
 import json
 import re

@@ -1,7 +1,5 @@
 """Returns of stored robots: episodes in exact arithmetic, which any machine repeats."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone

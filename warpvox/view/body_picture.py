@@ -1,7 +1,5 @@
 """Bodies and worlds as they begin, as pictures: nothing is simulated."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ Pillow keeps all pictures of an animation until the last is there. Here it encod
 with one palette and a row of blocks, so that the blocks of each part follow those of the part before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from io import BytesIO
 from itertools import chain, islice

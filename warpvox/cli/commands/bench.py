@@ -4,8 +4,6 @@ A suite is a file of :mod:`warpvox.bench`. Each leaves ``summary.json``, ``table
 ``outputs/bench/<suite>/<date_time>/``.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """``warpvox codesign``: from a configuration to a folder with the designs that were tried, the best of them trained."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """``warpvox design``: the design editor in the browser, served to this machine only."""
 
-from __future__ import annotations
-
 import webbrowser
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``warpvox suite``: design searches for many tasks, searches and seeds in one folder, gone on with as a whole."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """``warpvox tasks``: all tasks as a table, or one in detail with a picture of its world."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

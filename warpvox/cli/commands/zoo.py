@@ -1,7 +1,5 @@
 """``warpvox zoo``: the trained robots that come with the package, one of them in detail, new ones."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path
