@@ -156,6 +156,14 @@ _Constants: Any = make_dataclass("_Constants", _fields, namespace={"__module__":
 class PhysicsConfig(_Constants):
     """Keys ``physics.*``: a preset, and constants that differ from it (paper section A, Table 1)."""
 
+    @classmethod
+    def of(cls, given: Any) -> Any:
+        """The keys that the name of a preset, or constants, stand for; mappings and keys as they are."""
+        if isinstance(given, Physics):
+            given = dataclasses.asdict(given)
+            return cls(given.pop("name"), **given)
+        return cls(given) if isinstance(given, str) else given
+
 
 PRESETS = {name: PhysicsConfig(preset=name) for name in ("auto", *Physics.presets())}
 """The choices of the group ``physics``."""

@@ -16,7 +16,7 @@ TITLES = {
     "algos.settings": "Training and policies",
     "algos.codesign.api": "Design search",
     "algos.codesign.settings": "Design search",
-    "algos.codesign.found": "Design search",
+    "algos.codesign.results": "Design search",
     "algos.codesign.evaluations": "Design search",
     "algos.search.settings": "Design search",
     "envs.vec_env": "Batches of environments",

@@ -15,7 +15,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from warpvox.envs.known_returns import known_returns
+from warpvox.envs.registry import known_returns
 from warpvox.io.writing import write_text
 
 FOLDER = Path(__file__).resolve().parent

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.envs.about import UNITS
-from warpvox.envs.known_returns import known_returns
-from warpvox.envs.registry import get_task, task_ids
+from warpvox.envs.registry import get_task, known_returns, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.worlds import task_world
 from warpvox.robots.entry import zoo, zoo_tasks

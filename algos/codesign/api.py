@@ -10,9 +10,9 @@ from rich.console import Console
 
 from warpvox.algos.candidate import DesignEvaluator, Listener, Search
 from warpvox.algos.codesign.evaluations import Custom, Evaluation
-from warpvox.algos.codesign.executors import Executor
-from warpvox.algos.codesign.found import Found
+from warpvox.algos.codesign.loop import Executor
 from warpvox.algos.codesign.progress import SearchProgress
+from warpvox.algos.codesign.results import Found
 from warpvox.algos.codesign.run import run_codesign
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.search.settings import CustomSearch, SearchSettings

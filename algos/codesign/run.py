@@ -16,11 +16,9 @@ from rich.console import Console
 from warpvox.algos.candidate import Candidate, DesignEvaluator, Listener, Outcome, Search
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive
 from warpvox.algos.codesign.evaluations.base import full_body
-from warpvox.algos.codesign.executors import Executor, LocalExecutor
 from warpvox.algos.codesign.finalists import Finalists
-from warpvox.algos.codesign.found import Found
-from warpvox.algos.codesign.loop import Loop
-from warpvox.algos.codesign.results import Results, evaluate_winner
+from warpvox.algos.codesign.loop import Executor, LocalExecutor, Loop
+from warpvox.algos.codesign.results import Found, Results, evaluate_winner
 from warpvox.algos.codesign.robots import keep_start, read_start
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.codesign.stored_policies import StoredPolicies

@@ -114,8 +114,7 @@ class Codesign:
             self.search = settings_from({"algorithm": self.search} if isinstance(self.search, str) else self.search)
         if isinstance(self.evaluation, str | Mapping):
             self.evaluation = _evaluation(self.evaluation)
-        if not isinstance(self.physics, Mapping | PhysicsConfig):
-            self.physics = PhysicsConfig.of(self.physics)
+        self.physics = PhysicsConfig.of(self.physics)
         convert(self)
         self.network = plain(self.network, "network")
         check_values(self)
@@ -147,8 +146,7 @@ class Codesign:
         Raises:
             WarpvoxError: see :meth:`Evaluation.resolved`.
         """
-        constants = dataclasses.asdict(physics_of(self))
-        physics = PhysicsConfig(preset=constants.pop("name"), **constants)
+        physics = PhysicsConfig.of(physics_of(self))
         return dataclasses.replace(self, evaluation=self.evaluation.resolved(self, folder), physics=physics)
 
 

@@ -19,8 +19,7 @@ from warpvox.algos.report.gallery import write_gallery
 from warpvox.algos.report.members import SearchResult, fitness_of, progress, read_members
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.algos.statistics import Interval
-from warpvox.envs.known_returns import known_returns
-from warpvox.envs.registry import task_ids
+from warpvox.envs.registry import known_returns, task_ids
 from warpvox.io.writing import write_table, write_text
 from warpvox.view.body_picture import write_bodies
 

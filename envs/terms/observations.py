@@ -9,8 +9,6 @@ from __future__ import annotations
 from math import inf, pi
 from typing import TYPE_CHECKING
 
-import torch
-
 from warpvox.envs.about import ANGLE, LENGTH, NUMBER, SPEED, About, about
 from warpvox.envs.terms.arrays import double, extremes_at, filled, library, long, replaced
 from warpvox.envs.terms.goals import LONGEST, goal_x
@@ -22,7 +20,6 @@ if TYPE_CHECKING:
     from warpvox.envs.episodes import Episodes
     from warpvox.envs.snapshot import Snapshot
     from warpvox.envs.vec_env import VoxelVecEnv
-
 
 SCAN_RANGE = SIGHT * VOXEL  # how far robots see up and down, in simulator units
 
@@ -162,7 +159,7 @@ class ElapsedSteps:
     def __init__(self, episodes: Episodes) -> None:
         self._length = episodes.length  # one tensor for good, which a captured step may read
 
-    def __call__(self, state: Snapshot) -> torch.Tensor:
+    def __call__(self, state: Snapshot) -> Tensor:
         return self._length[:, None]
 
 

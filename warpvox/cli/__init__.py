@@ -89,7 +89,7 @@ def _dispatch(arguments: list[str]) -> int:
         print(f"warpvox {warpvox.__version__}")
         return DONE
     if command in ("-sc", "--shell-completion"):
-        from warpvox.cli.hydra_app import complete
+        from warpvox.cli.sweep import complete
 
         complete(rest)
         return DONE

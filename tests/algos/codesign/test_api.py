@@ -13,8 +13,7 @@ from codesign_toys import ToyEvaluator, ToySearch
 import warpvox as wv
 from warpvox.algos.candidate import Listener, Outcome
 from warpvox.algos.codesign.archive import FILE, Archive
-from warpvox.algos.codesign.executors import LocalExecutor
-from warpvox.algos.codesign.loop import Loop
+from warpvox.algos.codesign.loop import LocalExecutor, Loop
 
 SMALL = dict(shape=(3, 3), device="cpu", threads=1, progress=False)
 TRAINING = {"envs": 8, "iterations": 1, "eval_interval": 1, "ppo": {"steps": 4, "hidden": [8], "epochs": 1}}
