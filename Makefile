@@ -32,7 +32,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check
 # Tools of the maintainers have an environment of their own: .venv cannot be made while the locks are out of date.
 TOOLS := build/tools
 UV := $(TOOLS)/bin/uv
-# ptxas and nvdisasm: not in .venv, because the compiler's package asks for other versions of what torch's CUDA builds pin.
+# ptxas: not in .venv, because the compiler's package asks for other versions of what torch's CUDA builds pin.
 PTXAS := $(if $(filter Linux-x86_64,$(shell uname -s)-$(shell uname -m)),build/ptxas/.installed)
 TOOL := $(UV) tool run --python $(TOOLS)/bin/python
 REPORT := build/report
@@ -88,7 +88,7 @@ $(COVERAGE)/.installed: | $(STAMP)
 
 # Ratios are compared, not rates: machines differ, and so does one machine from minute to minute.
 bench: $(STAMP)
-	$(BIN)/warpvox bench suite=peer peer.make=true output_dir=$(REPORT)
+	$(BIN)/warpvox bench suite=peer peer=make output_dir=$(REPORT)
 	$(BIN)/warpvox bench suite=tasks output_dir=$(REPORT)
 	$(BIN)/warpvox bench suite=learning threads=2 output_dir=$(REPORT)
 	$(BIN)/python docs/compare_figures.py $(REPORT)
@@ -122,7 +122,7 @@ lock: $(UV)
 	$(HASHED) --extra dev --extra view --extra search --extra ray --extra analysis --extra export --extra sb3 -o locks/test.txt
 	$(HASHED) --extra docs -o locks/docs.txt
 	$(HASHED) --all-extras -o locks/all.txt
-	printf 'nvidia-cuda-nvcc\nnvidia-cuda-nvdisasm\n' | $(COMPILE:pyproject.toml=-) $(if $(UPGRADE),--upgrade) --generate-hashes --no-deps -o locks/ptxas.txt
+	printf 'nvidia-cuda-nvcc\n' | $(COMPILE:pyproject.toml=-) $(if $(UPGRADE),--upgrade) --generate-hashes --no-deps -o locks/ptxas.txt
 
 ptxas: $(PTXAS)
 

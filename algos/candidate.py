@@ -6,11 +6,15 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from warpvox.design import Design
+
+if TYPE_CHECKING:
+    from warpvox.algos.codesign.archive import Record
+    from warpvox.algos.codesign.run import SearchRun
 
 FINALIST = "finalist"
 """The origin of a candidate whose body has been compared by a common policy, and now gets a policy of its own."""
@@ -131,3 +135,25 @@ class DesignEvaluator(Protocol):
             KeyboardInterrupt: interrupted; the checkpoint has been written.
         """
         ...
+
+
+class Listener:
+    """Callbacks of a search; the methods of this class do nothing."""
+
+    def begun(self, run: SearchRun) -> None:
+        """The search begins, or goes on."""
+
+    def ended(self, summary: Mapping[str, Any]) -> None:
+        """The search has ended; ``summary`` is what ``summary.json`` says, empty if it could not be written."""
+
+    def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
+        """``waiting`` of the ``total`` candidates of a generation will be trained."""
+
+    def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
+        """Take what an evaluator reports of the training of these candidates; see :data:`PROGRESS`."""
+
+    def finished(self, records: Sequence[Record]) -> None:
+        """These candidates are evaluated and stored."""
+
+    def told(self, generation: int, fresh: bool) -> None:
+        """The search has learned from a generation; not ``fresh``: it had been complete before this run."""

@@ -1,7 +1,5 @@
 """Disturbed episodes: what a policy is worth when actions, beginnings and sensors are not quite as it expects."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """Deterministic evaluation: whole episodes without exploration, for training, play and design search."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable

@@ -1,7 +1,5 @@
 """Protocols of evaluation: the episodes by which a policy is judged, and those by which a search chooses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from warpvox.errors import ConfigError

@@ -4,8 +4,6 @@ The latter after Agarwal et al. (2021), arXiv:2108.13264: scores of an algorithm
 ``[..., runs]``; tasks need not have equally many runs. Leading dimensions are those of bootstrap samples.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Runs in Weights & Biases: the whole configuration, figures as they come, a film of the result."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from contextlib import suppress
@@ -9,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.codesign.loop import Listener
+from warpvox.algos.candidate import Listener
 from warpvox.algos.training.playing import Playing, load_trained, own_code
 from warpvox.errors import RunError
 from warpvox.io.reading import parse_yaml

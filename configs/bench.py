@@ -2,8 +2,6 @@
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,22 +19,11 @@ SUITES = {
     "learning": "time to a return",
     "gradients": "derivatives of control steps: their error, their time, and gaits found with them",
     "kernels": "times of the stages, memory, compilation",
-    "cuda": "the CUDA kernel without a GPU: limits, instructions by stage, predicted speed",
     "gpu": "checks and measurements of a CUDA device in one command",
 }
 """Suites of ``warpvox bench``."""
 COLUMNS = ("step", "inference", "training")
 """Columns of a table of speeds: random actions, actions of a policy, whole iterations of PPO."""
-
-
-@dataclass
-class PeerConfig:
-    """Keys ``peer.*``: the reference implementation to compare with."""
-
-    python: str | None = key(
-        None, "Python interpreter with evogym 2.0.0; null: the one that peer.make has made, if any", path="read"
-    )
-    make: bool = key(False, "first make an environment for the reference (needs Python 3.10 and a package index)")
 
 
 @dataclass
@@ -46,7 +33,6 @@ class ScalingConfig:
     sizes: list[int] = key(list(range(5, 36)), "sizes n of the bodies of n x n voxels", low=2, high=60)
     bodies: int = key(10, "number of robots of each size", low=1)
     seconds: float = key(10.0, "simulated seconds for each robot, 50 control steps per second", above=0)
-    quick: bool = key(False, "only every fifth size, at most 3 robots of each, for at most 2 simulated seconds")
     envs: list[int] = key([1, 8, 64, 512, 4096, 16384, 65536], "numbers of environments", low=1)
 
 
@@ -57,19 +43,6 @@ class LearningConfig:
     ppo: list[str] = key(["parallel", "evogym"], "settings to compare: names of configs/ppo", choices=PPO)
     seeds: int = key(3, "number of runs of each", low=1)
     stop_return: float = key(10.0, "return to reach in a deterministic evaluation")
-    seconds: float = key(150.0, "time limit of a run, in seconds", above=0)
-
-
-@dataclass
-class GradientsConfig:
-    """Keys ``gradients.*``: the gaits that are improved."""
-
-    bodies: int = key(32, "number of different random bodies", low=1)
-    steps: int = key(120, "control steps whose displacement counts", low=1)
-    iterations: int = key(40, "steps of Adam", low=1)
-    smoothing: list[float] = key(
-        [1e-6, 1e-4, 4e-4, 8e-4, 1.6e-3, 6.4e-3], "of contacts with terrain, in simulator units", above=0
-    )
 
 
 @dataclass
@@ -93,12 +66,19 @@ class BenchConfig:
     threads: int = key(1, "CPU threads of the simulation", low=1, high=MOST_THREADS)
     torch_threads: int = key(1, "PyTorch threads", low=1, high=MOST_THREADS)
     seed: int = key(0, "seed of the random actions", low=0)
-    compile: bool = key(True, "suite=kernels: compile all kernels of a control step again and time that")
-    peer: PeerConfig = key(PeerConfig, "the reference")
+    peer: str | None = key(
+        None,
+        "Python interpreter with evogym 2.0.0; make: first make one (needs Python 3.10 and a package index); null: the"
+        " one that was made, if any",
+        path="read",
+    )
     scaling: ScalingConfig = key(ScalingConfig, "suite=scaling")
     learning: LearningConfig = key(LearningConfig, "suite=learning")
-    gradients: GradientsConfig = key(GradientsConfig, "suite=gradients")
-    seconds: float = key(400.0, "suite=gpu: no further part begins after so many seconds", above=0)
+    seconds: float | None = key(
+        None,
+        "suite=gpu: no part begins after so many (null: 400); suite=learning: of a run at most (null: 150)",
+        above=0,
+    )
     document: str | None = key(
         None, "Markdown file whose tables of this suite are replaced (`<!-- bench SUITE -->`)", path="written"
     )

@@ -2,8 +2,6 @@
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Hydra on the YAML files and schemas of this package."""
 
-from __future__ import annotations
-
 import copy
 import functools
 from collections.abc import Iterator, Sequence
@@ -19,6 +17,7 @@ from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from warpvox.algos.settings import DesignTraining
 from warpvox.configs.schema import PRESET, PRESET_OF, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean, listing
 
@@ -108,3 +107,18 @@ def shape_of(task: str) -> list[int]:
 def design_of(task: str) -> str:
     """The example design that is trained on a task unless another is named."""
     return DESIGNS.get(task, DESIGN)
+
+
+def training_preset(name: str, ppo: dict[str, Any] | None = None, **changes: Any) -> DesignTraining:
+    """The settings ``training=<name>`` of a design search, with other ``training.*`` and ``training.ppo.*``."""
+    with hydras_errors():
+        preset = composed("codesign", [f"training={quoted(name)}"]).training
+        return cast(Any, OmegaConf.to_object)(OmegaConf.merge(preset, {**changes, "ppo": ppo or {}}))
+
+
+def ppo_preset(name: str) -> dict[str, Any]:
+    """The settings of a training that ``ppo=<name>`` sets, by name: ``ppo``, and what goes with it."""
+    with hydras_errors():
+        words = [], [f"ppo={quoted(name)}"]
+        usual, named = (vars(OmegaConf.to_object(composed("train", one))) for one in words)
+    return {key: value for key, value in named.items() if value != usual[key]}

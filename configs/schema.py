@@ -5,8 +5,6 @@ against the metadata of its fields, and prints the same metadata as ``warpvox CO
 dataclasses is imported when one of its commands is.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass

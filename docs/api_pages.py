@@ -3,8 +3,6 @@
 What is public is read from ``warpvox/__init__.pyi``; mkdocstrings reads the docstrings without importing anything.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import cache
@@ -18,7 +16,7 @@ TITLES = {
     "algos.settings": "Training and policies",
     "algos.codesign.api": "Design search",
     "algos.codesign.settings": "Design search",
-    "algos.codesign.found": "Design search",
+    "algos.codesign.results": "Design search",
     "algos.codesign.evaluations": "Design search",
     "algos.search.settings": "Design search",
     "envs.vec_env": "Batches of environments",

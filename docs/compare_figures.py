@@ -4,8 +4,6 @@ Not part of the library; ``make bench`` runs it. Exit code 1 if a ratio to EvoGy
 walker needs more than half as many control steps again to learn.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

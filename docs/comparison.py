@@ -7,8 +7,6 @@ A suite may be run in parts, at different times: rows of the same search, task a
 ``tests/docs`` says when the page is out of date.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -17,7 +15,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from warpvox.envs.known_returns import known_returns
+from warpvox.envs.registry import known_returns
 from warpvox.io.writing import write_text
 
 FOLDER = Path(__file__).resolve().parent

@@ -4,8 +4,6 @@ Cells are plain Python without magic words. What a quick run makes smaller is in
 Not part of the library.
 """
 
-from __future__ import annotations
-
 import ast
 import base64
 import contextlib

@@ -7,8 +7,6 @@ Trains a walker from three seeds and searches for one, then draws with the comma
 need Playwright and a Chromium of the system.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import shutil

@@ -3,8 +3,6 @@
 Not part of the library. What only goes on with the same training is left out: the optimiser's moments.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -27,8 +27,7 @@ from warpvox.algos.protocols import DISTURBANCES, NOMINAL
 from warpvox.algos.report.members import SearchResult, read_members
 from warpvox.algos.statistics import mean_interval
 from warpvox.cli.robot_entries import command_of
-from warpvox.envs.known_returns import FILE as KNOWN_RETURNS, KnownReturn, known_returns
-from warpvox.envs.registry import task_ids
+from warpvox.envs.registry import FILE as KNOWN_RETURNS, KnownReturn, known_returns, task_ids
 from warpvox.io import writing
 from warpvox.robots import Gait, zoo_tasks
 from warpvox.robots.returns import EPISODES, judge_robust

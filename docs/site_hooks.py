@@ -1,7 +1,5 @@
 """Hooks of mkdocs: parts of the site, pages that are made then, links. Not part of the library."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

@@ -4,8 +4,6 @@ Formulas are those of the terms, returns those of ``docs/results`` and ``envs/kn
 makes the films.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterator
@@ -14,49 +12,15 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.envs.about import UNITS
-from warpvox.envs.known_returns import known_returns
-from warpvox.envs.registry import get_task, task_ids
+from warpvox.envs.registry import get_task, known_returns, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.worlds import task_world
 from warpvox.robots.entry import zoo, zoo_tasks
 from warpvox.robots.gait import Gait
-from warpvox.view.world_picture import draw_world
+from warpvox.view.body_picture import draw_world
 
 RESULTS = Path(__file__).resolve().parent / "results"
-PAGE = """\
-# {task.id}
-
-{task.summary} {level}, section {task.section} of the paper. At most {task.max_episode_steps} control steps.
-
-{film}
-![The world of {task.id}](worlds/{task.id}.png)
-
-    warpvox play zoo={task.id}
-    warpvox train task={task.id} design=zoo:{task.id}
-
-## Reward
-
-{rewards}
-
-Δ is the value after the step less that before; [condition] counts only where it holds after the step.
-
-## End
-
-{ends}
-
-## Observation
-
-{observations}
-
-x, y: centre of mass; p: both; v: its velocity; θ: turn since the beginning; c: points of a body about p, n of them.
-{units} [More kinds of observation](../observations.md).
-{memory}
-## Returns
-
-{returns}
-
-{episodes}; under noise of 1 % of the action range the mean of 32 episodes ([results](../results.md)).
-{paper}"""
+PAGE = Path(__file__).with_name("task_page.txt").read_text(encoding="utf-8")
 
 
 @cache

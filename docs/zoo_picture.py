@@ -5,8 +5,6 @@ picture for the page of its task and in a tile of the picture of all. Two of one
 a gait that was chosen by a single episode, and the robot of the zoo.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,7 +12,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from warpvox.algos.disturbance import Disturbed
-from warpvox.cli.process import prepare
+from warpvox.devices.startup import prepare
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.io.writing import atomic_path
 from warpvox.robots.entry import Robot, read_robot, zoo, zoo_tasks

@@ -1,7 +1,5 @@
 """Episode state of environments, in tensors that are allocated once."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

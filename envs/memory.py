@@ -5,8 +5,6 @@ that may come, where the environments lie in them, observations, and what PPO ke
 come on top; :data:`MEMORY_SHARE` leaves room for them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from math import inf, prod

@@ -1,7 +1,5 @@
 """The columns of observation terms, for designs of different sizes."""
 
-from __future__ import annotations
-
 import torch
 
 from warpvox.envs.snapshot import Snapshot

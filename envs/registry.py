@@ -1,6 +1,10 @@
-"""Tasks by name."""
+"""Tasks by name, and the returns that others have published."""
 
-from __future__ import annotations
+import csv
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
 
 from warpvox.code import is_code, load_code
 from warpvox.envs.spec import TaskSpec
@@ -51,3 +55,49 @@ def get_task(task: str | TaskSpec) -> TaskSpec:
 def released_id(task_id: str) -> str:
     """The id of a task as the release spells it."""
     return _RELEASED.get(task_id, task_id)
+
+
+FILE = "known_returns.csv"
+
+
+@dataclass(frozen=True)
+class KnownReturn:
+    """Known returns of a task.
+
+    Attributes:
+        task: its id.
+        random: mean return of random bodies under random actions, measured by ``python docs/results.py random``.
+        best: the best published return, None if there is none.
+        method: who found it.
+        source: where the number is found.
+        protocol: how it was found, as far as the source says.
+        note: what else to know about it.
+    """
+
+    task: str
+    random: float
+    best: float | None
+    method: str
+    source: str
+    protocol: str
+    note: str
+
+    def score(self, value: float) -> float:
+        """``(value - random) / (best - random)``: 0 is chance, 1 the best published return.
+
+        Raises:
+            ValueError: no return is published.
+        """
+        if self.best is None:
+            raise ValueError(f"No return of {self.task} is published.")
+        return (value - self.random) / (self.best - self.random)
+
+
+@cache
+def known_returns() -> dict[str, KnownReturn]:
+    """By the id of the task; tasks of the benchmark only."""
+    text = files("warpvox.envs").joinpath(FILE).read_text(encoding="utf-8")
+    rows: list[dict[str, Any]] = list(csv.DictReader(text.splitlines()))
+    for row in rows:
+        row |= {"random": float(row["random"]), "best": float(row["best"]) if row["best"] else None}
+    return {row["task"]: KnownReturn(**row) for row in rows}

@@ -14,10 +14,8 @@ from warpvox.batch.options import SimKeywords, SimOptions
 from warpvox.checks import check_integer, check_mask
 from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory, fewer
-from warpvox.envs.bodies import load_worlds, one_body
-from warpvox.envs.checks import check_fields, check_memory, check_terms
+from warpvox.envs.checks import FiniteGuard, all_finite, check_fields, check_memory, check_terms
 from warpvox.envs.episodes import Episodes
-from warpvox.envs.finite import FiniteGuard, all_finite
 from warpvox.envs.graph import StepGraph, capture_on_cuda
 from warpvox.envs.memory import ask, environment_bytes
 from warpvox.envs.observations import ObservationLayout
@@ -25,8 +23,9 @@ from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.registry import get_task
 from warpvox.envs.snapshot import Quantity, Snapshot
 from warpvox.envs.spec import ROBOT, Observation, TaskSpec
-from warpvox.envs.terms.elapsed import NAME as TIME, ElapsedSteps, is_timed
+from warpvox.envs.terms.observations import NAME as TIME, ElapsedSteps, is_timed
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
+from warpvox.envs.worlds import load_worlds, one_body
 from warpvox.errors import ConfigError, DesignError, SimulationError, did_you_mean, listing
 from warpvox.simulation import Simulation
 

@@ -9,8 +9,6 @@ base64. A row has ``uid``, ``body``, ``connections``, ``reward``, ``env_name``, 
 ``policy_blob``: PPO with an ``MlpPolicy`` as Stable-Baselines3 saves it. Its tensors alone are read (``weights_only``).
 """
 
-from __future__ import annotations
-
 import base64
 import heapq
 import io

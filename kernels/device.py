@@ -5,8 +5,6 @@ stream they are on, and can be part of a graph that torch captures. Memory is to
 work on that stream is pending. Warp's own streams, allocator and copies are not used.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, cast

@@ -8,7 +8,7 @@ from .algos.codesign.evaluations import (
     Shared as Shared,
     Specialist as Specialist,
 )
-from .algos.codesign.found import Found as Found
+from .algos.codesign.results import Found as Found
 from .algos.codesign.settings import Codesign as Codesign
 from .algos.search.settings import (
     BO as BO,

@@ -105,7 +105,7 @@ def _named_ppo(given: dict[str, Any]) -> dict[str, Any]:
     """Settings with the named set ``ppo`` in the place of its name, and what goes with it."""
     if not isinstance(given.get("ppo"), str):
         return given
-    from warpvox.configs.presets import ppo_preset
+    from warpvox.configs.composition import ppo_preset
 
     return ppo_preset(given["ppo"]) | {key: value for key, value in given.items() if key != "ppo"}
 

@@ -7,8 +7,6 @@ file is a module of that package. The modules beside it are forgotten afterwards
 of the same name. A module is looked for in the current folder and among what is installed, and stays imported.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import os
@@ -128,7 +126,6 @@ def _load_file(path: Path) -> _Loaded:
 
 
 def _run(path: Path) -> ModuleType:
-    """Execute a file as a module."""
     name = f"_code_{path.stem}"  # json.py must not stand in for what everybody uses
     spec: Any = spec_from_file_location(name, path)  # there is one for every .py
     module = sys.modules[name] = module_from_spec(spec)  # dataclasses look their module up

@@ -6,8 +6,6 @@ apart by rounding and by the order of hash sets of its C++ library. Both are reb
 arithmetic alone.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

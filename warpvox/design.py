@@ -4,8 +4,6 @@ A body is valid if it is one piece (cells touch along edges) and holds at least 
 A.1 and C.1). This module checks, samples, loads and saves bodies; it needs numpy only.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -8,8 +8,6 @@ machine or state).
 A message says what was expected, what was given, which values are valid and which of them is nearest.
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable
 

@@ -1,74 +1,24 @@
-"""Example bodies, as data. Row 0 on top; 0 empty, 1 rigid, 2 soft, 3 horizontal and 4 vertical actuator.
+"""Example bodies, as data. Rows from the top; 0 empty, 1 rigid, 2 soft, 3 horizontal and 4 vertical actuator.
 
 All are our own. Each is a starting point for one kind of task, not the best body for it.
 """
 
-from __future__ import annotations
-
 AUTO = "auto"
 """The name that stands for the example made for the task."""
 
-EXAMPLES: dict[str, tuple[tuple[int, ...], ...]] = {
-    # a bounding quadruped: two muscle bands over two legs
-    "walker": (
-        (1, 4, 4, 4, 1),
-        (3, 3, 3, 3, 3),
-        (3, 3, 3, 3, 3),
-        (4, 4, 0, 4, 4),
-        (4, 4, 0, 4, 4),
-    ),
+_BODIES = {
+    "walker": "14441/33333/33333/44044/44044",  # a bounding quadruped: two muscle bands over two legs
     # two wide pads that can press against the walls of a shaft, a column between them that stretches
-    "climber": (
-        (3, 3, 3, 3, 3),
-        (3, 3, 3, 3, 3),
-        (0, 4, 4, 4, 0),
-        (3, 3, 3, 3, 3),
-        (3, 3, 3, 3, 3),
-    ),
-    # a walker with raised edges, so that a load stays on its back
-    "carrier": (
-        (1, 0, 0, 0, 1),
-        (3, 3, 3, 3, 3),
-        (3, 3, 3, 3, 3),
-        (4, 4, 0, 4, 4),
-        (4, 4, 0, 4, 4),
-    ),
-    # long legs under a soft back: for steps
-    "stepper": (
-        (2, 3, 3, 3, 2),
-        (3, 3, 3, 3, 3),
-        (4, 4, 4, 4, 4),
-        (4, 4, 0, 4, 4),
-        (4, 0, 0, 0, 4),
-    ),
-    # a stack of vertical muscle between a stiff top and two feet
-    "hopper": (
-        (1, 1, 1, 1, 1),
-        (4, 4, 4, 4, 4),
-        (4, 4, 4, 4, 4),
-        (4, 4, 4, 4, 4),
-        (3, 3, 0, 3, 3),
-    ),
-    # low and long
-    "worm": (
-        (2, 3, 3, 2, 3, 3, 2),
-        (4, 3, 3, 4, 3, 3, 4),
-    ),
+    "climber": "33333/33333/04440/33333/33333",
+    "carrier": "10001/33333/33333/44044/44044",  # a walker with raised edges, so that a load stays on its back
+    "stepper": "23332/33333/44444/44044/40004",  # long legs under a soft back: for steps
+    "hopper": "11111/44444/44444/44444/33033",  # a stack of vertical muscle between a stiff top and two feet
+    "worm": "2332332/4334334",  # low and long
     # a crane on four columns: the legs sink, the inner columns reach into the hole and hold the box between their tips
-    "lifter": (
-        (1, 1, 1, 1, 1, 1, 1),
-        (4, 0, 4, 0, 4, 0, 4),
-        (4, 0, 4, 0, 4, 0, 4),
-        (4, 0, 4, 0, 4, 0, 4),
-        (4, 0, 3, 0, 3, 0, 4),
-    ),
-    # the smallest body with two legs
-    "mini": (
-        (3, 3, 3),
-        (4, 4, 4),
-        (4, 0, 4),
-    ),
+    "lifter": "1111111/4040404/4040404/4040404/4030304",
+    "mini": "333/444/404",  # the smallest body with two legs
 }
+EXAMPLES = {name: tuple(tuple(map(int, row)) for row in rows.split("/")) for name, rows in _BODIES.items()}
 
 MADE_FOR: dict[str, tuple[str, ...]] = {
     "walker": ("Walker-v0", "BridgeWalker-v0", "BidirectionalWalker-v0"),

@@ -1,7 +1,5 @@
 """Gradients through the physics: control steps that torch differentiates by their actions and by the state before."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 
@@ -151,7 +149,6 @@ class Gradients:
 
 
 def _parts(state: torch.Tensor) -> dict[str, torch.Tensor]:
-    """A state as fields of that of the simulation."""
     return dict(zip(PARTS, state.unbind(1), strict=True))
 
 

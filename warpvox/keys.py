@@ -1,7 +1,5 @@
 """Keys of configurations as fields of dataclasses: meaning and its valid values, as metadata of a dataclass field."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from collections.abc import Collection, Mapping

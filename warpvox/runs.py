@@ -1,7 +1,5 @@
 """Run folders: ``outputs/<command>/<task>/<date_time>[_name]/``."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import functools
@@ -123,7 +121,6 @@ def _folder_of(path: Path) -> Path:
 
 
 def _stored_robot(text: str) -> Run:
-    """A stored robot as a run: its configuration says what it is a policy for."""
     robot = find_robot(text.removeprefix(ZOO))
     policy = "gait" if isinstance(robot.policy, Gait) else "mlp"
     known = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "obs": robot.obs, "policy": policy}
@@ -216,7 +213,6 @@ def _best_design(folder: Path) -> Path:
 
 
 def _config_of(folder: Path, command: str) -> dict[str, Any]:
-    """The configuration of a run of this command."""
     if not (folder / CONFIG).is_file():
         raise RunError(f"{folder} is not a run: it has no {CONFIG}. Runs are made by `warpvox {command}`.")
     content, (what, keys) = _read(folder), NEEDED[command]

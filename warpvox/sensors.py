@@ -1,7 +1,5 @@
 """Sensing in a simulation: positions of points, centres of mass, orientations, hulls, scans of the terrain."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 

@@ -389,7 +389,6 @@ class Simulation(Sensing):
         return self._read(slice(None))
 
     def _read(self, envs: torch.Tensor | slice) -> dict[str, torch.Tensor]:
-        """Rows of :meth:`state`."""
         pack, lane = (index[envs] for index in self._env)
         state = {}
         for name in STATE_FIELDS:

@@ -4,8 +4,6 @@ Tests run on Linux. Elsewhere commands are meant to run without what only Linux 
 and the free memory is not known. No other module of warpvox asks which system it runs on.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import platform

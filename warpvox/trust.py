@@ -4,8 +4,6 @@ A run keeps a copy of the code of its own task, search and policy in the folder 
 ``task=stored`` names that copy, ``task=FILE.py:NAME`` another place; the same holds for the other keys.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import shlex

@@ -4,8 +4,6 @@ Both also contain :func:`warpvox.algos.checkpoints.policy.policy_text`, from whi
 policy: reading such a file never runs the program in it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import io

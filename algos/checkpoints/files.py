@@ -1,7 +1,5 @@
 """Checkpoints: files that hold a policy and everything needed to rebuild it, written whole or not at all."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from collections.abc import Mapping

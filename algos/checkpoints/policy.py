@@ -1,7 +1,5 @@
 """Trained policies as plain torch modules, and as one text that holds all of a policy."""
 
-from __future__ import annotations
-
 import base64
 import binascii
 import json

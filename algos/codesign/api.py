@@ -1,7 +1,5 @@
 """Design search from Python."""
 
-from __future__ import annotations
-
 import dataclasses
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -10,12 +8,11 @@ from typing import Any
 
 from rich.console import Console
 
-from warpvox.algos.candidate import DesignEvaluator, Search
+from warpvox.algos.candidate import DesignEvaluator, Listener, Search
 from warpvox.algos.codesign.evaluations import Custom, Evaluation
-from warpvox.algos.codesign.executors import Executor
-from warpvox.algos.codesign.found import Found
-from warpvox.algos.codesign.loop import Listener
+from warpvox.algos.codesign.loop import Executor
 from warpvox.algos.codesign.progress import SearchProgress
+from warpvox.algos.codesign.results import Found
 from warpvox.algos.codesign.run import run_codesign
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.search.settings import CustomSearch, SearchSettings
@@ -51,7 +48,7 @@ def codesign(
         folder: a search that is there is gone on with; ``auto``: a new one in ``outputs/codesign``, ``None``: a
             temporary one, which goes with the process.
         progress: show how the search goes.
-        listeners: objects with the callbacks of :class:`warpvox.algos.codesign.loop.Listener`.
+        listeners: objects with the callbacks of :class:`warpvox.algos.candidate.Listener`.
         settings: the others of :class:`Codesign`: ``training``, ``seed``, ``device``, ``start``, ...
 
     Raises:

@@ -1,15 +1,12 @@
-"""Exports of an archive, and imports of designs: tables for analysis, bodies in EvoGym's formats."""
-
-from __future__ import annotations
+"""Exports of an archive: tables for analysis, bodies in EvoGym's formats."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from warpvox.algos.codesign.archive import Archive, Record, body_text
-from warpvox.design import Design, load_design, save_design
-from warpvox.errors import DesignError, RunError, did_you_mean, listing
+from warpvox.design import save_design
+from warpvox.errors import RunError, did_you_mean, listing
 from warpvox.io.writing import atomic_path, write_table, write_text
 
 COLUMNS = {
@@ -19,7 +16,6 @@ COLUMNS = {
     "curve_values": ["float64"],
 }  # fmt: skip
 """Of the tables, with Arrow's types; bodies are JSON in both, lists are JSON in CSV and lists in Parquet."""
-DESIGN_SUFFIXES = (".npz", ".json", ".npy")
 
 
 def export(archive: Archive, folder: Path, name: str) -> Path:
@@ -79,31 +75,7 @@ def write_designs(archive: Archive, folder: Path, suffix: str) -> Path:
     return folder
 
 
-def read_designs(paths: Sequence[str]) -> list[Design]:
-    """Bodies from files and folders (searched through) and by name; equal bodies once, in order of appearance.
-
-    Reads what :func:`write_designs` and EvoGym's searches write. In a folder all files ending in .npz, .json and .npy
-    must be designs.
-    """
-    bodies = {}
-    for text in paths:
-        path = Path(text).expanduser()
-        if path.is_dir():
-            files = sorted(file for file in path.rglob("*") if file.suffix.lower() in DESIGN_SUFFIXES)
-            if not files:
-                raise DesignError(
-                    f"There is no design in '{path}': expected files ending in {listing(DESIGN_SUFFIXES)}."
-                )
-        else:
-            files = [text]
-        for file in files:
-            body = load_design(file)
-            bodies.setdefault(body_text(body), body)
-    return list(bodies.values())
-
-
 def _row(record: Record) -> dict[str, Any]:
-    """The values of :data:`COLUMNS`."""
     item = record.candidate
     known = vars(record) | vars(item) | {"body": body_text(item.body), "parents": list(item.parents)}
     known |= dict(zip(("rows", "columns"), item.body.shape, strict=True))

@@ -1,7 +1,5 @@
 """Episodes of many gaits at once, of several designs."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Sequence
 

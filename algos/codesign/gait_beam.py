@@ -89,7 +89,6 @@ class Beam:
         return [search.best for search in searches if search.best is not None], spent
 
     def _environments(self, searches: Sequence[_Search]) -> torch.Tensor:
-        """The environment whose state each environment continues."""
         sources = torch.tensor([search.sources for search in searches], device=self.env.device)
         first = self.count * torch.arange(len(searches), device=self.env.device)[:, None]
         each = self.episodes * (first + sources)[:, :, None]

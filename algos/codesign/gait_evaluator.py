@@ -1,7 +1,5 @@
 """Evaluation of designs without a policy: a few gaits are tried with each, and handed on to its descendants."""
 
-from __future__ import annotations
-
 import json
 import math
 import time
@@ -165,7 +163,6 @@ class _Rounds:
         return [Gait(**{name: parent.policy[name].numpy() for name in fields}) for parent in found]
 
     def _gaits(self, place: int) -> list[Gait]:
-        """Gaits that a design is tried with next."""
         rng, body, count = self.random[place], self.bodies[place], self.how.count
         steps = self.env.max_episode_steps
         known, gaits = self.inherited[place], []

@@ -1,7 +1,5 @@
 """Open-loop gaits as a design search evolves them: random ones, and mutants."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

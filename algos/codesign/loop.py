@@ -8,42 +8,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, Protocol, cast
 
-from warpvox.algos.candidate import FINALIST, Candidate, Outcome, Parent, Parents, Search
+from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Listener, Outcome, Parent, Parents, Search
 from warpvox.algos.codesign.archive import Archive, Finished, Record, body_text
-from warpvox.algos.codesign.executors import Batch, Executor, batches
 from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
 from warpvox.errors import DivergenceError, RunError
-
-if TYPE_CHECKING:
-    from warpvox.algos.codesign.run import SearchRun
-
-
-class Listener:
-    """Callbacks of a search; the methods of this class do nothing."""
-
-    def begun(self, run: SearchRun) -> None:
-        """The search begins, or goes on."""
-
-    def ended(self, summary: Mapping[str, Any]) -> None:
-        """The search has ended; ``summary`` is what ``summary.json`` says, empty if it could not be written."""
-
-    def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
-        """``waiting`` of the ``total`` candidates of a generation will be trained."""
-
-    def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
-        """Take what an evaluator reports of the training of these candidates; see :data:`PROGRESS`."""
-
-    def finished(self, records: Sequence[Record]) -> None:
-        """These candidates are evaluated and stored."""
-
-    def told(self, generation: int, fresh: bool) -> None:
-        """The search has learned from a generation; not ``fresh``: it had been complete before this run."""
 
 
 @dataclass
@@ -125,7 +99,6 @@ class Loop:
                 raise RunError(f"Candidate {one.id} belongs to generation {self.generation}, not {one.generation}.")
 
     def _evaluate(self, asked: Sequence[Candidate], interrupt: Interrupt) -> None:
-        """Evaluate the candidates without a result."""
         done = {record.id for record in self.archive.records(self.generation) if record.finished}
         originals = self._originals(asked)
         # batches are cut before what is done is left out: a resumed generation trains the same designs together
@@ -228,3 +201,59 @@ def _check_same(asked: Sequence[Candidate], known: Sequence[Record]) -> None:
             f"The search now proposes other designs for generation {known[0].candidate.generation} than the archive"
             " holds: it was made by another version of warpvox or of the library that the search uses."
         )
+
+
+Report = Callable[[int, dict[str, Any]], None]
+"""Called with the index of a batch and the progress of its evaluation."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Candidates that are trained together, and the checkpoint file of their training."""
+
+    candidates: Sequence[Candidate]
+    checkpoint: Path | None = None
+
+
+class Executor(Protocol):
+    """Evaluates batches of candidates. The results must not depend on where and in what order."""
+
+    def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
+        """Yield the index of each batch in ``work`` with its outcomes, as they finish.
+
+        Args:
+            parents: as for :class:`warpvox.algos.candidate.DesignEvaluator`.
+        """
+        ...
+
+    def close(self) -> None:
+        """Release the workers."""
+
+
+class LocalExecutor:
+    """Evaluates in this process, in order."""
+
+    def __init__(self, evaluator: DesignEvaluator) -> None:
+        self.evaluator = evaluator
+
+    def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
+        for place, batch in enumerate(work):
+
+            def tell(event: dict[str, Any], place: int = place) -> None:
+                report(place, event)
+
+            yield place, self.evaluator.evaluate(batch.candidates, parents, tell, batch.checkpoint)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+def batches(candidates: Sequence[Candidate], size: int | None, folder: Path | None = None) -> list[Batch]:
+    """The candidates of a generation cut into batches that are trained together; None: one batch.
+
+    The cut depends on nothing but the candidates, so that a resumed experiment, or one on other machines, trains the
+    same designs together.
+    """
+    size = size or len(candidates)
+    cut = [candidates[start : start + size] for start in range(0, len(candidates), size or 1)]
+    return [Batch(part, folder / f"training_{part[0].id}.pt" if folder else None) for part in cut]

@@ -14,9 +14,8 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
-from warpvox.algos.candidate import FINALIST, Candidate
+from warpvox.algos.candidate import FINALIST, Candidate, Listener
 from warpvox.algos.codesign.archive import Record
-from warpvox.algos.codesign.loop import Listener
 from warpvox.algos.codesign.results import fresh_text
 from warpvox.algos.report import FILE as REPORT
 from warpvox.errors import RunError

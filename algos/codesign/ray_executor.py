@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Parents
-from warpvox.algos.codesign.executors import Batch, Report
+from warpvox.algos.codesign.loop import Batch, Report
 from warpvox.errors import ConfigError, RunError, WarpvoxError
 
 POLL_SECONDS = 0.5

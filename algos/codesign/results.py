@@ -1,28 +1,38 @@
-"""Pictures and figures that a design search leaves in its folder, kept up to date while it runs."""
+"""Pictures and figures that a design search leaves in its folder, kept up to date while it runs; its result."""
 
 from __future__ import annotations
 
+import dataclasses
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from warpvox import __version__
-from warpvox.algos.candidate import FINALIST
-from warpvox.algos.codesign.archive import Archive, Record
-from warpvox.algos.codesign.loop import Listener
+from warpvox.algos.candidate import FINALIST, Listener
+from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.algos.evaluate import evaluate
-from warpvox.algos.report import FILE as REPORT, write_report
+from warpvox.algos.report import FILE as REPORT, FILM, write_report
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.algos.training.playing import Playing, load_trained, own_code
 from warpvox.checks import is_number
 from warpvox.envs.registry import get_task
 from warpvox.io.console import duration
+from warpvox.io.writing import atomic_path
 from warpvox.runs import find_run, read_summary, write_summary
 from warpvox.view.body_picture import write_bodies
+from warpvox.view.painter import Painter
+from warpvox.view.rollout import record
 
 if TYPE_CHECKING:
+    from warpvox.algos.checkpoints.policy import Policy
     from warpvox.algos.codesign.settings import Codesign
+
 
 FRESH = 64
 """Episodes of a winner that its search never met, in tasks that draw at random."""
@@ -150,3 +160,105 @@ def fresh_text(facts: Mapping[str, Any]) -> str:
     """The return of a winner in episodes of fresh seeds, in words."""
     found = Interval(facts["mean"], facts["low"], facts["high"], facts["episodes"])
     return f"{found} in {facts['episodes']} episodes"
+
+
+SIZE, VOXELS = (320, 150), 13.0
+"""Of a picture, in pixels, and the height of what it shows."""
+LONGEST, EVERY, PAUSE = 300, 5, 100
+"""Control steps that are shown at most, those from one picture to the next, and the milliseconds that they take."""
+
+
+def film_designs(folder: Path, records: Sequence[Record], settings: Any) -> None:
+    """Have each robot act for an episode, and write it beside its policy; one that is there already stays.
+
+    Args:
+        folder: of the search.
+        records: designs; those without a policy, or whose policy is gone, are left out.
+        settings: of the search, with the code that the user has named.
+    """
+    for one in records:
+        policy = folder / str(one.policy)
+        file = policy.with_name(FILM)
+        if file.is_file() or not policy.is_file():
+            continue
+        rollout = record(*load_trained(find_run(str(file.parent), ""), Playing(**own_code(settings))), LONGEST)
+        painter = Painter(rollout, 0, SIZE, VOXELS)
+        first, *others = [painter.frame(frame) for frame in range(0, rollout.num_frames, EVERY)]
+        with atomic_path(file) as temporary:
+            first.save(temporary, "WEBP", save_all=True, append_images=others, duration=PAUSE, loop=0, quality=40)
+
+
+SHOWN = 5
+"""Designs that a notebook shows."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A design search that has been made.
+
+    Attributes:
+        folder: its archive, policies and report; as ``warpvox play run=FOLDER`` takes it.
+        settings: with what their names stood for.
+        summary: what ``summary.json`` says: ``status``, ``evaluations``, ``steps``, ``best_fitness``, ...
+    """
+
+    folder: Path
+    settings: Codesign
+    summary: Mapping[str, Any]
+    kept: Any = dataclasses.field(default=None, repr=False)
+
+    @cached_property
+    def designs(self) -> list[Record]:
+        """All designs with a result, the best first: body, fitness, learning curve, ancestors."""
+        with Archive.read(self.folder / ARCHIVE) as archive:
+            return archive.best(max(1, archive.count()))
+
+    @property
+    def best(self) -> Record:
+        """The best design."""
+        return self.designs[0]
+
+    @property
+    def policy(self) -> Policy:
+        """The policy of the best design, on the CPU; see :func:`warpvox.load_policy`."""
+        return self.policy_of(self.best.id)
+
+    def policy_of(self, design: int, device: str = "cpu") -> Policy:
+        """The policy of a design, by its id."""
+        from warpvox.algos.training.loading import load_policy
+
+        return load_policy(self.folder / "designs" / str(design), device=device)
+
+    @property
+    def curve(self) -> dict[str, np.ndarray]:
+        """``evaluations`` and ``steps`` spent, int64, and the ``best`` return by then, float64; ``[n]`` each."""
+        from warpvox.algos.report.members import read_members
+
+        (member,) = read_members([self.folder])
+        return {name: getattr(member, name) for name in ("evaluations", "steps", "best")}
+
+    @property
+    def report(self) -> Path:
+        """The page ``report.html``."""
+        from warpvox.algos.report import FILE
+
+        return self.folder / FILE
+
+    def __repr__(self) -> str:
+        best = f"best {self.summary['best_fitness']:.3f}" if self.summary["best_fitness"] is not None else "no result"
+        where = repr(str(self.folder)) if self.kept is None else "in a temporary folder"
+        return f"Found({self.settings.task}, {self.summary['evaluations']} designs, {best}, {where})"
+
+    def _repr_html_(self) -> str:
+        """The best bodies with their returns, and the curve, for notebooks."""
+        from warpvox.algos.report.charts import picture
+        from warpvox.view.palette import body_svg
+
+        cells = "".join(
+            f"<td>{body_svg(record.candidate.body, 16)}<br>{record.fitness:.3f} #{record.id}</td>"
+            for record in self.designs[:SHOWN]
+        )
+        curve = self.curve
+        points = list(zip(curve["evaluations"].tolist(), curve["best"].tolist(), strict=True))
+        chart = picture(points, "designs", "best return", "step")
+        return f"{escape(repr(self))}<table><tr>{cells}</tr></table>{chart}"

@@ -1,7 +1,5 @@
 """A design search from its settings: everything is checked, then the loop runs with its archive in a folder."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json
@@ -15,14 +13,12 @@ import numpy as np
 import torch
 from rich.console import Console
 
-from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Search
+from warpvox.algos.candidate import Candidate, DesignEvaluator, Listener, Outcome, Search
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive
 from warpvox.algos.codesign.evaluations.base import full_body
-from warpvox.algos.codesign.executors import Executor, LocalExecutor
 from warpvox.algos.codesign.finalists import Finalists
-from warpvox.algos.codesign.found import Found
-from warpvox.algos.codesign.loop import Listener, Loop
-from warpvox.algos.codesign.results import Results, evaluate_winner
+from warpvox.algos.codesign.loop import Executor, LocalExecutor, Loop
+from warpvox.algos.codesign.results import Found, Results, evaluate_winner
 from warpvox.algos.codesign.robots import keep_start, read_start
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.codesign.stored_policies import StoredPolicies

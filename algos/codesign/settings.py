@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation, Specialist
-from warpvox.algos.physics import PRESETS, PhysicsConfig, physics_of, sim_of
 from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.search.settings import GA, SearchSettings, settings_from
-from warpvox.algos.settings import DesignTraining
+from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, physics_of, sim_of
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, arithmetic_key
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import check_values, convert, key, plain
@@ -115,8 +114,7 @@ class Codesign:
             self.search = settings_from({"algorithm": self.search} if isinstance(self.search, str) else self.search)
         if isinstance(self.evaluation, str | Mapping):
             self.evaluation = _evaluation(self.evaluation)
-        if not isinstance(self.physics, Mapping | PhysicsConfig):
-            self.physics = PhysicsConfig.of(self.physics)
+        self.physics = PhysicsConfig.of(self.physics)
         convert(self)
         self.network = plain(self.network, "network")
         check_values(self)
@@ -148,8 +146,7 @@ class Codesign:
         Raises:
             WarpvoxError: see :meth:`Evaluation.resolved`.
         """
-        constants = dataclasses.asdict(physics_of(self))
-        physics = PhysicsConfig(preset=constants.pop("name"), **constants)
+        physics = PhysicsConfig.of(physics_of(self))
         return dataclasses.replace(self, evaluation=self.evaluation.resolved(self, folder), physics=physics)
 
 

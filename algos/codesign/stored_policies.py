@@ -1,7 +1,5 @@
 """The policies that a design search leaves: every evaluated design is a small run of its own, which can be played."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Mapping
 from pathlib import Path

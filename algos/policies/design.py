@@ -4,8 +4,6 @@ Both are one model of rsl-rl's kind, which stock PPO trains on
 :class:`warpvox.envs.adapters.design_rsl_rl.RslRlDesignEnv`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """An open-loop gait as a policy: the actions follow from the time alone, which ``obs=timed`` observes last."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """``policy=grid``: weights shared between voxels, and a summary of the whole body; made for a CPU."""
 
-from __future__ import annotations
-
 import torch
 from torch import nn
 

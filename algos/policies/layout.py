@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from warpvox.algos.policies.gait import phase_at
-from warpvox.envs.terms.elapsed import is_timed
+from warpvox.envs.terms.observations import is_timed
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.envs.voxels import FEATURES as OBSERVED, NUM_FEATURES
 from warpvox.errors import ConfigError

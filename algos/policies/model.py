@@ -1,7 +1,5 @@
 """A network for voxels as an rsl-rl model: inputs, scaling, the order of actions, and their distribution."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """rsl-rl's network of fully connected layers, faster on a CPU, and its Gaussian distribution of actions."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

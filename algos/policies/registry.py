@@ -1,7 +1,5 @@
 """Networks of policies by name: what the key ``policy`` takes."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Mapping
 from typing import Any

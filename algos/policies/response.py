@@ -1,7 +1,5 @@
 """How the voxels of a body move when its actuators oscillate, to first order."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

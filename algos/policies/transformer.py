@@ -1,7 +1,5 @@
 """``policy=transformer``: attention between the voxels of a body."""
 
-from __future__ import annotations
-
 import torch
 from torch import nn
 from torch.nn import functional

@@ -20,8 +20,7 @@ from warpvox.algos.disturbance import as_judged
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.population.model import PopulationModel
-from warpvox.algos.population.ppo import PopulationPPO
-from warpvox.algos.population.streams import Streams
+from warpvox.algos.population.ppo import PopulationPPO, Streams
 from warpvox.algos.settings import DesignTraining, Ppo
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import adapt

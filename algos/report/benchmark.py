@@ -3,8 +3,6 @@
 It is made from archives alone, also while the searches are running. Formulas and sources: docs/evaluation.md.
 """
 
-from __future__ import annotations
-
 import base64
 import itertools
 from collections.abc import Mapping, Sequence
@@ -21,8 +19,7 @@ from warpvox.algos.report.gallery import write_gallery
 from warpvox.algos.report.members import SearchResult, fitness_of, progress, read_members
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.algos.statistics import Interval
-from warpvox.envs.known_returns import known_returns
-from warpvox.envs.registry import task_ids
+from warpvox.envs.registry import known_returns, task_ids
 from warpvox.io.writing import write_table, write_text
 from warpvox.view.body_picture import write_bodies
 
@@ -93,7 +90,6 @@ def _names(groups: Groups) -> dict[str, Series]:
 
 
 def _winners(groups: Groups) -> dict[str, SearchResult]:
-    """The best search of each task."""
     every = {task: [one for runs in named.values() for one in runs] for task, named in groups.items()}
     return {task: max(several, key=lambda one: fitness_of(one.winner)) for task, several in every.items()}
 
@@ -168,7 +164,6 @@ def _gallery(path: Path, groups: Groups) -> str:
 
 
 def _write_table(path: Path, members: Sequence[SearchResult]) -> None:
-    """A row for each search."""
     fresh, rows = ("mean", "low", "high", "episodes"), []
     for one in members:
         winner = [one.winner.fitness, one.winner.id] if one.winner else [None, None]

@@ -1,7 +1,5 @@
 """Charts as SVG text: lines, steps, bands and dots over two axes. Colours come from the page's style sheet."""
 
-from __future__ import annotations
-
 import base64
 import math
 import re

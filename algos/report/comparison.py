@@ -26,7 +26,7 @@ from warpvox.algos.statistics import (
     optimality_gap,
     profile,
 )
-from warpvox.envs.known_returns import known_returns
+from warpvox.envs.registry import known_returns
 
 MEASURES = {"interquartile mean": interquartile_mean, "mean": mean, "optimality gap": optimality_gap}
 THRESHOLDS = 61

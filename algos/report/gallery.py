@@ -1,7 +1,5 @@
 """Tasks in one picture: each world where its robot begins."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,8 +13,8 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.worlds import task_world
 from warpvox.io.writing import atomic_path
 from warpvox.types import VOXEL
+from warpvox.view.body_picture import scene_of_world
 from warpvox.view.painter import BELOW, INK, Canvas, font
-from warpvox.view.world_picture import scene_of_world
 
 COLUMNS, TILE, SCALE = 4, (324, 150), 8
 LABEL, GAP = 24, 10

@@ -1,7 +1,5 @@
 """Learning curves of trainings and design searches: means over seeds with intervals, as pictures and CSV."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence

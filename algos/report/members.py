@@ -1,7 +1,5 @@
 """Several design searches, read from their archives: what is compared on a page and in curves."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Base class of searches: ask and tell, numbering, the budget, no body proposed twice."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -257,6 +255,14 @@ class BaseSearch(ABC):
                 raise SearchError(f"{who} a body that is not valid. {error}") from error
             if not all(0 <= parent < len(self.bodies) for parent in proposal.parents):
                 raise SearchError(f"{who} a body with parents {proposal.parents}: expected ids of evaluated bodies.")
+
+
+class RandomSearch(BaseSearch):
+    """Designs by EvoGym's sampling rule, each a new one: the baseline that every other search has to beat."""
+
+    def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
+        """``count`` random bodies."""
+        return [self.random_proposal(rng) for _ in range(count)]
 
 
 def _check_same(told: Sequence[Candidate], asked: Sequence[Candidate]) -> None:

@@ -9,8 +9,15 @@ import numpy as np
 
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.search.base import BaseSearch, Proposal
-from warpvox.algos.search.bo_acquire import ascend, climb_posterior, improve, log_improvement, thompson_starts
-from warpvox.algos.search.bo_model import fit_model, own_torch
+from warpvox.algos.search.bo_acquire import (
+    ascend,
+    climb_posterior,
+    fit_model,
+    improve,
+    log_improvement,
+    own_torch,
+    thompson_starts,
+)
 from warpvox.algos.search.bodies import body_key, mutate
 from warpvox.algos.search.settings import BO
 from warpvox.design import are_valid, draw_bodies

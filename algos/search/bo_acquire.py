@@ -1,25 +1,32 @@
-"""Which designs Bayesian optimisation tries next: expected improvement as in the paper, or posterior samples."""
-
-# BoTorch and torch.special leave parts without types.
-# pyright: reportUnknownArgumentType=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+"""Bayesian optimisation: its model, and which designs it tries next, by expected improvement or posterior samples."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from botorch.acquisition import LogExpectedImprovement
+from botorch.exceptions import ModelFittingError
+from botorch.fit import fit_gpytorch_mll
 from botorch.generation import MaxPosteriorSampling
 from botorch.models import SingleTaskGP
+from botorch.models.transforms import Standardize
 from botorch.optim import optimize_acqf
 from botorch.sampling.pathwise import draw_matheron_paths
+from gpytorch.constraints import GreaterThan
+from gpytorch.kernels import MaternKernel, ScaleKernel
+from gpytorch.mlls import ExactMarginalLogLikelihood
+from gpytorch.priors import LogNormalPrior
 
-from warpvox.algos.search.bo_model import from_one_hot, one_hot
-from warpvox.algos.search.bodies import neighbours
+from warpvox.algos.search.bodies import CELL_TYPES, neighbours
+from warpvox.algos.search.settings import BO
 from warpvox.design import are_valid
+from warpvox.errors import SearchError
 
 NOTHING = 1e-9
 """Gains below this are rounding."""
@@ -151,3 +158,65 @@ def climb(values: Callable[[np.ndarray], np.ndarray], pool: np.ndarray) -> Climb
             return Climb(start, at_pool, current, around, at_neighbours)
         current = np.where(higher[:, None, None], around[each, best], current)
         height = np.where(higher, at_neighbours[each, best], height)
+
+
+@contextmanager
+def own_torch(seed: int) -> Generator[None]:
+    """Inside, torch draws from ``seed`` on one thread; afterwards it is as before.
+
+    Sums of several threads depend on their number, and a search must not depend on the machine's load.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with torch.random.fork_rng(devices=[]), warnings.catch_warnings():
+            # a fit that stops at its limit of iterations is what is asked for, and nothing to be warned of
+            warnings.simplefilter("ignore")
+            torch.manual_seed(seed)
+            yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def one_hot(bodies: np.ndarray) -> torch.Tensor:
+    """float64 ``[..., cells * 5]`` of int8 ``[..., rows, columns]``: a 1 for the type of each voxel."""
+    flat = torch.as_tensor(np.asarray(bodies, dtype=np.int64)).flatten(-2)
+    return torch.nn.functional.one_hot(flat, CELL_TYPES).flatten(-2).double()
+
+
+def from_one_hot(points: torch.Tensor, shape: tuple[int, int]) -> np.ndarray:
+    """int8 ``[n, rows, columns]`` of points ``[n, cells * 5]``: each voxel is of the type with the largest entry."""
+    return points.detach().view(len(points), *shape, CELL_TYPES).argmax(-1).numpy().astype(np.int8)
+
+
+def make_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> SingleTaskGP:
+    """The process before its fit: Matern 5/2 with one variance and one length scale, fitness standardised.
+
+    The priors are there for the restarts, which draw from them; without any, all would start alike.
+    """
+    base = MaternKernel(
+        nu=2.5,
+        lengthscale_prior=LogNormalPrior(1.0, 1.0),
+        lengthscale_constraint=GreaterThan(2.5e-2, initial_value=settings.kernel_length_scale),
+    )
+    bounded = GreaterThan(1e-4, initial_value=settings.kernel_variance)
+    kernel = ScaleKernel(base, outputscale_prior=LogNormalPrior(0.0, 1.0), outputscale_constraint=bounded)
+    targets = torch.tensor(list(fitness), dtype=torch.float64)[:, None]
+    return SingleTaskGP(one_hot(bodies), targets, covar_module=kernel.double(), outcome_transform=Standardize(1))
+
+
+def fit_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> SingleTaskGP:
+    """The process with the largest marginal likelihood that L-BFGS finds from several starts."""
+    model = make_model(bodies, fitness, settings)
+    try:
+        fit_gpytorch_mll(
+            ExactMarginalLogLikelihood(model.likelihood, model),
+            max_attempts=settings.optimizer_restarts,
+            pick_best_of_all_attempts=True,
+            # the limit of iterations counts as a success
+            warning_handler=lambda warning: True,
+            optimizer_kwargs={"options": {"maxiter": settings.optimizer_iterations}},
+        )
+    except ModelFittingError as error:
+        raise SearchError(f"The Gaussian process could not be fitted to {len(bodies)} designs: {error}.") from error
+    return model

@@ -1,7 +1,5 @@
 """Many bodies at once: mutation, neighbours, search for a valid one. Arrays are int8 ``[n, rows, columns]``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

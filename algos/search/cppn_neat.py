@@ -4,8 +4,6 @@
 # pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false
 # pyright: reportUnknownArgumentType=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 
-from __future__ import annotations
-
 import random
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager

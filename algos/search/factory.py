@@ -1,7 +1,5 @@
 """From settings to a search; each algorithm's module, and the libraries it needs, load when it is made."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
@@ -14,7 +12,7 @@ from warpvox.errors import ConfigError, listing
 
 SEARCHES = {
     "ga": ("ga", "GeneticSearch"),
-    "random": ("random_search", "RandomSearch"),
+    "random": ("base", "RandomSearch"),
     "bo": ("bo", "BayesianSearch"),
     "cppn_neat": ("cppn_neat", "CppnNeatSearch"),
     "map_elites": ("map_elites", "MapElitesSearch"),

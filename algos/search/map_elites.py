@@ -1,7 +1,5 @@
 """MAP-Elites on pyribs: a grid of kinds of bodies, of each the best so far, and mutants of these."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ They are what ``search=NAME`` stands for on the command line. One differs, becau
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass

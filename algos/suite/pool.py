@@ -201,7 +201,6 @@ class RayPool:
 
 
 def _make_there(make: Make, job: Any, folder: Path) -> Outcome:
-    """Make a member in a task of Ray."""
     if not folder.is_dir():
         error = f"There is no folder {folder} on {platform.node()}: a suite needs a disk that all machines share."
         return {"status": "failed", "error": error}

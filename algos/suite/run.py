@@ -1,7 +1,5 @@
 """The making of a suite's members: several at a time, in processes of this machine or in tasks of Ray."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 import traceback

@@ -1,7 +1,5 @@
 """Training by gradients through the physics: ``method=gradients``, of a policy that moves by body and time alone."""
 
-from __future__ import annotations
-
 import copy
 from functools import partial
 from types import SimpleNamespace
@@ -235,7 +233,6 @@ class AscentRunner(Runner):
         return 0.0
 
     def _episodes(self) -> dict[str, float]:
-        """Beginnings of episodes in the rollout."""
         return {"episodes": self.env.num_envs, "length_mean": self.ppo.steps, "diverged": 0} | self._found
 
 

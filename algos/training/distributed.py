@@ -1,7 +1,5 @@
 """One training on several processes, started by ``torchrun``: each has its own environments, all share the policy."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass

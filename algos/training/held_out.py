@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from warpvox.design import Design
-from warpvox.envs.known_returns import known_returns
+from warpvox.envs.registry import known_returns
 from warpvox.io.writing import write_table
 
 if TYPE_CHECKING:

@@ -16,9 +16,9 @@ from rich.console import Console
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.checkpoints.policy import Policy, policy_of
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator, evaluator
-from warpvox.algos.physics import physics_of, sim_of
 from warpvox.algos.policies.registry import MLP, check_network, check_policy, voxels_of
 from warpvox.algos.protocols import episodes_of
+from warpvox.algos.settings import physics_of, sim_of
 from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.bodies import Bodies, TrainingBodies, load_bodies, read_bodies, training_bodies
 from warpvox.algos.training.distributed import ProcessGroup, join_process_group
@@ -121,7 +121,6 @@ class Job:
                 self._learn(listener)
 
     def _prepare(self, listener: Listener) -> None:
-        """Make environments and runner."""
         with listener.console.status("loading"):
             self.group = group = join_process_group(self.settings.device)
             listener.console.quiet |= not group.is_main_process
@@ -286,7 +285,6 @@ def resolved(settings: Training) -> Any:
 
 
 def _cells(design: Any) -> Any:
-    """A design as lists."""
     return {name: _cells(body) for name, body in design.items()} if isinstance(design, dict) else design.tolist()
 
 
@@ -296,7 +294,6 @@ def task_name(task: Any) -> str:
 
 
 def _trained_on(settings: Training) -> dict[str, Any]:
-    """Facts of a training for its checkpoints."""
     known = {"task": str(task_name(settings.task)), "rules": settings.rules, "seed": settings.seed}
     if not settings.is_many:
         return known | {"design": settings.design}

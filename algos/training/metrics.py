@@ -1,7 +1,5 @@
 """Metrics of a training run: ``metrics.csv``, TensorBoard's events, and rsl-rl's writer for Neptune."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -1,7 +1,5 @@
 """Trained policies in environments of their run, to be played and evaluated."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any
@@ -10,8 +8,8 @@ import torch
 
 from warpvox.algos.checkpoints.files import Controller, actions_of, load_controller
 from warpvox.algos.disturbance import Disturbed
-from warpvox.algos.physics import sim_of
 from warpvox.algos.protocols import NOMINAL, parts_of
+from warpvox.algos.settings import sim_of
 from warpvox.algos.training.bodies import read_bodies, training_bodies
 from warpvox.algos.training.settings import Training
 from warpvox.code import is_code

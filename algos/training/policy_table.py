@@ -1,18 +1,21 @@
-"""Mean returns of trained policies, with confidence intervals."""
+"""Mean returns of trained policies with confidence intervals, and of runs with the same settings side by side."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from warpvox.algos.disturbance import Disturbed
 from warpvox.algos.evaluate import evaluate
-from warpvox.algos.protocols import NOMINAL
-from warpvox.algos.statistics import Interval, mean_interval
+from warpvox.algos.protocols import DISTURBANCES, NOMINAL
+from warpvox.algos.report.learning_curves import Group
+from warpvox.algos.statistics import Interval, difference, mean_interval
 from warpvox.algos.training.loading import load_run
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.runs import Run
@@ -106,3 +109,67 @@ def evaluate_run(run: Run, config: Any, designs: Any = None, level: float = 0.95
     env, policy = load_run(run, config, designs, every=True)
     parts = policy.parts if isinstance(policy, Disturbed) else (NOMINAL,)
     return EvaluatedPolicy.each(str(run.folder), env, policy, level, parts, config.stochastic or run.is_many)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Runs with the same settings, and what each has got in episodes of one disturbance."""
+
+    group: Group
+    rows: list[EvaluatedPolicy]
+
+    @property
+    def disturbance(self) -> str:
+        """That of the episodes."""
+        return self.rows[0].disturbance
+
+    @property
+    def over(self) -> str:
+        """Sample of an interval: runs where there are several, else the episodes of the only one."""
+        return "runs" if len(self.rows) > 1 else "episodes"
+
+    @property
+    def values(self) -> list[float]:
+        """Independent values: the mean return of each run, or the returns of the only one."""
+        return [row.mean for row in self.rows] if len(self.rows) > 1 else self.rows[0].independent
+
+
+def judged_groups(groups: Iterable[Group], rows_of: Callable[[Run], Sequence[EvaluatedPolicy]]) -> list[Judged]:
+    """Each group in each disturbance that all of its runs have been evaluated under, in the order of both."""
+    found = []
+    for group in groups:
+        by_part = [{row.disturbance: row for row in rows_of(run)} for run in group.runs]
+        shared = [part for part in DISTURBANCES if all(part in rows for rows in by_part)]
+        found += [Judged(group, [rows[part] for rows in by_part]) for part in shared]
+    return found
+
+
+def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged, Interval]]:
+    """Differences of mean returns on one task under one disturbance, first less second, with Welch's interval."""
+    pairs = [
+        (first, second)
+        for first, second in combinations(judged, 2)
+        if (first.rows[0].task, first.disturbance) == (second.rows[0].task, second.disturbance)
+    ]
+    return [(first, second, difference(first.values, second.values, level)) for first, second in pairs]
+
+
+def tables(judged: Sequence[Judged], level: float) -> dict[str, list[dict[str, Any]]]:
+    """``runs``, ``groups`` and ``comparisons``, as rows."""
+    runs, groups, pairs = [], [], []
+    for entry in judged:
+        settings, episodes = {"settings": entry.group.label}, {"episodes": entry.disturbance}
+        for run, one in zip(entry.group.runs, entry.rows, strict=True):
+            found = {"quantile_10": one.low_tenth, "returns": one.returns}
+            which = {"run": str(run.folder), "seed": run.config.get("seed")}
+            runs.append(settings | which | episodes | _row(one.interval) | found)
+        groups.append(settings | episodes | {"over": entry.over} | _row(mean_interval(entry.values, level)))
+    for first, second, interval in compare(judged, level):
+        names = {"first": first.group.label, "second": second.group.label, "episodes": first.disturbance}
+        pairs.append(names | {"over": f"{first.over}, {second.over}"} | _row(interval, "difference"))
+    return {"runs": runs, "groups": groups, "comparisons": pairs}
+
+
+def _row(interval: Interval, name: str = "mean") -> dict[str, Any]:
+    low, high = ((value if math.isfinite(value) else None) for value in (interval.low, interval.high))
+    return {name: interval.mean, "low": low, "high": high, "n": interval.n}

@@ -1,7 +1,5 @@
 """rsl-rl's PPO with a linear schedule, Adam's epsilon and time limits bootstrapped where they struck."""
 
-from __future__ import annotations
-
 import copy
 import inspect
 from collections.abc import Collection, Iterator, Mapping

@@ -1,7 +1,5 @@
 """Progress of a training: lines and a live line on a terminal, an element of a notebook."""
 
-from __future__ import annotations
-
 import html
 import math
 import sys

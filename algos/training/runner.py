@@ -1,7 +1,5 @@
 """The training loop: PPO with evaluations, metrics, atomic checkpoints and exact resumption."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math
@@ -306,7 +304,6 @@ class Runner(OnPolicyRunner):
         }
 
     def _action_std(self) -> float:
-        """Mean deviation of the actions drawn."""
         return self.alg.get_policy().output_std.mean().item()
 
     def _quantiles(self, evaluated: float) -> dict[str, float]:

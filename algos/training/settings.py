@@ -9,13 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from warpvox.algos.physics import PRESETS, PhysicsConfig
 from warpvox.algos.protocols import FITNESS, NOMINAL
-from warpvox.algos.settings import LOGGERS, REFRESH, Ppo
+from warpvox.algos.settings import LOGGERS, PRESETS, REFRESH, PhysicsConfig, Ppo
 from warpvox.errors import ConfigError
 from warpvox.examples import AUTO, example_for
 from warpvox.keys import check_values, convert, key, plain
-from warpvox.types import Physics
 
 OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 MOST_THREADS = 1024
@@ -154,11 +152,7 @@ class Training:
     def __post_init__(self) -> None:
         if isinstance(self.designs, str | list | tuple):
             self.designs = Designs(self.designs)
-        if isinstance(self.physics, str):
-            self.physics = PhysicsConfig(self.physics)
-        elif isinstance(self.physics, Physics):
-            constants = dataclasses.asdict(self.physics)
-            self.physics = PhysicsConfig(constants.pop("name"), **constants)
+        self.physics = PhysicsConfig.of(self.physics)
         convert(self, without=("task",))  # or a specification of a task
         self.design, self.network = plain(self.design, "design"), plain(self.network, "network")
         if self.design == AUTO:

@@ -1,7 +1,5 @@
 """Common parts of the adapters: environments from their arguments, bounds of observations and actions, pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -51,7 +49,7 @@ class Adapter:
     def _pictures(self) -> Sequence[np.ndarray]:
         """A picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
         if self._view is None:
-            from warpvox.view.live import LiveView
+            from warpvox.view.painter import LiveView
 
             self._view = LiveView(self.vec.sim, self.render_size)
         return self._view.pictures()

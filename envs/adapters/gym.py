@@ -1,7 +1,5 @@
 """One environment as gymnasium has them: ``gymnasium.make("warpvox/Walker-v0", body=...)``."""
 
-from __future__ import annotations
-
 import time
 from math import isfinite
 from typing import Any

@@ -1,7 +1,5 @@
 """Many environments as gymnasium has them: ``gymnasium.make_vec("warpvox/Walker-v0", num_envs=8, body=...)``."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Environments behind Stable-Baselines3's interface: ``PPO("MlpPolicy", VoxelSB3VecEnv("Walker-v0", 64))``."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

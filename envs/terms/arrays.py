@@ -5,8 +5,6 @@ starting an operation of torch takes longer than what it has to compute. What bo
 terms use as it is.
 """
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

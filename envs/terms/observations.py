@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import inf, pi
 from typing import TYPE_CHECKING
 
-from warpvox.envs.about import ANGLE, LENGTH, NUMBER, SPEED, about
+from warpvox.envs.about import ANGLE, LENGTH, NUMBER, SPEED, About, about
 from warpvox.envs.terms.arrays import double, extremes_at, filled, library, long, replaced
 from warpvox.envs.terms.goals import LONGEST, goal_x
 from warpvox.types import SIGHT, VOXEL
@@ -17,7 +17,9 @@ from warpvox.types import SIGHT, VOXEL
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from warpvox.envs.episodes import Episodes
     from warpvox.envs.snapshot import Snapshot
+    from warpvox.envs.vec_env import VoxelVecEnv
 
 SCAN_RANGE = SIGHT * VOXEL  # how far robots see up and down, in simulator units
 
@@ -139,3 +141,28 @@ def goal_place(state: Snapshot, name: str) -> Tensor:
 def goal_offset(state: Snapshot, name: str) -> Tensor:
     """How far it is to the present goal: g_x - p_x."""
     return goal_x(state) - state.com(name)[:, :1]
+
+
+NAME = "elapsed_steps"
+
+
+class ElapsedSteps:
+    """The observation term ``[num_envs, 1]`` with the control steps since an episode began, as its time limit counts.
+
+    With it the end of an episode by the time limit can be foreseen (Pardo et al. 2018, "Time Limits in Reinforcement
+    Learning", section 3).
+    """
+
+    __name__ = NAME
+    about = About("control steps since the episode began", low=0.0)
+
+    def __init__(self, episodes: Episodes) -> None:
+        self._length = episodes.length  # one tensor for good, which a captured step may read
+
+    def __call__(self, state: Snapshot) -> Tensor:
+        return self._length[:, None]
+
+
+def is_timed(env: VoxelVecEnv) -> bool:
+    """Whether observations end with the time."""
+    return NAME in env.obs_columns[0]

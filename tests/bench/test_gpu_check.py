@@ -20,7 +20,7 @@ from simulated_cuda import SimulatedCuda
 from warpvox.bench import cases, gpu, gpu_checks, gpu_rates, gpu_tools, report as report_module
 from warpvox.bench.report import Report
 from warpvox.cli.config import load
-from warpvox.configs.presets import training_preset
+from warpvox.configs.composition import training_preset
 from warpvox.errors import SimulationError
 from warpvox.types import Physics
 

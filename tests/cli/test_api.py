@@ -19,7 +19,7 @@ import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint, load_controller
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.cli.config import load
-from warpvox.configs.presets import ppo_preset
+from warpvox.configs.composition import ppo_preset
 from warpvox.envs.registry import get_task
 
 KEYS = {"design": "mini", "num_envs": 8, "threads": 1, "device": "cpu", "max_iterations": 2, "eval_interval": 1}

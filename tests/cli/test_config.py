@@ -10,8 +10,8 @@ import pytest
 import yaml
 from omegaconf.errors import OmegaConfBaseException
 
-from warpvox.algos import physics
-from warpvox.algos.physics import physics_of
+from warpvox.algos import settings
+from warpvox.algos.settings import physics_of
 from warpvox.cli import COMMANDS, main
 from warpvox.cli.config import load, load_values, to_yaml
 from warpvox.cli.help import flat_keys, flat_values, options_of
@@ -106,8 +106,8 @@ def test_a_constant_changes_alone_whatever_the_order() -> None:
 
 def test_every_constant_of_the_physics_is_a_key_with_a_meaning() -> None:
     constants = {field.name for field in dataclasses.fields(Physics)} - {"name"}
-    assert {field.name for field in dataclasses.fields(physics.PhysicsConfig)} == constants | {"preset"}
-    assert set(physics.CONSTANTS) == constants
+    assert {field.name for field in dataclasses.fields(settings.PhysicsConfig)} == constants | {"preset"}
+    assert set(settings.CONSTANTS) == constants
 
 
 @pytest.mark.parametrize("command", schema.COMMANDS)

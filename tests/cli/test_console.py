@@ -13,8 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from warpvox.cli.config import load
-from warpvox.cli.process import prepare
-from warpvox.devices.startup import LOGGER
+from warpvox.devices.startup import LOGGER, prepare
 from warpvox.envs.vec_env import make_vec
 from warpvox.io.console import echo, escaped, literal, shell_argument
 from warpvox.runs import LONGEST_BYTES, as_name

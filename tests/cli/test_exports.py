@@ -1,24 +1,9 @@
-"""Exports of a rollout: an estimate of what is to come, and ``every``."""
+"""Exports of a rollout: ``every``."""
 
 from collections.abc import Callable
-from io import StringIO
 from pathlib import Path
 
-import pytest
 from PIL import Image
-from rich.console import Console
-
-from warpvox.cli.exports import Estimate
-
-
-def test_a_long_film_is_announced(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = iter([0.0, 1.0, 2.5, 2.6])
-    monkeypatch.setattr("warpvox.cli.exports.time.monotonic", lambda: next(clock))
-    shown = StringIO()
-    tell = Estimate("rollout.mp4", Console(file=shown, width=200))
-    for number in (100, 250, 260):
-        tell(number, 250_000)
-    assert shown.getvalue() == "rollout.mp4: 250,000 pictures, about 42 minutes more; every=N makes fewer\n"
 
 
 def test_every_reaches_every_format(warpvox: Callable, tmp_path: Path) -> None:

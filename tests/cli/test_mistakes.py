@@ -88,7 +88,7 @@ MISTAKES = {
     "demo resume=latest": "There is no run in",
     "bench suite=per": "Did you mean 'peer'",
     "bench num_envs=1 design=mini": "evogym==2.0.0",
-    "bench num_envs=1 design=mini peer.python=nowhere": "no file",
+    "bench num_envs=1 design=mini peer=nowhere": "no file",
     "codesign task=Walkr-v0": "Did you mean 'Walker-v0'",
     "codesign search=gaa": "search must be one of",
     "codesign search.population=1": "at least 2",

@@ -10,7 +10,7 @@ import yaml
 from PIL import Image
 
 from warpvox.algos.training.metrics import read_metrics
-from warpvox.cli.playback import play_in_window
+from warpvox.cli.commands.play import play_in_window
 from warpvox.envs.dumps import LIMIT
 from warpvox.envs.vec_env import make_vec
 from warpvox.view.rollout import Rollout, record

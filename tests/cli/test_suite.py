@@ -30,8 +30,7 @@ from warpvox.algos.suite.members import CURVES, MEMBERS
 from warpvox.algos.suite.pool import LOG, LocalPool
 from warpvox.cli.commands import suite
 from warpvox.cli.config import load
-from warpvox.cli.suite_plan import BENCHMARK10, plan, task_names
-from warpvox.cli.suite_words import merged
+from warpvox.cli.suite_plan import BENCHMARK10, merged, plan, task_names
 from warpvox.envs.registry import task_ids
 from warpvox.errors import DivergenceError, StorageError, WarpvoxError
 

@@ -16,10 +16,10 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.vec_env import make_vec
 from warpvox.envs.worlds import task_world
 from warpvox.types import Cell
+from warpvox.view.body_picture import AIR, draw_world, scene_of_world
 from warpvox.view.cell_text import GLYPHS, LOWER, UPPER, print_world
 from warpvox.view.painter import BELOW
 from warpvox.view.palette import RAMPS
-from warpvox.view.world_picture import AIR, draw_world, scene_of_world
 from warpvox.world import World
 
 ROW = re.compile(r"│\s+(\d+):(\d+) │ (.+?) +│ (\w+) +│ (.+?) +│")

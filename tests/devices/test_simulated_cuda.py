@@ -28,7 +28,7 @@ from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.batch.options import SimOptions
 from warpvox.cli.config import load
-from warpvox.configs.presets import training_preset
+from warpvox.configs.composition import training_preset
 from warpvox.design import example_design
 from warpvox.devices import names
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv

@@ -10,7 +10,7 @@ from warpvox.cli.application import read_words
 from warpvox.cli.commands.suite import split
 from warpvox.cli.config import load
 from warpvox.cli.overrides import expand, read_overrides
-from warpvox.cli.suite_words import merged
+from warpvox.cli.suite_plan import merged
 from warpvox.configs.schema import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,7 +12,7 @@ from warpvox.algos.checkpoints.files import save_checkpoint
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.cli.config import load, to_yaml
 from warpvox.design import sample_design
-from warpvox.envs.known_returns import known_returns
+from warpvox.envs.registry import known_returns
 from warpvox.robots import Gait, zoo, zoo_tasks
 from warpvox.runs import END
 

@@ -16,8 +16,7 @@ import numpy as np
 
 from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
 from warpvox.algos.codesign.archive import FILE, Archive
-from warpvox.algos.codesign.executors import LocalExecutor
-from warpvox.algos.codesign.loop import Loop
+from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.design import sample_design
 from warpvox.errors import RunError
 from warpvox.io.writing import write_text

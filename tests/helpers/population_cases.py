@@ -6,7 +6,7 @@ from warpvox.algos.candidate import Candidate
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.settings import DesignTraining
 from warpvox.batch.options import SimOptions
-from warpvox.configs.presets import training_preset
+from warpvox.configs.composition import training_preset
 from warpvox.design import sample_design
 
 LIMIT = 16  # control steps of an episode

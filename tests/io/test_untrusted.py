@@ -20,7 +20,7 @@ import warpvox as wv
 from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.codesign.archive import Archive
-from warpvox.algos.report.tree import family_tree
+from warpvox.algos.report import family_tree
 from warpvox.algos.training.pretrained import check_learned
 from warpvox.cli.config import load_values
 from warpvox.design import check_design, full_connections, load_design, save_design

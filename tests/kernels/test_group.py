@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
+from ptxas import SETTLING, visits
 
 from warpvox.batch import arrays, options
-from warpvox.bench.cuda import SETTLING, visits
 from warpvox.design import sample_design
 from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import make_vec

@@ -1,7 +1,5 @@
 """The arrays of a simulation: their sizes, allocation and values, from the tables of a batch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The objects of a batch by name: how many points they have, and where these lie in the simulation's arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

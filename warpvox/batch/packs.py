@@ -1,7 +1,5 @@
 """Which environment lies in which lane of which pack, and the tables of these packs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 

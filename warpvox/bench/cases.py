@@ -1,7 +1,5 @@
 """Bodies and environments that the suites measure."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Results are checked before a time is printed: with the reference, and with our own scalar code in float64."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

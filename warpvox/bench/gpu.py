@@ -19,6 +19,7 @@ from warpvox.envs.registry import get_task, task_ids
 
 FIRST = ("Walker-v0", "Carrier-v0", "Climber-v2", "BeamToppler-v0", "Balancer-v1")
 """Tasks that are compared before anything is measured: plain ground, a load, walls, a loose beam, a narrow support."""
+SECONDS = 400.0
 ON_CUDA = "sanitizer", "graph", "stream"
 """Parts that mean nothing on the CPU."""
 
@@ -43,11 +44,12 @@ SMALL = Size((1, 8), 8, 8, (3,), 8, (8,), 2)
 def run(config: Any, report: Report) -> None:
     """All parts; ``failed`` names those that raised, ``left_out`` what no time was left for."""
     size = SMALL if config.device == "cpu" else LARGE
-    report.end = time.perf_counter() + config.seconds
+    seconds = config.seconds or SECONDS
+    report.end = time.perf_counter() + seconds
     for name, part in _parts(config, size, report).items():
         report.run(name, part)
     if left_out := report.figures["left_out"]:
-        report.note(f"Left out, for the {config.seconds:g} s were over: {', '.join(left_out)}.")
+        report.note(f"Left out, for the {seconds:g} s were over: {', '.join(left_out)}.")
 
 
 def _parts(config: Any, size: Size, report: Report) -> dict[str, Callable[[], Any]]:

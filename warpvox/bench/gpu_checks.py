@@ -1,7 +1,5 @@
 """The checks of ``warpvox bench suite=gpu``: the device computes what the CPU computes, and always the same."""
 
-from __future__ import annotations
-
 import math
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The figures of ``warpvox bench suite=gpu``: speeds by size, bodies, training."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +11,7 @@ from warpvox.bench.learning import learn
 from warpvox.bench.machine import available_memory, per_environment
 from warpvox.bench.report import Report, middle, number
 from warpvox.bench.runner import Runner, measure, seconds
-from warpvox.configs.presets import training_preset
+from warpvox.configs.composition import training_preset
 from warpvox.kernels.step import record_step
 
 PREDICTED = {4096: (5.3, 13.8), 16384: (5.3, 13.8), 65536: (6.6, 13.8)}
@@ -123,8 +121,7 @@ def training(config: Any, report: Report, counts: tuple[int, ...], designs: int)
 
 def learning(config: Any, report: Report) -> None:
     """How long it takes to the return that the configuration names."""
-    limit = min(config.learning.seconds, LEARNING_SECONDS, max(report.left, 1.0))
-    config = replace(config, learning=replace(config.learning, seconds=limit))
+    config = replace(config, seconds=min(LEARNING_SECONDS, max(report.left, 1.0)))
     found = learn(config, one_body(config), config.learning.ppo[0], config.seed)
     took = f"{found['seconds']:.1f} s" if found["seconds"] is not None else "not reached"
     text = f"ppo={config.learning.ppo[0]}, {found['num_envs']} environments: return {config.learning.stop_return:g}"

@@ -1,7 +1,5 @@
 """NVIDIA's tools and torch's profiler in ``warpvox bench suite=gpu``, where the machine has them."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

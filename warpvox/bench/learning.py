@@ -1,7 +1,5 @@
 """``warpvox bench suite=learning``: how long it takes to learn, with EvoGym's settings of PPO and with ours."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 
@@ -16,6 +14,7 @@ from warpvox.bench.check import against_scalar
 from warpvox.bench.report import Report, middle, number
 from warpvox.cli.config import load
 
+SECONDS = 150.0
 WARM_UP = 2
 """Iterations before the clock starts: they load kernels and belong to another run."""
 MEDIANS = ("seconds", "cpu_seconds", "steps")
@@ -23,13 +22,14 @@ MEDIANS = ("seconds", "cpu_seconds", "steps")
 
 def run(config: Any, report: Report) -> None:
     """Runs of each of ``learning.ppo`` until an evaluation reaches the return or the time is over."""
-    body, keys, goal = one_body(config), config.learning, config.learning.stop_return
+    body, keys, limit = one_body(config), config.learning, config.seconds or SECONDS
+    goal = keys.stop_return
     runs: dict[str, list[dict[str, Any]]] = {}
     rows = []
     for name in keys.ppo:
         runs[name] = []
         for seed in range(keys.seeds):
-            with report.status(f"ppo={name}, seed {seed}: at most {keys.seconds:.0f} s"):
+            with report.status(f"ppo={name}, seed {seed}: at most {limit:.0f} s"):
                 runs[name].append(learn(config, body, name, config.seed + seed))
         done = [row for row in runs[name] if row["seconds"] is not None]
         medians = {what: middle([row[what] for row in done]) if done else None for what in MEDIANS}
@@ -44,7 +44,7 @@ def run(config: Any, report: Report) -> None:
     report.table(title, headings, rows)
     report.note(
         "Seconds of wall-clock time, evaluations included, kernels loaded; medians of the runs that got there."
-        f" Others ended with the settings' own number of iterations or after {keys.seconds:g} s."
+        f" Others ended with the settings' own number of iterations or after {limit:g} s."
     )
     report.figures["runs"] = runs
 
@@ -64,7 +64,7 @@ def learn(config: Any, body: np.ndarray, name: str, seed: int) -> dict[str, Any]
     curve: list[dict[str, Any]] = []
     began, cpu = time.perf_counter(), time.process_time()
     first, seconds, reached = settings.ppo.random_start, 0.0, False
-    while not reached and seconds <= config.learning.seconds:
+    while not reached and seconds <= (config.seconds or SECONDS):
         left = settings.max_iterations - runner.current_learning_iteration
         if left <= 0:
             break

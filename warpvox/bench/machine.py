@@ -1,7 +1,5 @@
 """The machine that figures belong to, and its memory: what is free, and what an environment takes."""
 
-from __future__ import annotations
-
 import platform
 from typing import Any
 

@@ -1,7 +1,5 @@
 """``warpvox bench suite=mixed``: a different body in every environment, beside one body in all."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

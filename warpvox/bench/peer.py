@@ -1,7 +1,5 @@
 """``warpvox bench suite=peer``: ours and the reference alternately, on the same body, task and kind of actions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

@@ -24,25 +24,24 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW
 PACKAGE = "evogym==2.0.0"
 WORKS_WITH = "numpy<2"
 """The numpy that the release was built against."""
-HOW_TO_GET_IT = (
-    f"peer.make=true makes it, or python3.10 -m venv ref && ref/bin/pip install {PACKAGE}, peer.python=ref/bin/python"
-)
+MAKE = "make"
+HOW_TO_GET_IT = f"peer=make makes it, or python3.10 -m venv ref && ref/bin/pip install {PACKAGE}, peer=ref/bin/python"
 
 
 def open_reference(config: Any, report: Any) -> AbstractContextManager[Reference | None]:
-    """The reference that ``peer.*`` names, made first if so asked; None: none; ConfigError: it does not run."""
-    python, made = config.peer.python, python_of(reference_folder())
-    if config.peer.make and python is None:
+    """The reference that ``peer`` names, made first if so asked; None: none; ConfigError: it does not run."""
+    made = python_of(reference_folder())
+    if config.peer == MAKE:
         with report.status(f"making an environment with {PACKAGE}"):
             make_reference(reference_folder())
         echo(report.console, f"the reference: {made}")
-    if python is None and made.is_file():
-        python = made
-    return nullcontext() if python is None else Reference(Path(python))
+    if config.peer in (None, MAKE):
+        return Reference(made) if made.is_file() else nullcontext()
+    return Reference(Path(config.peer))
 
 
 def reference_folder() -> Path:
-    """The folder where ``peer.make`` puts the environment, and where it is looked for."""
+    """The folder where ``peer=make`` puts the environment, and where it is looked for."""
     cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(cache) / "warpvox" / "reference"
 
@@ -74,7 +73,7 @@ class Reference:
     def __init__(self, python: Path) -> None:
         python, self.versions = python.expanduser(), {}
         if not python.is_file():
-            raise ConfigError(f"peer.python={python} is no file. The reference: {HOW_TO_GET_IT}")
+            raise ConfigError(f"peer={python} is no file. The reference: {HOW_TO_GET_IT}")
         try:
             # isolated, so that neither this folder nor PYTHONPATH can shadow what the reference imports
             self._process: Any = subprocess.Popen(
@@ -85,7 +84,7 @@ class Reference:
                 text=True,
             )
         except OSError as error:
-            raise ConfigError(f"peer.python={python} cannot be run: {error.strerror}.") from None
+            raise ConfigError(f"peer={python} cannot be run: {error.strerror}.") from None
 
     def __enter__(self) -> Reference:
         return self

@@ -1,7 +1,5 @@
 """The output of a suite: tables and sentences on the terminal, the same as Markdown and JSON, and plots."""
 
-from __future__ import annotations
-
 import math
 import re
 import statistics

@@ -1,7 +1,5 @@
 """Environments that are checked when they are made, and their rates, measured alternately."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial

@@ -7,7 +7,6 @@ ten of each size for ten seconds under random actions. Beside it: the reference,
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from operator import mul
 from statistics import fmean
 from typing import Any
@@ -30,7 +29,6 @@ PACK, SMALL = 32, 25
 """In the batch, bodies of SMALL cells get ``num_envs`` environments, larger ones fewer, at least PACK."""
 CHECK_STEPS = 20
 """Steps over which large bodies are compared with the reference: chaos sets in earlier the more contacts there are."""
-QUICK_STRIDE, QUICK_BODIES, QUICK_SECONDS = 5, 3, 2.0
 
 
 def run(config: Any, report: Report) -> None:
@@ -47,9 +45,6 @@ def run(config: Any, report: Report) -> None:
 def scale_bodies(config: Any, report: Report, reference: Reference | None) -> list[dict[str, Any]]:
     """One row for each size: voxels and rates of its robots, one at a time, in the reference, and in a batch."""
     scaling = config.scaling
-    if scaling.quick:
-        bodies, seconds = min(scaling.bodies, QUICK_BODIES), min(scaling.seconds, QUICK_SECONDS)
-        scaling = replace(scaling, sizes=scaling.sizes[::QUICK_STRIDE], bodies=bodies, seconds=seconds)
     rows = []
     for side in scaling.sizes:
         with report.status(f"{scaling.bodies} bodies of {side} x {side}"):

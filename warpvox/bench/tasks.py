@@ -1,7 +1,5 @@
 """``warpvox bench suite=tasks``: every task, beside the reference if there is one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from warpvox.bench.cases import one_body

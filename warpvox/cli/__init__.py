@@ -8,8 +8,6 @@ Exit codes: 0 done, 2 bad usage, bad input or a machine that will not (one line 
 143 asked to end (SIGTERM), 129 its terminal was closed (SIGHUP).
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -91,7 +89,7 @@ def _dispatch(arguments: list[str]) -> int:
         print(f"warpvox {warpvox.__version__}")
         return DONE
     if command in ("-sc", "--shell-completion"):
-        from warpvox.cli.hydra_app import complete
+        from warpvox.cli.sweep import complete
 
         complete(rest)
         return DONE

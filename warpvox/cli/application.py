@@ -1,7 +1,5 @@
 """Parts that all commands with keys share: options, help, checked configurations, one run or a sweep of them."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import functools
@@ -14,9 +12,8 @@ from rich.console import Console
 from warpvox.cli import COMMANDS
 from warpvox.cli.config import load
 from warpvox.cli.help import add_keys, flat_values
-from warpvox.cli.hydra_app import run_hydra
 from warpvox.cli.overrides import expand, read_overrides
-from warpvox.cli.sweep import make_runs
+from warpvox.cli.sweep import make_runs, run_hydra
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.runs import check_output
 

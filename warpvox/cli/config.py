@@ -1,7 +1,5 @@
 """From ``KEY=VALUE`` to a checked configuration: Hydra composes, the schema's metadata judges."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any, cast
@@ -119,7 +117,6 @@ def _nodes_of(command: str, values: dict[str, Any]) -> list[str]:
 
 
 def _set(config: DictConfig, override: Override, command: str) -> None:
-    """Set the value of a key."""
     key, keys = override.key_or_group, dict(flat_keys(schema_of(command)))
     if override.package is not None or not _has(config, key):
         raise _unknown(command, override.get_key_element(), config)
@@ -132,7 +129,6 @@ def _set(config: DictConfig, override: Override, command: str) -> None:
 
 
 def _has(config: DictConfig, key: str) -> bool:
-    """Whether a composed configuration has a key."""
     parent, _, name = key.rpartition(".")
     section = OmegaConf.select(config, parent) if parent else config
     return isinstance(section, DictConfig) and name in set(section)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import time
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
+from rich.status import Status
 from rich.table import Table
 
 from warpvox.io.console import echo, literal, shown
@@ -34,8 +35,6 @@ SIZED = (*TILED, "strip")
 THINNED = {"usd": "stride", "gif": "every", "mp4": "every", "html": "every"}
 """Parameter of a writer for the key ``every``."""
 FILMS = ("gif", "mp4")
-MEASURED, LONG = 2.0, 20.0
-"""Seconds after which the rest of a film is estimated, and from which on that is worth a line."""
 TILES, BODIES = 16, 36
 """Environments that a picture shows at most; of a run over many bodies."""
 LARGE = (960, 540)
@@ -96,7 +95,7 @@ def write_exports(
     written = [folder / ROLLOUT] if (folder / ROLLOUT).is_file() else []
     for name in dict.fromkeys(formats):
         file, module, function = WRITERS[name]
-        with console.status(f"writing {file}"):
+        with console.status(f"writing {file}") as status:
             options: dict[str, Any] = {"size": tuple(size)} if size and name in SIZED else {}
             if name in TILED:
                 options["envs"] = tiles_of(rollout)
@@ -105,7 +104,7 @@ def write_exports(
             if name in THINNED:
                 options[THINNED[name]] = every
             if name in FILMS:
-                options["on_frame"] = Estimate(file, console)
+                options["on_frame"] = partial(_tell, status, file)
             getattr(import_module(module), function)(rollout, folder / file, **options)
         written.append(folder / file)
     for path in written:
@@ -113,21 +112,8 @@ def write_exports(
     return written
 
 
-class Estimate:
-    """Says how many pictures a film will have and how long it will take, if that is long; an ``on_frame`` of films."""
-
-    def __init__(self, file: str, console: Console) -> None:
-        self.file, self.console, self.began, self.told = file, console, time.monotonic(), False
-
-    def __call__(self, done: int, total: int) -> None:
-        seconds = time.monotonic() - self.began
-        if self.told or done < 2 or seconds < MEASURED:
-            return
-        self.told = True
-        left = seconds / done * (total - done)
-        if left >= LONG:
-            words = f"{left / 60:.0f} minutes" if left >= 120 else f"{left:.0f} seconds"
-            echo(self.console, f"{self.file}: {total:,} pictures, about {words} more; every=N makes fewer")
+def _tell(status: Status, file: str, done: int, total: int) -> None:
+    status.update(f"writing {file}: {done:,} of {total:,} pictures; every=N makes fewer")
 
 
 def _size(path: Path) -> str:

@@ -4,8 +4,6 @@ That grammar has a meaning for quotes, brackets, commas and ``~``, and knows ASC
 that it takes for something else, is quoted for it here.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import os

@@ -1,7 +1,5 @@
 """Entries of the zoo from what searches and trainings have left."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import glob

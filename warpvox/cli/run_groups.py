@@ -1,7 +1,5 @@
 """Runs that differ only in their seed, and labels that distinguish such groups."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Output that outlives its reader (``| head``, a terminal that is closed) and is never another file (``>&-``)."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

@@ -1,25 +1,26 @@
 """The members of a suite from its keys: tasks x searches x seeds, each with the settings of its design search."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.suite.members import Member
+from warpvox.algos.training.pretrained import find_pretrained, kept_name
 from warpvox.checks import check_integer, check_shape, is_integer
 from warpvox.cli.config import load
 from warpvox.cli.help import options_of
-from warpvox.cli.suite_words import by_key
+from warpvox.cli.overrides import key_and_value, key_and_word
+from warpvox.code import Code, is_code
 from warpvox.configs.codesign import SuiteConfig
 from warpvox.configs.composition import quoted, shape_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.trust import COPIES, STORED, allowed
 
 BENCHMARK10 = (
     "Walker-v0", "BridgeWalker-v0", "UpStepper-v0", "Traverser-v0", "Climber-v0", "Carrier-v0", "Thrower-v0",
@@ -64,7 +65,6 @@ def task_names(names: list[str]) -> list[str]:
 
 
 def _tasks(names: list[str]) -> dict[str, TaskSpec]:
-    """The tasks by the names that they are given by."""
     tasks = {name: get_task(name) for name in task_names(names)}
     ids = [spec.id for spec in tasks.values()]
     twice = next((name for name in ids if ids.count(name) > 1), None)
@@ -101,7 +101,6 @@ def _searches(config: SuiteConfig, config_dir: Path | None) -> dict[str, Codesig
 
 
 def _has(config: Any, key: str) -> bool:
-    """Whether a configuration has a dotted key."""
     for name in key.split("."):
         if not hasattr(config, name):
             return False
@@ -150,3 +149,43 @@ def _evaluations(config: SuiteConfig, task: TaskSpec, member: Codesign) -> int:
             f"control_steps must be at least {math.ceil(cost + last):,}, {what}; got {steps:,} for {task.id}."
         )
     return int((steps - last) // cost)
+
+
+PRETRAINED = "evaluation.pretrained"
+
+
+def by_key(words: Sequence[str]) -> dict[str, str]:
+    """The words by their keys, as Hydra takes them; of two for one key the last."""
+    return dict(map(key_and_word, words))
+
+
+def merged(words: Sequence[str], typed: Sequence[str], output_dir: str) -> list[str]:
+    """``words`` with those that were typed; a pretrained policy by its place, as the latest may be another later."""
+    found = by_key([*words, *typed])
+    if PRETRAINED in found:
+        _, name = key_and_value(found[PRETRAINED])
+        found[PRETRAINED] = f"{PRETRAINED}={quoted(kept_name(name, find_pretrained(name, output_dir)[0]))}"
+    return list(found.values())
+
+
+def gone_on_with(words: Sequence[str], typed: Sequence[str], home: Path) -> tuple[list[str], list[str]]:
+    """The words of a suite in ``home`` that goes on: as it has them, and with the code that was named again."""
+    before, now = by_key(words), by_key(typed)
+    trusted = {}
+    for key, word in now.items():
+        if key in CHANGEABLE:
+            before[key] = word
+        elif key not in COPIES and before.get(key) != word:
+            has = f"it has {before[key]}" if key in before else "it is not among those of the suite"
+            raise ConfigError(f"{key} cannot change when a suite is resumed ({has}, asked for {word}).")
+    for key, word in before.items():
+        value = key_and_value(word)[1]
+        if key in COPIES and is_code(value):
+            mine = key_and_value(now[key])[1] if key in now else None
+            value = allowed(key, value, Code(mine) if is_code(mine) else mine, home)
+            word = f"{key}={quoted(str(value))}"
+        trusted[key] = word
+    for key in now:
+        if key in COPIES and key_and_value(now[key])[1] == STORED and key not in before:
+            raise ConfigError(f"{key}={STORED} names code in the folder of a run; {home} has none for {key}.")
+    return list(before.values()), list(trusted.values())

@@ -1,7 +1,5 @@
 """Messages for when memory runs out, on a GPU or in the machine."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager

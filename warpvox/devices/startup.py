@@ -1,4 +1,4 @@
-"""Starts Warp without its banner, and announces compilation.
+"""Starts Warp without its banner, and announces compilation; settings of a command's process.
 
 Warp prints a banner when it starts and a line for every module that it loads, but nothing when it begins to compile,
 which takes 10 to 40 seconds. Who has set ``warp.config.log_level``, or started Warp, before the first simulation gets
@@ -87,3 +87,21 @@ def _init_without_complaint() -> None:
         for line in caught:
             if NO_DRIVER not in line:
                 sys.stderr.write(line.decode(errors="replace"))
+
+
+class _Console(logging.Handler):
+    """Messages of the library go to the output, like those of the commands."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        print(record.getMessage(), flush=True)
+
+
+def prepare(torch_threads: int, seed: int) -> None:
+    """Settings of the process: threads, random numbers, and no chatter from Warp."""
+    if not LOGGER.handlers:
+        LOGGER.addHandler(_Console())
+    import torch
+
+    start_warp()
+    torch.set_num_threads(torch_threads)
+    torch.manual_seed(seed)

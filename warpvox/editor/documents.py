@@ -5,8 +5,6 @@ A document is a JSON object: ``kind`` ("body" or "world"), ``names`` (of the obj
 to; entries of empty cells mean nothing).
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping

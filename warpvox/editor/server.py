@@ -7,8 +7,6 @@ Origin is another's. Requests have a size limit, a client that stays silent is d
 in one folder only.
 """
 
-from __future__ import annotations
-
 import hmac
 import json
 import re
@@ -16,19 +14,31 @@ import secrets
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
-from warpvox.design import sample_design
-from warpvox.editor.documents import check, check_file_name, document_of, file_names, read_file, save_file
-from warpvox.editor.page import editor_page
-from warpvox.editor.trials import try_out
+from warpvox.design import example_designs, sample_design
+from warpvox.editor.documents import (
+    BODY_SIDE,
+    WORLD_SIZE,
+    check,
+    check_file_name,
+    document_of,
+    file_names,
+    read_file,
+    save_file,
+)
+from warpvox.editor.trials import LONGEST, try_out
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import ConfigError, DeviceError, WarpvoxError
+from warpvox.examples import EXAMPLES
 from warpvox.io.reading import parse_json
-from warpvox.view.player import page_of
+from warpvox.view.palette import CELL_NAMES, RAMPS
+from warpvox.view.player import asset, fill_template, page_of
+from warpvox.view.rollout import AGENTS
 
 ADDRESS = "127.0.0.1"
 LARGEST = 1_000_000
@@ -227,3 +237,28 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("Connection", "close")
         self.end_headers()
         self.wfile.write(content)
+
+
+SCRIPTS = ("drawing.js", "board.js", "editor.js")
+
+
+def editor_page(start: dict[str, Any] | None, folder: Path, tasks: list[str]) -> str:
+    """The page as text.
+
+    Args:
+        start: a document with a ``name``, to begin with; None: an example.
+        folder: where files are opened and saved, to be named on the page.
+    """
+    setup = {
+        "start": start or document_of(example_designs()["walker"]) | {"name": "my_robot"},
+        "folder": str(folder),
+        "examples": EXAMPLES,
+        "tasks": tasks,
+        "agents": list(reversed(AGENTS)),
+        "limits": {"body": [BODY_SIDE, BODY_SIDE], "world": list(WORLD_SIZE), "seconds": LONGEST},
+        "colours": {int(cell): ramp[1] for cell, ramp in RAMPS.items()},
+        "names": {0: "empty"} | {int(cell): name for cell, name in CELL_NAMES.items()},
+    }
+    part = partial(asset, package="warpvox.editor")
+    style, script = asset("player.css") + part("editor.css"), "\n".join(map(part, SCRIPTS))
+    return fill_template(part("editor.html"), values={"setup": setup}, style=style, script=script)

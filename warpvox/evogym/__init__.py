@@ -4,8 +4,6 @@
 ``import evogym`` itself means this package. ``docs/evogym.md`` says what is the same and what differs.
 """
 
-from __future__ import annotations
-
 from warpvox.evogym import sim, simulator_cpp, utils, viewer, world
 from warpvox.evogym.sim import EvoSim
 from warpvox.evogym.switch import install as install

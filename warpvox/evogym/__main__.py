@@ -1,7 +1,5 @@
 """``python -m warpvox.evogym SCRIPT [ARGUMENT ...]``: runs a script written for EvoGym, as ``python SCRIPT`` would."""
 
-from __future__ import annotations
-
 import argparse
 import runpy
 import sys

@@ -3,8 +3,6 @@
 As in the release, positions and velocities of any control step since the reset can be read.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 from itertools import pairwise
 

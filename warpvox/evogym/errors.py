@@ -1,7 +1,5 @@
 """Errors of the drop-in: of our tree, and of the builtin kinds that scripts written for EvoGym catch."""
 
-from __future__ import annotations
-
 from warpvox.errors import WarpvoxError
 
 __all__ = ["ArgumentError", "ArgumentTypeError", "InstallError", "RangeError"]

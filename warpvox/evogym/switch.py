@@ -1,7 +1,5 @@
 """``install()``: from then on ``import evogym`` means this package."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Pictures and a window, under the names of EvoGym's module ``evogym.viewer``. Lengths are in voxels here."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Text on the console: what comes out of files can neither command the terminal nor look like our own markup."""
 
-from __future__ import annotations
-
 import math
 import os
 import shlex

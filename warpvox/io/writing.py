@@ -5,8 +5,6 @@ machine or of the disk's space leaves either the old file or the new one. What a
 :data:`MARK` in its name and is removed by :func:`sweep`.
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import errno

@@ -7,8 +7,6 @@ The file holds ``header`` (JSON in UTF-8, uint8: ``format``, ``version``, ``task
 ``amplitude``, ``phase`` and ``rest`` (float64 ``[stages, actuators]``, see :class:`warpvox.robots.gait.Gait`).
 """
 
-from __future__ import annotations
-
 import hashlib
 import html
 import json

@@ -1,7 +1,5 @@
 """Open-loop policies of stored robots: each actuator follows a sinusoid of the time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Policies of stored robots, evaluated so that every machine gets the same actions."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

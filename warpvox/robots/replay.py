@@ -1,7 +1,5 @@
 """Stored robots in batches of environments and as torch modules, and policies as those of stored robots."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """Returns of stored robots: episodes in exact arithmetic, which any machine repeats."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
@@ -73,7 +71,6 @@ def judge_robust(robot: Robot, protocol: str = ROBUST, episodes: int = EPISODES)
 
 
 def _episode(env: VoxelEnv, robot: Robot, seed: int) -> tuple[float, int]:
-    """Return and control steps."""
     obs, _ = env.reset(seed=seed)
     rewards: list[float] = []
     terminated, limit = False, get_task(robot.task).max_episode_steps

@@ -1,6 +1,4 @@
-"""Bodies at rest, drawn cell by cell: a sheet of several."""
-
-from __future__ import annotations
+"""Bodies and worlds as they begin, as pictures: nothing is simulated."""
 
 import os
 from collections.abc import Sequence
@@ -10,9 +8,13 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw
 
+from warpvox.compile import compile_world
 from warpvox.design import Design
-from warpvox.view.painter import INK, font, save_png
+from warpvox.types import Physics
+from warpvox.view.painter import BELOW, INK, Canvas, font, save_png
 from warpvox.view.palette import cell_colour
+from warpvox.view.scene import Scene, scene_of
+from warpvox.world import World
 
 PAPER, FAINT, EMPTY = (255, 255, 255), (88, 96, 110), (238, 241, 245)
 SHADE = (126, 200, 150)
@@ -75,3 +77,35 @@ def write_bodies(
 ) -> Path:
     """Write what :func:`draw_bodies` draws as PNG, whole or not at all; returns the path."""
     return save_png(draw_bodies(bodies, captions, title, **options), path)
+
+
+LONGEST = 1600
+"""Pixels that the longer side of a picture has at most, unless the world is very large."""
+SCALES = (6, 32)
+AIR = 2  # voxels above the world
+
+
+def scene_of_world(world: World) -> tuple[Scene, np.ndarray]:
+    """A world as a scene, and its points as they begin, float64 ``[P, 2]`` in simulator units.
+
+    SimulationError: the world has nothing that can move.
+    """
+    compiled = compile_world(world, Physics())
+    return scene_of(compiled), np.array([point for body in compiled.bodies for point in body.points])
+
+
+def draw_world(world: World) -> Image.Image:
+    """The whole world with all its objects, with the distance in voxels below.
+
+    SimulationError: the world has nothing that can move.
+    """
+    scene, points = scene_of_world(world)
+    width, height = world.width + 2 * BELOW, world.height + BELOW + AIR
+    scale = int(np.clip(LONGEST / max(width, height), *SCALES))
+    canvas = Canvas(scene, (round(width * scale), round(height * scale)), scale)
+    return canvas.picture(points, (-round(BELOW * scale), -round(BELOW * scale)))
+
+
+def write_world_png(world: World, path: str | os.PathLike[str]) -> Path:
+    """Write what :func:`draw_world` draws. Returns the path."""
+    return save_png(draw_world(world), path)

@@ -1,7 +1,5 @@
 """Bodies and worlds on the terminal: cells in colours, letters where there are none."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import groupby
 

@@ -4,8 +4,6 @@ Pillow keeps all pictures of an animation until the last is there. Here it encod
 with one palette and a row of blocks, so that the blocks of each part follow those of the part before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from io import BytesIO
 from itertools import chain, islice
@@ -34,7 +32,6 @@ def write_pictures(file: BinaryIO, pictures: Iterable[Image.Image], pause: int) 
 
 
 def _parts(pictures: Iterator[Image.Image]) -> Iterator[list[Image.Image]]:
-    """The pictures in lists of about :data:`PART_BYTES`."""
     for first in pictures:
         count = max(1, PART_BYTES // (first.width * first.height))
         yield list(islice(chain([first], pictures), count))

@@ -9,16 +9,19 @@ edges smooth.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from warpvox.errors import RolloutError
 from warpvox.io.writing import atomic_path
 from warpvox.types import VOXEL, Cell
 from warpvox.view.palette import colour_index, palette
-from warpvox.view.rollout import Rollout
+from warpvox.view.rollout import Rollout, scenes_of
 from warpvox.view.scene import Scene, stretch
 
 SKY, GRID, GRID_STRONG = (249, 250, 252), (233, 237, 242), (214, 220, 229)
@@ -285,3 +288,34 @@ def _number(image: Image.Image, rows: np.ndarray, columns: np.ndarray, scale: in
     for k, column in enumerate(columns.tolist()):
         if column % 10 == 0 and 0 <= column <= width:
             draw.text((k * scale, y), str(column), fill=BEYOND_INK, font=font(size), anchor="mm")
+
+
+class LiveView:
+    """Looks at environments of a simulation; each picture depends on the present state alone.
+
+    Args:
+        sim: a :class:`warpvox.Simulation`.
+        size: width and height of a picture in pixels.
+        voxels: voxels from the bottom to the top of a picture; None fits the robot as it begins.
+
+    Raises:
+        RolloutError: a size of less than 16 pixels.
+    """
+
+    def __init__(self, sim: Any, size: tuple[int, int] = (640, 360), voxels: float | None = None) -> None:
+        self.size = (int(size[0]), int(size[1]))
+        if min(self.size) < 16:
+            raise RolloutError(f"A picture must be at least 16 pixels wide and high, got {size}.")
+        scenes, self._positions = scenes_of(sim)
+        self._design = sim.design_index.tolist()
+        self._canvases = [Canvas(scene, self.size, fitting_scale(scene, self.size, voxels)) for scene in scenes]
+
+    def pictures(self, envs: Sequence[int] | None = None) -> list[np.ndarray]:
+        """A picture of each environment (None: all), uint8 ``[height, width, 3]``."""
+        positions, pictures = self._positions().cpu().numpy(), []
+        for env in envs or range(len(self._design)):
+            canvas, points = self._canvases[self._design[env]], positions[env]
+            view = (self.size[0] / canvas.scale, self.size[1] / canvas.scale)
+            corner = np.rint(camera_path(canvas.scene, points[None], view)[0] * canvas.scale).astype(int)
+            pictures.append(np.array(canvas.picture(points, corner)))
+        return pictures

@@ -340,7 +340,6 @@ def scenes_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], Any]]:
 
 
 def _agent(name: str, env: Any) -> Callable[[Any], Any]:
-    """One of :data:`AGENTS` as a policy."""
     import torch
 
     if name not in AGENTS:
@@ -388,7 +387,6 @@ def _plain_seed(seed: Any) -> int | list[int] | None:
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header and arrays of a file."""
     try:
         with ArrayFile(path, LARGEST) as archive:
             if "header" not in archive.names:

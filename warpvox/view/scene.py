@@ -1,7 +1,5 @@
 """Scenes: the worlds of a rollout as meshes, everything that pictures need besides positions."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property

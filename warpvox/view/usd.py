@@ -17,8 +17,6 @@ and ``sky``. Task, rules and returns are in the custom data of ``/World`` and of
 # pyright: reportAttributeAccessIssue=false
 # The stubs of pxr lack most of its classes.
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A window that shows pictures, by the toolkit that comes with Python; nothing needs it but live views."""
 
-from __future__ import annotations
-
 import os
 from typing import Any
 

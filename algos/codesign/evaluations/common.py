@@ -188,7 +188,6 @@ class FewShot(CommonPolicy):
         return resolved
 
     def _read(self, search: Codesign, folder: Path | None) -> dict[str, Any]:
-        """The checkpoint of the pretrained policy."""
         from warpvox.algos.checkpoints.files import load_checkpoint
 
         path, run = (folder / PRETRAINED, {}) if folder else find_pretrained(str(self.pretrained), search.output_dir)

@@ -90,7 +90,6 @@ class Gaits(Screened):
         return found
 
     def _episodes(self, search: Codesign) -> int:
-        """Number of episodes of each gait."""
         from warpvox.envs.registry import get_task
 
         return self.episodes or (COPIES if search.fitness == ROBUST or get_task(search.task).is_random else 1)

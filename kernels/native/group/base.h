@@ -3,7 +3,7 @@
 // is number `part`. It owns the points and springs part, part + PARTS, ... and keeps what belongs to them in registers; what
 // others read is in `at`, shared memory on CUDA.
 
-// How often a group comes to a place in a sub-step, for `suite=cuda`; the place is the rest of the block.
+// How often a group comes to a place in a sub-step, for tests; the place is the rest of the block.
 #if TALLIED
 int visits[PLACES] = {};
 #define COUNT(place) ++visits[PLACE_##place]

@@ -11,10 +11,11 @@ import torch
 from codesign_toys import ToyEvaluator, ToySearch
 
 import warpvox as wv
-from warpvox.algos.candidate import Outcome
+from warpvox.algos.candidate import Listener, Outcome
 from warpvox.algos.codesign.archive import FILE, Archive
-from warpvox.algos.codesign.executors import LocalExecutor
-from warpvox.algos.codesign.loop import Listener, Loop
+from warpvox.algos.codesign.loop import LocalExecutor, Loop
+from warpvox.algos.codesign.settings import Codesign
+from warpvox.types import Physics
 
 SMALL = dict(shape=(3, 3), device="cpu", threads=1, progress=False)
 TRAINING = {"envs": 8, "iterations": 1, "eval_interval": 1, "ppo": {"steps": 4, "hidden": [8], "epochs": 1}}
@@ -143,3 +144,10 @@ def test_an_evaluation_in_a_file(warpvox: Callable, tmp_path: Path, monkeypatch:
         outcome = warpvox("codesign", *(word for word in words if not word.startswith(keys)), wrong, *COMMAND)
         assert outcome.code == 2
         assert says in " ".join(outcome.err.split())
+
+
+def test_physics_are_a_preset_by_name_or_constants() -> None:
+    chosen = Physics.preset("paper", gravity=80.0)
+    for given in (chosen, {"preset": "paper", "gravity": 80.0}):
+        assert Codesign(physics=given).sim.physics == chosen
+    assert Codesign(physics="paper").sim.physics == Physics.preset("paper")

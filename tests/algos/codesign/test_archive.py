@@ -15,9 +15,9 @@ from hypothesis import given, strategies as st
 
 from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
 from warpvox.algos.codesign.archive import APPLICATION, VERSION, Archive, Finished
-from warpvox.algos.codesign.archive_export import COLUMNS, export, read_designs, write_csv, write_parquet
-from warpvox.design import example_design, full_connections, sample_design
-from warpvox.errors import DesignError, RunError, StorageError
+from warpvox.algos.codesign.archive_export import COLUMNS, export, write_csv, write_parquet
+from warpvox.design import full_connections, load_design, sample_design
+from warpvox.errors import RunError, StorageError
 
 SETTINGS = {"task": "Walker-v0", "search": {"name": "ga"}}
 ENDLESS = "import sys, time; from pathlib import Path; from warpvox.algos.codesign.archive import Archive\n"
@@ -241,17 +241,5 @@ def test_designs_leave_in_the_formats_of_evogym_and_come_back(filled: Archive, t
                 assert np.array_equal(content["arr_0"], record.candidate.body)
                 assert np.array_equal(content["arr_1"], full_connections(record.candidate.body).T)
     assert (folder / "generation_0" / "output.txt").read_text() == "2\t\t2.0\n1\t\t1.0\n0\t\t0.0\n"
-    back = {str(body.tolist()) for body in read_designs([str(folder)])}
+    back = {str(body.tolist()) for body in map(load_design, folder.rglob(f"*.{name}"))}
     assert back == {str(record.candidate.body.tolist()) for record in done}
-
-
-def test_designs_are_read_from_names_files_and_folders_once(tmp_path: Path) -> None:
-    body = example_design("walker")
-    np.save(tmp_path / "again.npy", body)
-    assert [other.tolist() for other in read_designs(["walker", str(tmp_path), "walker"])] == [body.tolist()]
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(DesignError, match="no design in"):
-        read_designs([str(tmp_path / "folder")])
-    (tmp_path / "folder" / "bad.npz").write_bytes(b"x")
-    with pytest.raises(DesignError, match=r"bad\.npz"):
-        read_designs([str(tmp_path / "folder")])

@@ -14,8 +14,7 @@ from warpvox.algos.checkpoints.files import Controller, build_actor, spec_of
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.common_policy import FewShotEvaluator, SharedEvaluator
 from warpvox.algos.codesign.evaluations import FewShot
-from warpvox.algos.codesign.executors import LocalExecutor
-from warpvox.algos.codesign.loop import Loop
+from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.registry import layout_for
 from warpvox.algos.settings import Ppo

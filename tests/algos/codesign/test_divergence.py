@@ -10,8 +10,7 @@ from codesign_toys import GENERATIONS, POPULATION, ToyEvaluator, make_loop
 
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.codesign.archive import Archive, Finished
-from warpvox.algos.codesign.executors import LocalExecutor
-from warpvox.algos.codesign.loop import Loop
+from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.report import report_page
 from warpvox.algos.search import BO, GA, CppnNeat, MapElites, RandomDesigns, make_search
 from warpvox.design import sample_design

@@ -10,8 +10,8 @@ import pytest
 from codesign_toys import SEED, ToyEvaluator, ToySearch, make_loop
 
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome
-from warpvox.algos.codesign.executors import LocalExecutor
 from warpvox.algos.codesign.finalists import Finalists, TwoStages
+from warpvox.algos.codesign.loop import LocalExecutor
 from warpvox.algos.report.members import read_members
 from warpvox.algos.search import ALGORITHMS, make_search
 

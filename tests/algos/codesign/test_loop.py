@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 from codesign_toys import GENERATIONS, POPULATION, SEED, ToyEvaluator, ToySearch, make_loop
 
-from warpvox.algos.candidate import Candidate, Outcome, Parent
+from warpvox.algos.candidate import Candidate, Listener, Outcome, Parent
 from warpvox.algos.codesign.archive import FILE, Archive
-from warpvox.algos.codesign.executors import LocalExecutor, batches
-from warpvox.algos.codesign.loop import Listener
+from warpvox.algos.codesign.loop import LocalExecutor, batches
 from warpvox.errors import RunError, StorageError
 
 PROGRAM = Path(__file__).parents[2] / "helpers" / "codesign_toys.py"

@@ -15,7 +15,7 @@ from warpvox.algos.checkpoints.files import Controller, PolicySpec, build_actor
 from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
 from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
 from warpvox.algos.evaluate import evaluate
-from warpvox.configs.presets import training_preset
+from warpvox.configs.composition import training_preset
 from warpvox.errors import ConfigError, RunError
 from warpvox.keys import MISSING
 

@@ -12,10 +12,9 @@ import parallel
 import pytest
 from codesign_toys import POPULATION, ToyEvaluator, make_loop
 
-from warpvox.algos.candidate import Candidate, Outcome
+from warpvox.algos.candidate import Candidate, Listener, Outcome
 from warpvox.algos.codesign.archive import Archive
-from warpvox.algos.codesign.executors import Batch
-from warpvox.algos.codesign.loop import Listener
+from warpvox.algos.codesign.loop import Batch
 from warpvox.errors import ConfigError, RunError
 
 ray = pytest.importorskip("ray", reason="Ray is not installed")

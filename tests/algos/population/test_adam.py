@@ -3,7 +3,7 @@
 import torch
 from torch import nn
 
-from warpvox.algos.population.adam import VectorAdam
+from warpvox.algos.population.ppo import VectorAdam
 
 EPS, LIMIT = 1e-5, 0.5
 

@@ -16,8 +16,7 @@ from warpvox.algos.report.benchmark import write_benchmark
 from warpvox.algos.report.comparison import compare
 from warpvox.algos.report.members import progress, read_members
 from warpvox.design import sample_design
-from warpvox.envs.known_returns import known_returns
-from warpvox.envs.registry import task_ids
+from warpvox.envs.registry import known_returns, task_ids
 
 POPULATION = 3
 

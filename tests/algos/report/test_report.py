@@ -16,9 +16,8 @@ from hypothesis import given, strategies as st
 
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.codesign.archive import Archive, Finished, Record
-from warpvox.algos.report import report_page, write_report
+from warpvox.algos.report import family_tree, places, report_page, write_report
 from warpvox.algos.report.charts import Series, chart, ticks
-from warpvox.algos.report.tree import family_tree, places
 from warpvox.design import sample_design
 
 

@@ -9,8 +9,16 @@ from botorch.acquisition import LogExpectedImprovement
 
 from warpvox.algos.search import BO, make_search
 from warpvox.algos.search.bo import BayesianSearch
-from warpvox.algos.search.bo_acquire import ascend, climb, improve, log_improvement, thompson_starts
-from warpvox.algos.search.bo_model import fit_model, one_hot, own_torch
+from warpvox.algos.search.bo_acquire import (
+    ascend,
+    climb,
+    fit_model,
+    improve,
+    log_improvement,
+    one_hot,
+    own_torch,
+    thompson_starts,
+)
 from warpvox.algos.search.bodies import body_key, mutate, neighbours
 from warpvox.design import are_valid, draw_bodies
 

@@ -42,9 +42,7 @@ def test_a_file_with_a_search(mine: Path) -> None:
 
 
 def test_a_module_with_a_search() -> None:
-    settings = CustomSearch(
-        make=Code("warpvox.algos.search.random_search:RandomSearch"), population=4, max_evaluations=4
-    )
+    settings = CustomSearch(make=Code("warpvox.algos.search.base:RandomSearch"), population=4, max_evaluations=4)
     custom, own = (make_search(s, seed=1) for s in (settings, settings_from({"algorithm": "random", "population": 4})))
     assert np.array_equal(custom.ask()[0].body, own.ask()[0].body)
 

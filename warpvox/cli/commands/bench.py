@@ -4,8 +4,6 @@ A suite is a file of :mod:`warpvox.bench`. Each leaves ``summary.json``, ``table
 ``outputs/bench/<suite>/<date_time>/``.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -29,8 +27,8 @@ def measure(config: Any, console: Console) -> Path:
     with console.status("preparing"):
         from warpvox.bench.machine import machine, machine_line
         from warpvox.bench.report import Report, put_into
-        from warpvox.cli.process import prepare
         from warpvox.devices.names import resolve_device
+        from warpvox.devices.startup import prepare
 
         suite = import_module(f"warpvox.bench.{config.suite}")
         prepare(config.torch_threads, config.seed)

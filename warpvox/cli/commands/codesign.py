@@ -1,7 +1,5 @@
 """``warpvox codesign``: from a configuration to a folder with the designs that were tried, the best of them trained."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -69,9 +67,8 @@ def _make(job: Job, console: Console) -> Path:
         return _report(job.config, console)
     with console.status("loading"):
         from warpvox.algos.codesign.archive import FILE, Archive
-        from warpvox.algos.codesign.films import film_designs
         from warpvox.algos.codesign.progress import SearchProgress
-        from warpvox.algos.codesign.results import Results
+        from warpvox.algos.codesign.results import Results, film_designs
         from warpvox.algos.codesign.run import run_codesign
     listeners = [SearchProgress(console)]
     found = run_codesign(job.settings, job.folder, listeners, stored=job.stored, console=console)
@@ -84,7 +81,6 @@ def _make(job: Job, console: Console) -> Path:
 
 
 def _export(folder: Path, formats: Sequence[str], console: Console) -> None:
-    """Write the archive in other formats and say where."""
     from warpvox.algos.codesign.archive import FILE, Archive
     from warpvox.algos.codesign.archive_export import export
 
@@ -96,8 +92,7 @@ def _export(folder: Path, formats: Sequence[str], console: Console) -> None:
 def _report(config: CodesignConfig, console: Console) -> Path:
     """Make report, pictures and exports of a search again, also while it is running; returns its folder."""
     from warpvox.algos.codesign.archive import FILE, Archive
-    from warpvox.algos.codesign.films import film_designs
-    from warpvox.algos.codesign.results import Results
+    from warpvox.algos.codesign.results import Results, film_designs
 
     texts = [str(text) for text in (config.report if isinstance(config.report, list) else [config.report])]
     if texts != ["latest"]:

@@ -1,7 +1,5 @@
 """``warpvox curves``: learning curves of runs as one picture, as a table and as CSV."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

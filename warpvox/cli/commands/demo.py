@@ -1,7 +1,5 @@
 """``warpvox demo``: from nothing to a walking robot that can be looked at; ``warpvox train preset=demo``."""
 
-from __future__ import annotations
-
 from warpvox.cli.commands import train
 
 

@@ -1,7 +1,5 @@
 """``warpvox design``: the design editor in the browser, served to this machine only."""
 
-from __future__ import annotations
-
 import webbrowser
 from pathlib import Path
 
@@ -26,7 +24,7 @@ def _only_one(_: object) -> None:
 def serve(config: DesignConfig, console: Console) -> None:
     """Serve the editor until it is interrupted."""
     with console.status("starting"):
-        from warpvox.cli.process import prepare
+        from warpvox.devices.startup import prepare
         from warpvox.editor.server import EditorServer
 
         prepare(1, 0)

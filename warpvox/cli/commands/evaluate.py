@@ -24,8 +24,7 @@ from warpvox.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
 from warpvox.trust import STORED
 
 if TYPE_CHECKING:
-    from warpvox.algos.training.judged import Judged
-    from warpvox.algos.training.policy_table import EvaluatedPolicy
+    from warpvox.algos.training.policy_table import EvaluatedPolicy, Judged
 
 LATEST = "latest"
 SEVERAL = "several"
@@ -43,7 +42,7 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
     Raises:
         WarpvoxError: a run that does not exist or cannot be evaluated as asked; nothing is written then.
     """
-    from warpvox.algos.training.judged import judged_groups
+    from warpvox.algos.training.policy_table import judged_groups
 
     if config.task is not None and not (config.task == STORED or isinstance(config.task, Code)):
         raise ConfigError("task names the code of runs of your own tasks (stored, FILE.py:NAME); a run knows its task.")
@@ -71,7 +70,7 @@ def _evaluate(found: Run, config: EvaluateConfig) -> list[EvaluatedPolicy]:
     """One episode in each of ``config.episodes`` environments."""
     from warpvox.algos.training.loading import Playing
     from warpvox.algos.training.policy_table import evaluate_run
-    from warpvox.cli.process import prepare
+    from warpvox.devices.startup import prepare
 
     prepare(config.torch_threads, config.seed)
     names = ("checkpoint", "stochastic", "protocol", "seed", "device", "dtype", "arithmetic", "threads")
@@ -98,7 +97,7 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
             table.add_row(*map(literal, ("", "all", entry.disturbance, mean, interval, "", n, "runs")))
         table.add_section()
     console.print(table)
-    from warpvox.algos.training.judged import compare
+    from warpvox.algos.training.policy_table import compare
 
     pairs = compare(judged, config.level)
     if pairs:
@@ -144,7 +143,7 @@ def _cells(interval: Interval) -> tuple[str, str, str]:
 
 def _write(folder: Path, judged: list[Judged], config: EvaluateConfig) -> None:
     """The tables as CSV, and everything in ``summary.json``."""
-    from warpvox.algos.training.judged import tables
+    from warpvox.algos.training.policy_table import tables
 
     found = tables(judged, config.level)
     for name, table in found.items():

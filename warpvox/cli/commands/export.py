@@ -60,7 +60,6 @@ def _load_policy(config: Any, console: Console) -> Policy:
 
 
 def _export_policy(policy: Policy, config: Any, formats: list[str], console: Console) -> Path:
-    """A folder with the policy alone."""
     # The task's name comes from a file that somebody else may have written: it must stay a name.
     place = as_name(str(policy.metadata.get("task", ""))) or "policy"
     with new_folder(config.output_dir, "export", place, config.name, to_yaml(config)) as folder:

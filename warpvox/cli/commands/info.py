@@ -1,7 +1,5 @@
 """``warpvox info``: versions, devices and the kernel cache, for bug reports and for looking what is there."""
 
-from __future__ import annotations
-
 import os
 import platform
 import sys

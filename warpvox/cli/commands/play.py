@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,16 +13,17 @@ from rich.console import Console
 from warpvox.cli.application import run_command
 from warpvox.cli.config import to_yaml
 from warpvox.cli.exports import ROLLOUT, print_returns, record_agent, record_run, tiles_of, write_exports
-from warpvox.cli.playback import play_in_window, wants_window
 from warpvox.code import Code
 from warpvox.configs.show import PlayConfig
-from warpvox.errors import ConfigError, listing
-from warpvox.io.console import echo, shown
+from warpvox.errors import ConfigError, DisplayError, listing
+from warpvox.io.console import echo, escaped, shown
 from warpvox.runs import ZOO, as_name, find_run, new_folder, write_summary
 from warpvox.trust import STORED
+from warpvox.view.window import Window, why_no_window
 
 if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
+
 
 OF_AGENTS = ("task", "design", "rules")
 """Keys that a trained run answers itself."""
@@ -78,7 +80,7 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
         _refuse(given)
     with console.status("loading"):
         from warpvox.algos.training.loading import load_run
-        from warpvox.cli.process import prepare
+        from warpvox.devices.startup import prepare
 
         prepare(config.torch_threads, config.seed or 0)
         env, controller = load_run(source, config, getattr(config, "design", None))
@@ -108,7 +110,7 @@ def stored_rollout(config: PlayConfig) -> tuple[Rollout, str]:
 def play_agent(config: PlayConfig, console: Console) -> Rollout:
     """The rollout of an agent that needs no training."""
     with console.status("loading"):
-        from warpvox.cli.process import prepare
+        from warpvox.devices.startup import prepare
 
         prepare(config.torch_threads, config.seed or 0)
     with console.status("simulating"):
@@ -152,3 +154,45 @@ def summary_of(rollout: Rollout, command: str, source: str) -> dict[str, Any]:
         "lengths": [int(value) for value in rollout.lengths],
         **({"bodies": rollout.names} if "names" in rollout.metadata else {}),
     }
+
+
+SIZE = (960, 540)
+REST = 1.0  # seconds that the last picture stands before the episode is shown again
+
+
+def wants_window(choice: str) -> bool:
+    """Whether a window is to be shown: ``on``, ``off``, or ``auto``, where there is a display."""
+    reason = why_no_window()
+    if choice == "on" and reason is not None:
+        raise DisplayError(f"window=on cannot be: {reason}. Leave it away, and look at files: export=[gif,html].")
+    return choice != "off" and reason is None
+
+
+def play_in_window(
+    rollout: Rollout,
+    envs: list[int],
+    size: tuple[int, int] = SIZE,
+    clock: Callable[[], float] = time.perf_counter,
+    make_window: Callable[[tuple[int, int], str], Any] = Window,
+) -> int:
+    """Show environments side by side, again and again, until the window is closed; the number of pictures shown.
+
+    Time runs as in the simulation: a machine too slow to draw every frame leaves some out.
+    """
+    from warpvox.types import FRAME_SECONDS
+    from warpvox.view.render import Film
+
+    film = Film(rollout, envs, size)
+    window = make_window(size, f"{escaped(rollout.title)} - warpvox")
+    last, shown, count, start = int(rollout.lengths.max()), -1, 0, clock()
+    while not window.closed:
+        passed = clock() - start
+        frame = min(last, int(passed / FRAME_SECONDS))
+        if frame != shown:
+            picture, shown, count = film.array(frame), frame, count + 1
+        else:
+            time.sleep(FRAME_SECONDS / 4)
+        window.show(picture)  # also the same one again: this is when the window answers
+        if passed > last * FRAME_SECONDS + REST:
+            start = clock()
+    return count

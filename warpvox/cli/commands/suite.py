@@ -1,7 +1,5 @@
 """``warpvox suite``: design searches for many tasks, searches and seeds in one folder, gone on with as a whole."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Iterator
@@ -18,8 +16,7 @@ from warpvox.algos.suite.progress import results
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load, load_values
 from warpvox.cli.overrides import key_and_value
-from warpvox.cli.suite_plan import plan, seeds_of, task_names
-from warpvox.cli.suite_words import gone_on_with, merged
+from warpvox.cli.suite_plan import gone_on_with, merged, plan, seeds_of, task_names
 from warpvox.code import is_code
 from warpvox.configs.codesign import SuiteConfig
 from warpvox.errors import ConfigError, RunError, listing

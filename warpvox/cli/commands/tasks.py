@@ -1,7 +1,5 @@
 """``warpvox tasks``: all tasks as a table, or one in detail with a picture of its world."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -79,8 +77,8 @@ def _print_task(name: str, config: TasksConfig, console: Console) -> None:
     from warpvox.design import load_design
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import task_world
+    from warpvox.view.body_picture import scene_of_world, write_world_png
     from warpvox.view.cell_text import print_world
-    from warpvox.view.world_picture import scene_of_world, write_world_png
 
     whole = get_task(name)
     task = whole.under(config.rules)

@@ -38,7 +38,7 @@ def make_job(config: TrainConfig, overrides: list[str], config_dir: Path | None)
 def train(job: Job, console: Console) -> Path:
     """Make a run; returns its folder."""
     from warpvox.algos.training.progress import Terminal
-    from warpvox.cli.process import prepare
+    from warpvox.devices.startup import prepare
 
     prepare(job.settings.torch_threads, job.settings.seed)
     job.train(Terminal(console))

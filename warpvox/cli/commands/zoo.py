@@ -1,7 +1,5 @@
 """``warpvox zoo``: the trained robots that come with the package, one of them in detail, new ones."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -132,8 +130,8 @@ def _training(about: Mapping[str, Any]) -> str:
 
 def _add(config: ZooConfig, folder: Path, console: Console) -> None:
     """Add what can be added and report each; raises the first error after all have been tried."""
-    from warpvox.cli.process import prepare
     from warpvox.cli.robot_entries import add, find_sources
+    from warpvox.devices.startup import prepare
 
     sources, failed = find_sources(config.add), []
     prepare(1, 0)

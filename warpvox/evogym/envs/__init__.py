@@ -6,8 +6,6 @@ Importing it makes the tasks known to gymnasium under the ids of the release: ``
 # pyright: reportUnsupportedDunderAll=false
 # The names of ten modules: a type checker reads no list that is computed.
 
-from __future__ import annotations
-
 from gymnasium.envs.registration import register
 
 from warpvox.envs.registry import get_task, released_id

@@ -1,7 +1,5 @@
 """Changes of shape, under the names of EvoGym's module ``evogym.envs.change_shape``."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Climbing, under the names of EvoGym's module ``evogym.envs.climb``."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

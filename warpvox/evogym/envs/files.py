@@ -1,7 +1,5 @@
 """The benchmark's worlds as files in the format of EvoGym's design tool, under the names of the release."""
 
-from __future__ import annotations
-
 import atexit
 import shutil
 import tempfile

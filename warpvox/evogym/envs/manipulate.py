@@ -1,7 +1,5 @@
 """Objects that are carried, pushed, thrown, caught and toppled: EvoGym's module ``evogym.envs.manipulate``."""
 
-from __future__ import annotations
-
 import random
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Lists of goals that are reached one after the other, under the names of ``evogym.envs.multi_goal``."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """An environment of the benchmark, made from its :class:`warpvox.envs.spec.TaskSpec`."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Uneven terrain, under the names of EvoGym's module ``evogym.envs.traverse``."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,0 +1,104 @@
+"""Reports of NVIDIA's assembler on a kernel, without a GPU, and how often groups come to a place in the source.
+
+The program ``ptxas`` is in build/ptxas, where ``make ptxas`` (and ``make test``) fetches it, or on PATH.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import warp as wp
+
+from warpvox.errors import WarpvoxError
+from warpvox.kernels.device import record, zeros
+from warpvox.kernels.group import WARP, group_kernel, places
+from warpvox.kernels.step import record_actions
+from warpvox.simulation import Simulation
+from warpvox.types import ACTION_HIGH, ACTION_LOW
+
+ARCHITECTURES = {80: "A100", 89: "RTX 40", 90: "H100, H200", 100: "B200"}
+"""Compute capabilities for which limits are held, and what has them."""
+FETCHED = Path(__file__).resolve().parents[2] / "build" / "ptxas" / "nvidia"
+REGISTERS = 65536
+"""Registers of a multiprocessor."""
+SHARED = {80: 164, 89: 100, 90: 228, 100: 228}
+"""Shared memory of a multiprocessor by compute capability, KiB."""
+RESERVED = 1024
+"""Bytes of it that CUDA takes for every block."""
+SETTLING = 20
+"""Control steps before visits are counted."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Resources of a kernel, per thread but for ``shared``; bytes but for ``registers``."""
+
+    registers: int
+    stack: int
+    spilled: int
+    shared: int
+
+
+def find_program() -> Path:
+    """``ptxas``, fetched or on PATH; WarpvoxError: it is nowhere."""
+    found = max(map(str, FETCHED.glob("*/bin/ptxas")), default=shutil.which("ptxas"))
+    if found is None:
+        raise WarpvoxError("There is no program 'ptxas': `make ptxas` fetches it (Linux, x86-64).")
+    return Path(found)
+
+
+def assemble(kernel: wp.Kernel, architecture: int, folder: Path) -> Limits:
+    """Resources of a kernel that is compiled for a compute capability (90: 9.0) in ``folder``."""
+    wp.compile_aot_module(kernel.module, arch=architecture, module_dir=str(folder), use_ptx=True)
+    ptx = next(folder.glob("*.ptx"))  # ends in NUL, which ptxas refuses
+    ptx.write_text(ptx.read_text(encoding="utf-8").replace("\0", ""), encoding="utf-8")
+    words = [find_program(), f"-arch=sm_{architecture}", "-v", "-o", folder / "kernel.cubin", ptx]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    said = done.stderr
+    if done.returncode:
+        raise WarpvoxError(f"ptxas failed; one that is too old for Warp `make ptxas` replaces: {said.strip()[-500:]}")
+    # One function is the kernel; others are called by it, and its registers and stack include theirs.
+    frames = [list(map(int, found)) for found in re.findall(r"(\d+) bytes stack frame, (\d+).*stores, (\d+)", said)]
+    used = re.search(r"Used (\d+) registers.*", said)
+    if used is None or not frames:
+        raise WarpvoxError(f"ptxas said something else than expected: {said[-500:]}")
+    stack, shared = (re.search(rf"(\d+) bytes {what}", used[0]) for what in ("cumulative stack", "smem"))
+    own, stored, loaded = zip(*frames, strict=True)
+    return Limits(
+        int(used[1]), int(stack[1]) if stack else max(own), sum(stored + loaded), int(shared[1]) if shared else 0
+    )
+
+
+def blocks(limits: Limits, architecture: int) -> int:
+    """Blocks of a warp that a multiprocessor has registers and shared memory for."""
+    by_registers = REGISTERS // (-(-limits.registers // 8) * 8 * WARP)
+    return min(by_registers, SHARED[architecture] * 1024 // (limits.shared + RESERVED))
+
+
+def visits(sim: Simulation, steps: int, seed: int) -> np.ndarray:
+    """How often each place is visited in a sub-step by a warp: the most of its threads. Random actions, on the CPU."""
+    state, names = sim.buffers, places()
+    group, substeps = state.group, sim.physics.substeps
+    assert group is not None
+    rows = group.row + substeps * len(names)
+    scratch = zeros((sim.num_envs, rows), wp.float64, "cpu")
+    inputs = [state.model, state.data, scratch, 0, sim.num_envs, 0, substeps, state.dt]
+    kernel = group_kernel(group, tallied=True)
+    count = record(kernel, (sim.num_envs, group.parts), inputs, "cpu", WARP, together=True)
+    actions = torch.zeros((sim.num_envs, sim.num_actions), dtype=sim.dtype)
+    take = record_actions(state, wp.from_torch(actions), ACTION_LOW, ACTION_HIGH)
+    draw, found = torch.Generator().manual_seed(seed), []
+    for step in range(SETTLING + steps):
+        actions.uniform_(ACTION_LOW, ACTION_HIGH, generator=draw)
+        take.launch()
+        count.launch()
+        if step >= SETTLING:
+            table = scratch.numpy()[:, group.row :].copy().view(np.int32)[:, : substeps * len(names)]
+            found.append(table.reshape(sim.num_envs, substeps, len(names)))
+    return np.stack(found).mean((0, 1, 2))
