@@ -57,7 +57,8 @@ class Refusing(ToyEvaluator):
 @pytest.fixture(scope="module")
 def alone() -> Iterator[None]:
     """One cluster at a time, also where tests run in several processes: its head has a port that is its own."""
-    with parallel.turn("ray"):
+    with parallel.turn("ray"), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ray_executor, "POLL_SECONDS", 0.05)
         yield
 
 
@@ -109,14 +110,15 @@ def cluster() -> Iterator[tuple]:
     signal.signal(signal.SIGTERM, handler)
 
 
-def test_errors_of_an_evaluator_come_through_as_they_are(cluster: tuple, tmp_path: Path) -> None:
+def test_errors_of_an_evaluator_come_through_as_they_are(cluster: tuple, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(ray_executor, "MAX_ATTEMPTS", 1)
     make = functools.partial(Mortal, tmp_path, fatal=(0,), once=False)
-    executor = ray_executor.RayExecutor(make, workers=2, address=cluster[0].address)
+    executor = ray_executor.RayExecutor(make, workers=1, address=cluster[0].address)
     body = make_loop(tmp_path / "x").search.ask()[0].body
-    with pytest.raises(RunError, match=r"candidates \[0\] has ended its worker 3 times"):
+    with pytest.raises(RunError, match=r"candidates \[0\] has ended its worker 1 times"):
         list(executor.run([Batch([Candidate(0, body)])], {}, lambda place, event: None))
     executor.close()
-    executor = ray_executor.RayExecutor(Refusing, address=cluster[0].address)
+    executor = ray_executor.RayExecutor(Refusing, workers=1, address=cluster[0].address)
     with pytest.raises(RunError, match="Learning diverged"):
         list(executor.run([Batch([Candidate(0, body)])], {}, lambda place, event: None))
     with pytest.raises(ZeroDivisionError, match="a defect"):

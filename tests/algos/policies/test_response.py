@@ -1,6 +1,5 @@
 """The linear response of bodies: against a recursion in plain numpy, and against the simulator."""
 
-import copy
 import math
 
 import numpy as np
@@ -136,13 +135,3 @@ def test_what_is_known_has_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     for _ in range(2):
         assert torch.equal(response.known(bodies), whole)
         assert len(response._known) == 2
-
-
-def test_copies_begin_without_known_responses() -> None:
-    network = LinearResponse(3, 3, (PERIOD,))
-    types = one_hot(BODY[None])
-    found = network.known(types)
-    other = copy.deepcopy(network)
-    assert network._known
-    assert not other._known
-    assert torch.equal(other.known(types), found)
