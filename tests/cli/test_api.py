@@ -190,12 +190,3 @@ def test_policies_are_loaded_by_whatever_names_them(train: Callable[..., Path], 
         Path("text.pt").write_text("nothing")
         with pytest.raises(wv.RunError, match=words):
             wv.load_policy(source)
-
-
-def test_pictures_and_the_policy_go_into_one_folder(train: Callable[..., Path], warpvox: Callable) -> None:
-    train("max_iterations=1")
-    warpvox("export", "format=[jit,html]", "steps=3", "device=cpu", "threads=1")
-    (out,) = Path("outputs").glob("export/Walker-v0/*")
-    assert {"policy.pt", "rollout.html", "rollout.npz"} <= {file.name for file in out.iterdir()}
-    warpvox("export", f"rollout={out / 'rollout.npz'}", "format=jit", fails="a rollout holds none")
-    warpvox("export", "format=onx", fails="Did you mean 'onnx'")

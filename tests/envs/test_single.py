@@ -27,7 +27,7 @@ def test_every_task_is_stepped_fast_with_the_numbers_of_torch(task: str, rules: 
     assert env._fast is not None
     for seed in (3, None):
         assert np.array_equal(env.reset(seed=seed)[0], slow.reset(seed=seed)[0][0].numpy())
-        for action in waves(env, 8):
+        for action in waves(env, 4):
             obs, reward, terminated, truncated, info = env.step(action)
             theirs, their_reward, their_end, _, their_info = slow.step(torch.as_tensor(action[None]))
             assert np.array_equal(obs, theirs[0].numpy())

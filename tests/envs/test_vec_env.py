@@ -57,15 +57,15 @@ def test_shapes_dtypes_and_masks(task: str, rules: str) -> None:
 @ALL
 def test_a_batch_of_designs_gives_what_single_environments_give(task: str) -> None:
     designs = [sample_design((3, 3), seed=1), example_design("walker"), sample_design((5, 4), seed=2)]
-    env = make(task, designs, 6, lanes=8, max_episode_steps=25)
+    env = make(task, designs, 6, lanes=8, max_episode_steps=10)
     random = bool(env.memory)  # the next episode would be another one than that of an environment alone
-    actions = some_actions(env, 24 if random else 28)
+    actions = some_actions(env, 9 if random else 12)
     first, _ = env.reset()
     drawn = env.memory
     steps = [env.step(action) for action in actions]
     for number in (0, 5):
         design = int(env.design_index[number])
-        alone = make(task, [designs[design]], 1, lanes=8, max_episode_steps=25)
+        alone = make(task, [designs[design]], 1, lanes=8, max_episode_steps=10)
         width, count = alone.num_obs, alone.num_actions
         own = {name: value[number : number + 1] for name, value in drawn.items()}
         assert torch.equal(first[number, :width], alone.reset(memory=own)[0][0])
@@ -83,10 +83,10 @@ def test_a_batch_of_designs_gives_what_single_environments_give(task: str) -> No
 
 @ALL
 def test_an_episode_after_a_reset_repeats_the_first(task: str) -> None:
-    env = make(task, None, 2, max_episode_steps=15)
+    env = make(task, None, 2, max_episode_steps=8)
     if env.memory:
         pytest.skip("every episode is drawn anew")
-    actions = some_actions(env, 15)
+    actions = some_actions(env, 8)
     start, _ = env.reset()
     first = [env.step(action) for action in actions]
     assert first[-1][3].all()

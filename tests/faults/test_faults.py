@@ -41,25 +41,25 @@ MANY = [(how, k / 20) for how in ("killed", "full") for k in range(20)]
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="copies of a process are made by fork")
 @pytest.mark.parametrize("moments", [FEW, pytest.param(MANY, marks=pytest.mark.slow)], ids=["few", "many"])
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_run_goes_on_from_any_moment_to_the_undisturbed_end(command: str, moments: list, warpvox, tmp_path) -> None:
-    home, words = tmp_path / "victims", COMMANDS[command]
-    home.mkdir()
-    line = [sys.executable, Path(__file__).with_name("victim.py"), home, json.dumps(words), json.dumps(moments)]
+def test_a_run_goes_on_from_any_moment_to_the_undisturbed_end(moments: list, warpvox: Callable, tmp_path: Path) -> None:
+    place = tmp_path / "victims"
+    line = [sys.executable, Path(__file__).with_name("victim.py"), place, json.dumps(COMMANDS), json.dumps(moments)]
     subprocess.run(line, check=True, stdout=subprocess.DEVNULL, env=os.environ | {"OMP_NUM_THREADS": "1"})
-    codes = json.loads((home / "codes").read_text())
-    assert codes == [0] + [-signal.SIGKILL if how == "killed" else 2 for how, _ in moments]
-    assert "Traceback" not in (home / "output").read_text()
-    assert "space is left" in (home / "output").read_text()
-    whole = only(home / "whole", command)
-    for number in range(len(moments)):
-        run = only(home / str(number), command)
-        if run is None or not has_begun(run):
-            continue  # nothing to lose yet
-        WHEN_LEFT[command](run, whole)
-        resumed = warpvox(command, f"resume={run}", code=None)
-        assert resumed.code == 0 or "has already made" in resumed.err, resumed  # it was stopped when all was done
-        WHEN_DONE[command](run, whole)
+    for command in COMMANDS:
+        home = place / command
+        codes = json.loads((home / "codes").read_text())
+        assert codes == [0] + [-signal.SIGKILL if how == "killed" else 2 for how, _ in moments]
+        assert "Traceback" not in (home / "output").read_text()
+        assert "space is left" in (home / "output").read_text()
+        whole = only(home / "whole", command)
+        for number in range(len(moments)):
+            run = only(home / str(number), command)
+            if run is None or not has_begun(run):
+                continue  # nothing to lose yet
+            WHEN_LEFT[command](run, whole)
+            resumed = warpvox(command, f"resume={run}", code=None)
+            assert resumed.code == 0 or "has already made" in resumed.err, resumed  # it was stopped when all was done
+            WHEN_DONE[command](run, whole)
 
 
 @pytest.fixture(scope="module")

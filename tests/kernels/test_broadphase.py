@@ -161,19 +161,3 @@ def test_voxels_near_terrain_are_found(sim, seed, drop):
     assert set(np.flatnonzero(sure.any(0))) <= near
     slack = (low <= 0.1 + MARGIN + 1e-3) & (high >= -MARGIN - 1e-3)
     assert near <= set(np.flatnonzero((reaches | slack).any(0)))
-
-
-def test_candidates_know_their_corners():
-    sim = Simulation([world(5, 5, robot=([[3, 3], [3, 0]], 1, 1))], device="cpu", dtype="float64", lanes=1)
-    launch_stage(boxes, sim._state)
-    assert candidates(sim, collect_pairs) == {}  # at rest no corner is near a voxel that it is no corner of
-    pos = sim._state.arrays["pos"].numpy()
-    pos[0] = (pos[0].reshape(-1, 2, 1) * 0.3).reshape(-1, 1)  # all corners within the margin
-    sim._state.arrays["pos"].assign(pos)
-    launch_stage(boxes, sim._state)
-    # Corner bits: 1 top left, 2 top right, 4 bottom right, 8 bottom left.
-    assert candidates(sim, collect_pairs) == {
-        (0, 1): (1 | 8, 2 | 4),  # side by side: the outer corners are their own
-        (0, 2): (1 | 2, 4 | 8),  # one above the other
-        (1, 2): (1 | 2 | 4, 1 | 4 | 8),  # diagonal neighbours share one corner
-    }

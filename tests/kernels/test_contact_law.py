@@ -108,8 +108,7 @@ def found(sim: Simulation, env: int = 0) -> np.ndarray:
     return rows[sim._state.arrays["order"].numpy()[0, :, 0]]
 
 
-@pytest.mark.parametrize("speed", [0.0, 3.0])
-@pytest.mark.parametrize("changes", CONSTANTS, ids=lambda changes: ",".join(changes) or "default")
+@pytest.mark.parametrize(("changes", "speed"), [({}, 0.0), *((changes, 3.0) for changes in CONSTANTS)], ids=str)
 @pytest.mark.parametrize(
     ("dtype", "arithmetic", "tolerance"),
     [

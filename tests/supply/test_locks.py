@@ -1,5 +1,6 @@
 """locks/ and constraints.txt say the same, and nothing is installed from a lock without its hash."""
 
+import functools
 import re
 import sys
 from importlib.metadata import distribution
@@ -30,6 +31,7 @@ UNLOCKED = {"torch"}  # which build of torch fits depends on the machine, and ev
 CUDA_PARTS = re.compile(r"(nvidia|cuda)-|triton$")
 
 
+@functools.cache
 def entries(path: Path) -> list[tuple[Requirement, set[str]]]:
     """The requirements of a file in pip's format, with their hashes."""
     lines = path.read_text(encoding="utf-8").replace("\\\n", " ").splitlines()

@@ -181,13 +181,6 @@ def test_an_interrupted_evaluation_is_saved_and_goes_on(tmp_path: Path) -> None:
         assert_equal(ours, theirs)
 
 
-def test_checkpoints_are_written_when_due_and_only_then(tmp_path: Path) -> None:
-    file, there = tmp_path / "state.pt", []
-    how = small(save_interval=4)
-    PopulationEvaluator(factory(), how, 0).evaluate(candidates(1), {}, lambda _: there.append(file.exists()), file)
-    assert there == [False, False, False, False, True, True]  # written after the report
-
-
 @pytest.mark.parametrize("evaluator", [PopulationEvaluator, SequentialEvaluator])
 def test_the_checkpoint_of_others_is_refused(tmp_path: Path, evaluator: type) -> None:
     file, found = tmp_path / "state.pt", candidates(2)

@@ -61,8 +61,13 @@ def make(task: str, dtype: str, how: DesignTraining) -> tuple[PopulationTraining
 
 
 @pytest.mark.usefixtures("double")
-@pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0"])
-@pytest.mark.parametrize("preset", ["paper", "fast"])
+@pytest.mark.parametrize(
+    ("preset", "task"),
+    [
+        *(("paper", "Walker-v0"), ("fast", "Catcher-v0")),
+        *(pytest.param(*pair, marks=pytest.mark.slow) for pair in (("paper", "Catcher-v0"), ("fast", "Walker-v0"))),
+    ],
+)
 def test_whole_trainings_equal_separate_stock_ones(preset: str, task: str) -> None:
     """From the first weights on: noise, episodes, orders, losses, schedules. In float64, and with short rollouts:
     contacts make what is rounding at first grow by an order of magnitude every few control steps."""

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from codesign_toys import make_loop
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.codesign.archive import FILE, Archive, Finished, Record, archives_in
@@ -79,6 +79,7 @@ def test_an_empty_archive_has_a_report(tmp_path: Path) -> None:
         report_page(archive, {}, Path())
 
 
+@settings(max_examples=40)
 @given(st.floats(-1e3, 1e3), st.floats(1e-1, 1e6))
 def test_ticks_are_round_and_inside(low: float, span: float) -> None:
     high = low + span
@@ -104,6 +105,7 @@ def test_charts_put_points_where_they_belong() -> None:
     assert "Nothing to show" in chart([Series("none", [])], "x", "y")
 
 
+@settings(max_examples=40)
 @given(st.data())
 def test_in_a_tree_no_two_share_a_place_and_children_are_to_the_right(data: st.DataObject) -> None:
     with_parents = [()]

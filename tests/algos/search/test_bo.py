@@ -67,26 +67,6 @@ def test_the_posterior_is_that_of_the_text_book() -> None:
     assert posterior.variance.detach().numpy()[:, 0] == pytest.approx(variance * fitness.var(ddof=1), rel=1e-3)
 
 
-def test_the_fit_uses_l_bfgs_with_its_limit_and_restarts(monkeypatch: pytest.MonkeyPatch) -> None:
-    from botorch.optim import fit
-
-    calls = []
-    original = fit.scipy_minimize
-
-    def watched(*args: object, **kwargs: object):
-        calls.append(kwargs)
-        return original(*args, **kwargs)
-
-    monkeypatch.setattr(fit, "scipy_minimize", watched)
-    bodies = some_bodies(15)
-    with own_torch(0):
-        fit_model(bodies, some_fitness(bodies), BO(optimizer_restarts=3, optimizer_iterations=7))
-    assert len(calls) == 3
-    for call in calls:
-        assert call["options"] == {"maxiter": 7}
-        assert call.get("method", "L-BFGS-B") == "L-BFGS-B"
-
-
 @pytest.fixture(scope="module")
 def model():
     bodies = some_bodies(30)

@@ -147,18 +147,3 @@ def test_the_last_stay_and_a_body_has_its_newest() -> None:
     targets.add(numbered(5), numbered(50))
     assert content(targets) == [(3, 30), (2, 22), (4, 40), (5, 50)]
     assert len(targets) == 4
-
-
-def test_bodies_are_drawn_with_their_targets_and_from_a_state_the_same() -> None:
-    targets, other = Targets(8), Targets(8)
-    targets.add(numbered(*range(6)), 10 * numbered(*range(6)))
-    other.set_state(targets.state())
-    torch.manual_seed(0)
-    drawn = targets.draw(64)
-    torch.manual_seed(0)
-    assert all(torch.equal(one, two) for one, two in zip(drawn, other.draw(64), strict=True))
-    assert torch.equal(drawn[1], 10 * drawn[0])
-    assert len(drawn[0].unique()) == 6
-    other.add(numbered(3), numbered(0))
-    assert content(other)[-1] == (3, 0)
-    assert len(other) == 6
