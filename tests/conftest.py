@@ -91,7 +91,10 @@ class Outcome(NamedTuple):
 
 @pytest.fixture
 def warpvox(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture) -> Callable[..., Outcome]:
-    """``warpvox("train", "seed=1")`` in an empty folder."""
+    """``warpvox("train", "seed=1")`` in an empty folder; it is to end with 0, or ``code`` (None: anyhow).
+
+    With ``fails``, a phrase or several, it is to end with 2, and one line to say why: these phrases are in it.
+    """
     import torch
 
     from warpvox.cli import main
@@ -102,12 +105,18 @@ def warpvox(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.Captu
     monkeypatch.setattr("warpvox.bench.reference.reference_folder", lambda: tmp_path / "no_reference")
     threads = torch.get_num_threads()
 
-    def call(*words: str) -> Outcome:
+    def call(*words: str, code: int | None = 0, fails: str | tuple[str, ...] | None = None) -> Outcome:
         capfd.readouterr()
-        code = main(words)
+        ended = main(words)
         torch.set_num_threads(threads)
-        streams = capfd.readouterr()
-        return Outcome(code, streams.out, streams.err)
+        outcome = Outcome(ended, *capfd.readouterr())
+        assert code is None or ended == (code if fails is None else 2), outcome
+        if fails is not None:
+            assert outcome.err.startswith("warpvox: "), outcome
+            assert (outcome.err.count("\n"), "Traceback" in outcome.out + outcome.err) == (1, False), outcome
+            phrases, said = (fails,) if isinstance(fails, str) else fails, " ".join(outcome.err.split())
+            assert all(phrase in said or phrase in outcome.err for phrase in phrases), outcome
+        return outcome
 
     return call
 

@@ -118,45 +118,8 @@ def test_import_is_fast_and_light(tmp_path: Path) -> None:
     assert float(seconds) < IMPORT_SECONDS
 
 
-def test_designs_and_worlds_need_numpy_only(tmp_path: Path) -> None:
-    code = (
-        "import sys, warpvox as wv\n"
-        "world = wv.World(9, 1); world.add_from_array('robot', wv.sample_design(seed=0), 0, 0)\n"
-        "wv.World.from_json(world.to_json()); wv.load_design('walker'); wv.Physics(); wv.Cell.RIGID\n"
-        "print(*[m for m in sys.modules if '.' not in m])"
-    )
-    assert not set(HEAVY) & set(run_python(code, tmp_path).split())
-
-
 @pytest.mark.parametrize("name", sorted(warpvox.__all__))
 def test_every_public_name_resolves(name: str) -> None:
     value = getattr(warpvox, name)
     assert value is getattr(importlib.import_module(value.__module__), name)
     assert value.__doc__
-
-
-def test_an_unknown_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="nonsense"):
-        warpvox.nonsense  # noqa: B018
-
-
-def test_constraints_pin_what_the_project_asks_for(repository: Path, project: dict) -> None:
-    pinned = set()
-    for line in (repository / "constraints.txt").read_text(encoding="utf-8").splitlines():
-        if line and not line.startswith("#"):
-            name, _, version = line.partition("==")
-            assert version, f"constraints.txt: '{line}' pins no version"
-            assert "+" not in version, f"constraints.txt: '{line}' names one build"
-            pinned.add(normal(name))
-    asked = list(project["project"]["dependencies"])
-    for extra in project["project"]["optional-dependencies"].values():
-        asked += extra
-    assert {normal(entry) for entry in asked} <= pinned
-
-
-def normal(requirement: str) -> str:
-    """The bare name of a requirement, as package indexes compare it."""
-    name = requirement
-    for mark in "[<>=!~; ":
-        name = name.split(mark)[0]
-    return name.lower().replace("_", "-").replace(".", "-")

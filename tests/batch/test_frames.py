@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from worlds import ground, world
 
 from warpvox.batch.frames import Frame
 from warpvox.design import full_connections
@@ -11,23 +12,19 @@ from warpvox.world import World
 LANES = 8
 
 
-def world(rng: np.random.Generator, cut: bool) -> World:
+def drawn(rng: np.random.Generator, cut: bool) -> World:
     """A random body, with ``cut`` one whose neighbours are not all connected, beside a box and terrain."""
-    made = World(20, 10)
-    made.add_from_array("box", np.full((2, 2), 2), 10, 1)
-    made.add_from_array("ground", np.full((1, 20), 5), 0, 0)
     grid = rng.integers(0, 5, (4, 4)).astype(np.int8)
     pairs = full_connections(grid)
     kept = pairs[rng.random(len(pairs)) < 0.7] if cut else pairs
-    made.add_from_array("robot", grid, 1, 1, kept.T)
-    return made
+    return world(20, 10, box=(np.full((2, 2), 2), 10, 1), ground=ground(20), robot=(grid, 1, 1, kept.T))
 
 
 @pytest.mark.parametrize("cut", [False, True])
 @pytest.mark.parametrize("seed", range(3))
 def test_points_feel_the_springs_of_all_points_that_they_are_one_with(seed: int, cut: bool) -> None:
     rng = np.random.default_rng(seed)
-    frame = Frame([world(rng, cut) for _ in range(LANES)], Physics(), ())
+    frame = Frame([drawn(rng, cut) for _ in range(LANES)], Physics(), ())
     tables = {name: values[0] for name, values in frame.tables(np.arange(LANES)[None]).items()}
     points, springs, twins = (int(tables[name]) for name in ("points", "springs", "twins"))
     ends, more = tables["spring_ends"][:springs], tables["twin_end"][: tables["twin_ends"]]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from warpvox.batch.frames import RobotBodies
-from warpvox.batch.grid_mesh import GridMesh, most_points, pack_bits
+from warpvox.batch.grid_mesh import GridMesh, most_points
 from warpvox.compile import Body, mesh
 from warpvox.design import full_connections
 from warpvox.types import Cell, Physics
@@ -116,8 +116,3 @@ def test_no_body_has_more_points_than_there_is_room_for(rows: int, columns: int)
             assert points <= most_points(rows, columns)
     lonely = WorldObject.from_array("robot", np.full((rows, columns), 3), 0, 0, np.zeros((2, 0), int))
     assert len(mesh(lonely, Physics()).points) == most_points(rows, columns, cut=True)
-
-
-def test_a_mask_of_all_lanes_is_recognised() -> None:
-    lanes = np.array([[True] * 8, [True] + [False] * 7, [False] * 7 + [True]])
-    assert pack_bits(lanes).tolist() == [-1, 1, 128]

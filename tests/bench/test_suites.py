@@ -68,7 +68,6 @@ def bench(warpvox: Callable) -> Callable[..., tuple[str, dict]]:
     def run(suite: str, *words: str) -> tuple[str, dict]:
         keys = tuple(word.split("=")[0] + "=" for word in words)
         outcome = warpvox("bench", f"suite={suite}", *(word for word in TINY if not word.startswith(keys)), *words)
-        assert outcome.code == 0, outcome.err
         (folder,) = Path("outputs/bench").joinpath(suite).iterdir()
         assert (folder / "config.yaml").is_file()
         assert (folder / "tables.md").stat().st_size > 100
@@ -92,9 +91,13 @@ def test_peer_compares_before_it_times(bench: Callable, fake_reference: Callable
 
 
 def test_a_wrong_result_gets_no_time(warpvox: Callable, fake_reference: Callable) -> None:
-    outcome = warpvox("bench", "suite=peer", *TINY, f"peer={fake_reference(1e-5)}")
-    assert outcome.code == 2
-    assert "differs from the reference by 1.0e-05" in outcome.err
+    outcome = warpvox(
+        "bench",
+        "suite=peer",
+        *TINY,
+        f"peer={fake_reference(1e-5)}",
+        fails="differs from the reference by 1.0e-05",
+    )
     assert "steps per second" not in outcome.out
     assert not Path("outputs").exists()
 
@@ -177,15 +180,6 @@ def test_scaling_leaves_out_what_does_not_fit(envs: list[int], limit: float, lef
     assert [row[0] for row in figures["tables"][1]["rows"]] == [str(count) for count in envs[:-1]]
 
 
-@pytest.mark.slow
-def test_learning_has_a_curve(bench: Callable) -> None:
-    figures = bench("learning", *"learning.ppo=[parallel] learning.seeds=1 learning.stop_return=-100".split())[1]
-    (run,) = figures["runs"]["parallel"]
-    assert run["seconds"] > 0
-    assert run["curve"][-1]["steps"] == run["steps"] > 0
-    assert run["best_return"] >= run["curve"][-1]["return"] > -100
-
-
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_kernels_names_every_stage(compiled: bool, bench: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     if not compiled:
@@ -216,9 +210,7 @@ def test_a_document_gets_the_tables(bench: Callable) -> None:
 @pytest.mark.parametrize(("document", "words"), [("nowhere.md", "no file"), ("page.md", "no place for this suite")])
 def test_a_document_without_a_place_is_said_before_anything_is_measured(warpvox, document: str, words: str) -> None:
     Path("page.md").write_text("<!-- bench tasks -->\n<!-- end -->\n")
-    outcome = warpvox("bench", "suite=kernels", f"document={document}", *TINY)
-    assert outcome.code == 2
-    assert words in outcome.err
+    warpvox("bench", "suite=kernels", f"document={document}", *TINY, fails=words)
     assert not Path("outputs").exists()
 
 

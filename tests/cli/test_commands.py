@@ -1,25 +1,17 @@
 """Commands from end to end, on runs of a second."""
 
-import json
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import torch
 import yaml
-from learning import rows
 
-import warpvox as wv
-from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.training.metrics import COLUMNS, read_metrics
 from warpvox.design import example_design
+from warpvox.runs import read_summary
 from warpvox.view.rollout import Rollout
-
-
-def summary(folder: Path) -> dict:
-    return json.loads((folder / "summary.json").read_text())
 
 
 def test_a_run_leaves_what_was_promised(train: Callable) -> None:
@@ -39,25 +31,10 @@ def test_a_run_leaves_what_was_promised(train: Callable) -> None:
     written = (folder / "metrics.csv").read_text().splitlines()
     assert written[0].split(",") == list(COLUMNS)
     assert [row["iteration"] for row in read_metrics(folder)] == [1, 2, 3, 4]
-    figures = summary(folder)
+    figures = read_summary(folder)
     assert figures["status"] == "done"
     assert (figures["iterations"], figures["steps"]) == (4, 4 * 4 * 8)
     assert figures["best_return"] == pytest.approx(read_metrics(folder)[-1]["best_return"], rel=1e-6)
-
-
-def test_resumed_is_the_same_as_uninterrupted(train: Callable, warpvox: Callable) -> None:
-    # Catcher draws something in every episode, and the time must go on where it was
-    words = ("task=Catcher-v0", "obs=timed", "eval_interval=1", "save_interval=4")
-    whole = train("max_iterations=4", *words)
-    parts = train("max_iterations=2", *words)
-    assert warpvox("train", "resume=latest", "max_iterations=4").code == 0
-    assert rows(parts) == rows(whole)
-    ours, theirs = (load_checkpoint(folder / "model_4.pt") for folder in (parts, whole))
-    for name, value in theirs["actor_state_dict"].items():
-        assert torch.equal(value, ours["actor_state_dict"][name])
-    assert yaml.safe_load((parts / "config.yaml").read_text())["max_iterations"] == 4
-    assert summary(parts)["iterations"] == 4
-    assert len(list(Path("outputs/train/Catcher-v0").iterdir())) == 2
 
 
 def test_resuming_refuses_what_would_be_another_run(train: Callable, warpvox: Callable) -> None:
@@ -69,24 +46,20 @@ def test_resuming_refuses_what_would_be_another_run(train: Callable, warpvox: Ca
         "ppo.gamma=0.5": "ppo.gamma cannot change",
         "seed=0": "max_iterations=2",
     }.items():
-        outcome = warpvox("train", f"resume={folder}", word)
-        assert outcome.code == 2
-        assert phrase in outcome.err
+        warpvox("train", f"resume={folder}", word, fails=phrase)
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 
 
 def test_several_designs_train_together_and_play(train: Callable, warpvox: Callable) -> None:
     folder = train("max_iterations=1", "design=[mini,worm]")
     outcome = warpvox("play", f"run={folder}", "num_envs=2", "steps=3", "threads=1")
-    assert outcome.code == 0, outcome.err
     assert "design" in outcome.out
-    assert warpvox("play", f"run={folder}", "num_envs=3").code == 2
+    warpvox("play", f"run={folder}", "num_envs=3", fails="")
 
 
 def test_play_prints_returns_and_writes_files(train: Callable, warpvox: Callable) -> None:
     train("max_iterations=2")
     outcome = warpvox("play", "num_envs=2", "steps=12", "export=[usd,gif,html]", "threads=1")
-    assert outcome.code == 0, outcome.err
     (folder,) = Path("outputs/play/Walker-v0").iterdir()
     names = {file.name for file in folder.iterdir()}
     assert names == {
@@ -94,34 +67,26 @@ def test_play_prints_returns_and_writes_files(train: Callable, warpvox: Callable
     }  # fmt: skip
     assert all(str(folder / name) in outcome.out for name in names if name.startswith("rollout"))
     rollout = Rollout.load(folder / "rollout.npz")
-    assert summary(folder)["returns"] == pytest.approx(rollout.returns[-1].tolist())
+    assert read_summary(folder)["returns"] == pytest.approx(rollout.returns[-1].tolist())
     assert rollout.num_steps == 12
 
 
 def test_play_repeats_the_best_evaluation(train: Callable, warpvox: Callable) -> None:
     run = train("task=Catcher-v0", "max_iterations=2", "eval_interval=1", "seed=1")  # the best is the second
-    assert warpvox("play", f"run={run}", "num_envs=1", "threads=1").code == 0
+    warpvox("play", f"run={run}", "num_envs=1", "threads=1")
     (folder,) = Path("outputs/play/Catcher-v0").iterdir()
-    assert summary(folder)["mean_return"] == pytest.approx(summary(run)["best_return"], abs=1e-6)
-
-
-def test_latest_is_the_newest_run(train: Callable, warpvox: Callable) -> None:
-    train("max_iterations=1", "name=old")
-    newest = train("max_iterations=1", "name=new")
-    outcome = warpvox("play", "steps=2", "threads=1")
-    assert str(newest) in outcome.out
+    assert read_summary(folder)["mean_return"] == pytest.approx(read_summary(run)["best_return"], abs=1e-6)
 
 
 def test_the_demo_trains_and_exports(warpvox: Callable) -> None:
     words = "design=mini num_envs=8 threads=1 ppo.steps=4 ppo.hidden=[8] max_iterations=1 export=[html]".split()
     outcome = warpvox("demo", *words)
-    assert outcome.code == 0, outcome.err
     (folder,) = Path("outputs/train/Walker-v0").iterdir()
     config = yaml.safe_load((folder / "config.yaml").read_text())
     assert (config["preset"], config["stop_return"], config["export"]) == ("demo", 9.0, ["html"])
     assert (folder / "rollout.html").as_posix() in outcome.out
     assert (folder / "rollout.html").resolve().as_uri() in outcome.out
-    assert warpvox("play", "run=latest", "steps=2", "threads=1").code == 0
+    warpvox("play", "run=latest", "steps=2", "threads=1")
 
 
 TEAM = """
@@ -139,9 +104,8 @@ def test_tasks_of_ones_own_with_several_robots_cell_by_cell(train: Callable, war
     config = yaml.safe_load((folder / "config.yaml").read_text())
     assert config["design"] == {"robot": example_design("mini").tolist(), "mate": [[3, 4]]}
     assert (config["task"], config["obs"]) == ("my_own.py:TEAM", "voxel")
-    assert summary(folder)["task"] == "Team-v0"
+    assert read_summary(folder)["task"] == "Team-v0"
     outcome = warpvox("play", f"run={folder}", "task=stored", "num_envs=2", "threads=1", "steps=3", "device=cpu")
-    assert outcome.code == 0, outcome.err
     assert "Team-v0" in outcome.out
     several = train("task=my_own.py:TEAM", "design=[{robot:mini,mate:worm},{robot:worm,mate:mini}]", "max_iterations=1")
     config = yaml.safe_load((several / "config.yaml").read_text())
@@ -150,17 +114,8 @@ def test_tasks_of_ones_own_with_several_robots_cell_by_cell(train: Callable, war
     }
 
 
-def test_a_policy_that_sees_the_time_is_played_and_loaded(train: Callable, warpvox: Callable) -> None:
-    folder = train("obs=timed", "max_iterations=1")
-    assert warpvox("play", f"run={folder}", "steps=2", "threads=1").code == 0
-    policy = wv.load_policy(folder)
-    env = wv.make_vec("Walker-v0", body=policy.metadata["design"], device="cpu", obs=policy.metadata["obs"])
-    assert (policy.metadata["obs"], policy.spec.num_obs) == ("timed", env.num_obs)
-
-
 def test_info_names_versions_devices_and_the_cache(warpvox: Callable) -> None:
     outcome = warpvox("info")
-    assert outcome.code == 0
     assert outcome.err == ""
     for word in ("warpvox", "warp-lang", "cpu", "cuda", "kernel cache"):
         assert word in outcome.out

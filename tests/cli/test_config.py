@@ -13,7 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 from warpvox.algos import settings
 from warpvox.algos.settings import physics_of
 from warpvox.cli import COMMANDS, main
-from warpvox.cli.config import load, load_values, to_yaml
+from warpvox.cli.config import load, to_yaml
 from warpvox.cli.help import flat_keys, flat_values, options_of
 from warpvox.configs import schema
 from warpvox.design import load_design
@@ -125,13 +125,6 @@ def test_every_choice_of_a_group_composes(command: str, group: str) -> None:
     assert len(names) >= 2
     for name in names:
         load(command, [f"{group}={name}"])
-
-
-def test_yaml_round_trip_keeps_everything() -> None:
-    config = load("train", ["design=[[3,3],[4,4]]", "ppo=evogym", "physics.drag=0.2", "name=x"])
-    text = to_yaml(config)
-    assert load_values("train", yaml.safe_load(text)) == config
-    assert "- [3, 3]\n- [4, 4]\n" in text
 
 
 @pytest.mark.parametrize("command", COMMANDS)

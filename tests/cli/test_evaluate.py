@@ -13,8 +13,7 @@ from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.statistics import difference, mean_interval
 from warpvox.algos.training.playing import SampledController
 from warpvox.cli.run_groups import group_runs
-from warpvox.errors import RunError
-from warpvox.runs import Run, find_runs
+from warpvox.runs import Run
 
 FAST = ("threads=1", "device=cpu")
 
@@ -67,14 +66,6 @@ def test_labels_name_presets_designs_and_tasks() -> None:
     ]
 
 
-def test_runs_of_a_policy_are_found_once(train: Callable) -> None:
-    one, two = train("max_iterations=1", "name=a"), train("max_iterations=1", "name=b")
-    Path("outputs/train/Walker-v0/other").mkdir()
-    assert {run.folder.name for run in find_runs(["outputs/train/*/*", str(one)], "outputs")} == {one.name, two.name}
-    with pytest.raises(RunError, match="No run of `warpvox train` matches"):
-        find_runs(["outputs/*/x*"], "outputs")
-
-
 def test_sampled_actions_have_the_deviation_of_training(train: Callable) -> None:
     folder = train("max_iterations=1", "ppo.init_std=0.2")
     controller = load_controller(folder / "model_1.pt")
@@ -94,7 +85,6 @@ def test_evaluate_over_runs_and_episodes(train: Callable, warpvox: Callable) -> 
         for seed in (1, 2):
             train("max_iterations=1", f"ppo.gamma={gamma}", f"seed={seed}", f"name=g{gamma}_{seed}")
     outcome = warpvox("evaluate", "runs=outputs/train/*/*", "episodes=8", "stochastic=true", *FAST)
-    assert outcome.code == 0, outcome.err
     (folder,) = Path("outputs/evaluate/Walker-v0").iterdir()
     summary = json.loads((folder / "summary.json").read_text())
     means = {}
@@ -122,7 +112,6 @@ def test_evaluate_over_runs_and_episodes(train: Callable, warpvox: Callable) -> 
 def test_a_deterministic_policy_in_a_task_without_chance_has_one_episode(train: Callable, warpvox: Callable) -> None:
     folder = train("max_iterations=2")
     outcome = warpvox("evaluate", f"runs={folder}", "episodes=8", *FAST)
-    assert outcome.code == 0, outcome.err
     assert "The 8 episodes of all runs are one" in outcome.out
     (result,) = Path("outputs/evaluate/Walker-v0").iterdir()
     (run,) = json.loads((result / "summary.json").read_text())["runs"]
@@ -146,9 +135,7 @@ def test_what_evaluate_refuses(warpvox: Callable, tmp_path: Path) -> None:
         ("level=1",): "at most 0.9999",
         ("episodes=0",): "at least 1",
     }.items():
-        outcome = warpvox("evaluate", *words)
-        assert (outcome.code, outcome.err.count("\n")) == (2, 1)
-        assert phrase in outcome.err
+        warpvox("evaluate", *words, fails=phrase)
     assert list(tmp_path.iterdir()) == []
 
 

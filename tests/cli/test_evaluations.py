@@ -1,7 +1,6 @@
 """Design searches whose designs one policy compares, and policies for voxels, from end to end."""
 
 import dataclasses
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from warpvox.design import load_design, save_design
 from warpvox.envs import registry
 from warpvox.errors import ConfigError
 from warpvox.robots import read_robot
+from warpvox.runs import read_summary
 from warpvox.system import processor_name
 
 pytestmark = pytest.mark.usefixtures("narrow_packs")
@@ -49,7 +49,6 @@ def tiny(*words: str) -> list[str]:
 def search(warpvox: Callable, *words: str) -> Path:
     before = set(Path("outputs").glob("codesign/*/*"))
     outcome = warpvox("codesign", *tiny(*words))
-    assert outcome.code == 0, outcome.err
     assert "generation 0: 3 designs to evaluate" in outcome.out
     (folder,) = set(Path("outputs").glob("codesign/*/*")) - before
     return folder
@@ -64,17 +63,12 @@ def records_of(folder: Path) -> list[Record]:
         return archive.records()
 
 
-def summary(folder: Path) -> dict:
-    return json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-
-
 def played(warpvox: Callable, run: Path | str, episodes: int = 2) -> float:
     """The mean return of a design's policy."""
     before = set(Path("outputs").glob("play/*/*"))
-    outcome = warpvox("play", f"run={run}", f"num_envs={episodes}", "export=[]", "device=cpu")
-    assert outcome.code == 0, outcome.err
+    warpvox("play", f"run={run}", f"num_envs={episodes}", "export=[]", "device=cpu")
     (folder,) = set(Path("outputs").glob("play/*/*")) - before
-    return summary(folder)["mean_return"]
+    return read_summary(folder)["mean_return"]
 
 
 def test_a_search_by_one_shared_policy(warpvox: Callable) -> None:
@@ -82,7 +76,7 @@ def test_a_search_by_one_shared_policy(warpvox: Callable) -> None:
     records = records_of(folder)
     screened, finals = records[:5], records[5:]
     assert [record.candidate.origin == FINALIST for record in records] == [False] * 5 + [True] * 2
-    figures = summary(folder)
+    figures = read_summary(folder)
     best = max(finals, key=lambda record: record.fitness)
     assert (figures["best_design"], figures["best_fitness"]) == (best.id, best.fitness)
     assert figures["screened_fitness"] == max(record.fitness for record in screened)
@@ -98,7 +92,6 @@ def test_a_search_by_one_shared_policy(warpvox: Callable) -> None:
     assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
     # and a search that is done stays so
     outcome = warpvox("codesign", f"resume={folder}")
-    assert outcome.code == 0
     assert "nothing is left to do" in outcome.out
 
 
@@ -107,13 +100,13 @@ def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -
     assert yaml.safe_load((run / "config.yaml").read_text())["obs"] == "timed_voxel"
     words = "evaluation=few_shot", "evaluation.pretrained=latest", "evaluation.iterations=0"
     folder = search(warpvox, *words, "search.max_evaluations=3")
-    assert summary(folder)["pretraining_steps"] == 2 * 8 * 4
+    assert read_summary(folder)["pretraining_steps"] == 2 * 8 * 4
     config = yaml.safe_load((folder / "config.yaml").read_text())
     assert Path(config["evaluation"]["pretrained"]) == (run / "model_best.pt").absolute()
     assert config["evaluation"]["network"] == {"width": 8}
     (run / "model_best.pt").unlink()  # the search has a copy
     (folder / "summary.json").unlink()
-    assert warpvox("codesign", f"resume={folder}").code == 0
+    warpvox("codesign", f"resume={folder}")
     screened = records_of(folder)[:3]
     one = max(screened, key=lambda record: abs(record.fitness))
     assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
@@ -130,7 +123,7 @@ def test_a_search_by_gaits(warpvox: Callable) -> None:
     folder = search(
         warpvox, "evaluation=gaits", "evaluation.gaits=8", "evaluation.rounds=1", ROUNDS, "evaluation.final_rounds=2"
     )
-    records, figures = records_of(folder), summary(folder)
+    records, figures = records_of(folder), read_summary(folder)
     assert [record.candidate.origin == FINALIST for record in records] == [False] * 5 + [True] * 2
     assert figures["screened_fitness"] == max(record.fitness for record in records[:5])
     for record in records[5:]:
@@ -140,9 +133,8 @@ def test_a_search_by_gaits(warpvox: Callable) -> None:
     # both kinds of policies are played
     for record in records[0], max(records[5:], key=lambda one: one.fitness):
         assert played(warpvox, folder / "designs" / str(record.id)) == pytest.approx(record.fitness, abs=ROUNDING)
-    outcome = warpvox("play", f"run={folder}/designs/0", "stochastic=true", "export=[]", "device=cpu")
-    assert "open-loop gait" in outcome.err
-    assert warpvox("export", f"run={folder}/designs/0", "format=[jit]").code == 0
+    warpvox("play", f"run={folder}/designs/0", "stochastic=true", "export=[]", "device=cpu", fails="open-loop gait")
+    warpvox("export", f"run={folder}/designs/0", "format=[jit]")
 
 
 @pytest.mark.parametrize(
@@ -155,8 +147,7 @@ def test_a_search_by_gaits(warpvox: Callable) -> None:
 def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(warpvox, monkeypatch, words: str) -> None:
     short = dataclasses.replace(registry.get_task("BidirectionalWalker-v0"), max_episode_steps=50)
     monkeypatch.setitem(registry._TASKS, short.id, short)
-    outcome = warpvox("codesign", *tiny("task=BidirectionalWalker-v0", "seed=3", *words.split()))
-    assert outcome.code == 0, outcome.err
+    warpvox("codesign", *tiny("task=BidirectionalWalker-v0", "seed=3", *words.split()))
     (folder,) = Path("outputs/codesign/BidirectionalWalker-v0").iterdir()
     for record in records_of(folder)[1::5]:  # one that is compared, one that is trained
         run = folder / "designs" / str(record.id)
@@ -169,7 +160,7 @@ def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(warp
 def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
     gaits = "evaluation=gaits evaluation.gaits=8 evaluation.rounds=1 evaluation.final_rounds=2 dtype=float64".split()
     first = search(warpvox, *gaits, ROUNDS)
-    assert warpvox("zoo", f"add={first}", "folder=mine").code == 0
+    warpvox("zoo", f"add={first}", "folder=mine")
     file = Path("mine/Walker-v0.npz")
     robot = read_robot(file)
     passes = "evaluation.passes=1", "evaluation.beam=8", "evaluation.final_passes=1", "evaluation.final_beam=16"
@@ -180,14 +171,14 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
     assert records[0].fitness >= robot.mean_return - ROUNDING
     file.unlink()  # the search has a copy
     (folder / "summary.json").unlink()
-    assert warpvox("codesign", f"resume={folder}").code == 0
-    assert warpvox("zoo", f"add={folder}", "folder=mine").code == 0
+    warpvox("codesign", f"resume={folder}")
+    warpvox("zoo", f"add={folder}", "folder=mine")
     better = read_robot(file)
     assert better.mean_return >= robot.mean_return
     (known,) = better.about["start"]
     assert (known["sha256"], known["return"]) == (robot.sha256, robot.mean_return)
     assert (better.about["processor"], known["processor"]) == (processor_name(), robot.about["processor"])
-    assert better.about["control_steps"] == summary(folder)["steps"] + robot.about["control_steps"]
+    assert better.about["control_steps"] == read_summary(folder)["steps"] + robot.about["control_steps"]
     # a design of a search, which need not be its best
     words = f"start=[{folder}/designs/{records[1].id},{first}]", "evaluation.stages=6", "search.max_evaluations=3"
     again = search(warpvox, *gaits, ROUNDS, *words, "name=again")
@@ -211,9 +202,7 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
         (["search=cppn_neat"], "makes all bodies itself"),
     ]:
         shape = [] if words[0].startswith("shape") else ["shape=[3,3]"]
-        outcome = warpvox("codesign", f"start=[zoo:{file}]", "threads=1", *shape, *words)
-        assert outcome.code == 2
-        assert says in " ".join(outcome.err.split())
+        warpvox("codesign", f"start=[zoo:{file}]", "threads=1", *shape, *words, fails=says)
 
 
 def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path) -> None:
@@ -226,8 +215,13 @@ def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path
         save_design(tmp_path / "robots" / f"{number}.json", body)
     bodies = [robot.body for robot in read_start(settings(f"start=[{tmp_path / 'robots'},walker]"))]
     assert all(np.array_equal(*pair) for pair in zip(bodies, [*drawn[::-1], load_design("walker")], strict=True))
-    outcome = warpvox("codesign", "start=[random:4]", "search.population=3", "threads=1")
-    assert (outcome.code, "start has 4 robots, the first generation 3 designs" in outcome.err) == (2, True)
+    warpvox(
+        "codesign",
+        "start=[random:4]",
+        "search.population=3",
+        "threads=1",
+        fails="start has 4 robots, the first generation 3 designs",
+    )
 
 
 @pytest.mark.parametrize(
@@ -265,15 +259,12 @@ def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
     [
         ("policy=grid", "policy=grid needs training.method=sequential"),
         ("network={width:8}", "mlp has training.ppo.hidden"),
-        ("policy=grid network={widht:8} training.method=sequential", "Did you mean 'width'"),
         ("evaluation=few_shot", "evaluation=few_shot needs evaluation.pretrained"),
         ("evaluation=shared training.inherit=true", "training.inherit does not go with evaluation=shared"),
-        ("evaluation=gaits training.inherit=true", "training.inherit does not go with evaluation=gaits"),
         ("evaluation=shared executor=ray", "one policy that learns in one process"),
         ("evaluation=shared batch=2", "leave batch away"),
         ("evaluation=shared evaluation.policy=mlp", "evaluation.policy must see voxels"),
         ("evaluation=shared evaluation.ppo={epochs:two}", "evaluation.ppo.epochs must be an integer, got 'two'"),
-        ("evaluation=shared evaluation.ppo={epochs:0}", r"evaluation\.ppo\.epochs"),
         ("evaluation=shared training=paper", "cannot decay linearly"),
         ("evaluation=shared evaluation.iterations=0", "evaluation.iterations must be at least 1"),
     ],
@@ -281,16 +272,3 @@ def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
 def test_keys_that_do_not_go_together_are_refused(words: str, says: str) -> None:
     with pytest.raises(ConfigError, match=says):
         check(settings("shape=[3,3]", "threads=1", *words.split()))
-
-
-@pytest.mark.slow
-def test_a_pretrained_policy_that_does_not_fit_is_refused(warpvox: Callable, train: Callable) -> None:
-    train(*TRAINED, "designs.held_out=random:2:3x3")
-    words = [word for word in TINY if not word.startswith("shape")]
-    outcome = warpvox("codesign", *words, "shape=[4,3]", "evaluation=few_shot", "evaluation.pretrained=latest")
-    assert outcome.code == 2
-    assert "for bodies of 3x3" in outcome.err
-    train("max_iterations=1", "seed=1", "name=mlp")
-    outcome = warpvox("codesign", *words, "shape=[3,3]", "evaluation=few_shot", "evaluation.pretrained=latest")
-    assert "one that sees voxels" in outcome.err
-    assert not Path("outputs/codesign").exists()

@@ -15,8 +15,6 @@ from warpvox.cli.commands.train import make_job
 
 pytestmark = pytest.mark.usefixtures("narrow_packs")
 VOXELS = "designs=random:4:3x3", "designs.held_out=random:2:3x3", "policy=grid", "network={width:8}", "lanes=8"
-CPG = "designs=random:4:3x3", "designs.held_out=random:2:3x3", "policy=cpg", "obs=timed", "method=gradients", "lanes=8"
-CPG = *CPG, "network={width:8,heads:2,layers:1}"
 STILL = "ppo.learning_rate=1e-12", "ppo.schedule=fixed", "max_iterations=1", "eval_interval=1"
 BODY = "design=[[3,3],[4,0]]"
 
@@ -60,34 +58,18 @@ def test_a_policy_for_many_bodies_is_tuned_for_one(warpvox: Callable, train: Cal
     # nothing depends on the first run any more
     (first / "model_best.pt").unlink()
     (second / "summary.json").unlink()
-    outcome = warpvox("train", f"resume={second}", "max_iterations=4")
-    assert outcome.code == 0, outcome.err
-    outcome = warpvox("play", f"run={second}", "num_envs=1", "steps=3", "export=[]", "device=cpu")
-    assert outcome.code == 0, outcome.err
+    warpvox("train", f"resume={second}", "max_iterations=4")
+    warpvox("play", f"run={second}", "num_envs=1", "steps=3", "export=[]", "device=cpu")
 
 
 @pytest.mark.usefixtures("whole_episodes")
 @pytest.mark.slow
 def test_the_policy_that_comes_with_warpvox_walks_after_two_iterations(warpvox: Callable) -> None:
     words = "preset=fine_tune_cpg", "design=walker", "max_iterations=2"
-    outcome = warpvox("train", *words, "lanes=8", "device=cpu", "threads=1")  # of lanes that others have compiled
-    assert outcome.code == 0, outcome.err
+    warpvox("train", *words, "lanes=8", "device=cpu", "threads=1")  # of lanes that others have compiled
     (run,) = Path("outputs/train/Walker-v0").iterdir()
     assert json.loads((run / "summary.json").read_text())["best_return"] > 5
     assert config_of(run)["pretrained"] == "universal"
-
-
-@pytest.mark.slow
-def test_the_preset_tunes_by_gradients(warpvox: Callable, train: Callable) -> None:
-    first = train(*CPG, "max_iterations=1", "ppo.steps=4", "ppo.epochs=1")
-    words = "preset=fine_tune_cpg", "pretrained=latest", BODY, "max_iterations=2", "ppo.steps=40"
-    outcome = warpvox("train", *words, "lanes=8", "device=cpu", "threads=1")
-    assert outcome.code == 0, outcome.err
-    assert f"beginning with the policy {first / 'model_best.pt'}" in outcome.out
-    second = max(Path("outputs/train/Walker-v0").iterdir())
-    before, after = weights(first), weights(second)
-    assert any(not torch.equal(value, after[name]) for name, value in before.items())
-    assert json.loads((second / "summary.json").read_text())["steps"] == 2 * 40
 
 
 def test_a_body_takes_the_place_of_those_of_a_preset() -> None:
@@ -111,7 +93,6 @@ def test_a_body_takes_the_place_of_those_of_a_preset() -> None:
 def test_what_does_not_go_with_the_policy_is_refused(warpvox, train: Callable, words: str, message: str) -> None:
     run = train(*VOXELS, "max_iterations=1")
     words = words.split() if "pretrained" in words else ["pretrained=latest", *words.split()]
-    outcome = warpvox("train", *words, "num_envs=4", "max_iterations=1", "device=cpu")
-    assert outcome.code != 0
+    outcome = warpvox("train", *words, "num_envs=4", "max_iterations=1", "device=cpu", fails="")
     assert re.search(message, " ".join(outcome.err.split()))
     assert list(Path("outputs/train/Walker-v0").iterdir()) == [run]  # nothing was written

@@ -137,11 +137,9 @@ def test_budgets_by_task() -> None:
     [
         ({"tasks": []}, "got \\[\\]"),
         ({"seeds": []}, "seeds must be how many"),
-        ({"seeds": [-1]}, "seeds must be an integer >= 0"),
         ({"evaluations": {"esay": 3}}, "Did you mean 'easy'"),
         ({"evaluations": {"hard": 3}}, "says nothing of Walker-v0"),
         ({"control_steps": 10}, "must be at least"),
-        ({"codesign": ["search.mutation_rate=0.1"]}, "It is a setting of search=ga and search=map_elites"),
         ({"codesign": ["seed=3"]}, "seed is set by the suite for each search. Did you mean 'seeds'"),
     ],
 )
@@ -190,10 +188,10 @@ def quick(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> Callable:
     monkeypatch.setattr(results, "write_report", lambda archive, path, facts: path)
     monkeypatch.setattr(making, "LocalPool", HerePool)
 
-    def call(*words: str) -> Any:
+    def call(*words: str, **ends: Any) -> Any:
         keys = [word.split("=")[0] for word in words]
         more = [] if {"resume", "report"} & set(keys) else TINY
-        return warpvox("suite", *(word for word in more if word.split("=")[0] not in keys), *words)
+        return warpvox("suite", *(word for word in more if word.split("=")[0] not in keys), *words, **ends)
 
     return call
 
@@ -213,7 +211,6 @@ def failing(monkeypatch: pytest.MonkeyPatch, fails: Callable[[Any], Exception | 
 
 def test_a_suite_leaves_one_folder(quick: Callable) -> None:
     outcome = quick("name=first")
-    assert outcome.code == 0, outcome.err
     folder = Path("outputs/suite/first")
     assert {file.name for file in folder.iterdir()} >= {"config.yaml", MEMBERS, CURVES, "members", "report.html"}
     rows = table(folder)
@@ -239,9 +236,8 @@ def test_a_suite_leaves_one_folder(quick: Callable) -> None:
     assert "4 members" in outcome.out
     assert "best fitness, mean" in outcome.out
     # the folder is in use, and complete
-    assert "exists already" in quick("name=first").err
-    again = quick("resume=latest")
-    assert (again.code, "4 done already" in again.out) == (0, True)
+    quick("name=first", fails="exists already")
+    assert "4 done already" in quick("resume=latest").out
 
 
 @pytest.mark.parametrize(
@@ -252,8 +248,7 @@ def test_a_suite_leaves_one_folder(quick: Callable) -> None:
     ],
 )
 def test_what_does_not_go_with_a_recipe_is_refused_before_anything_is_made(quick, words: str, phrase: str) -> None:
-    outcome = quick("searches=[ga,auto]", words)
-    assert (outcome.code, phrase in outcome.err) == (2, True), outcome.err
+    quick("searches=[ga,auto]", words, fails=phrase)
     assert not Path("outputs").exists()
 
 
@@ -268,20 +263,18 @@ def test_a_suite_counts_environments_as_its_members_do(monkeypatch: pytest.Monke
 
 
 def test_more_members_join_and_none_may_leave(quick: Callable) -> None:
-    assert quick("seeds=1", "tasks=[Walker-v0]").code == 0
+    quick("seeds=1", "tasks=[Walker-v0]")
     (folder,) = Path("outputs/suite").iterdir()
     before = digests(folder)
     assert len(before) == 1
-    outcome = quick("resume=latest", "seeds=2", "tasks=[Walker-v0,Jumper-v0]")
-    assert outcome.code == 0, outcome.err
+    quick("resume=latest", "seeds=2", "tasks=[Walker-v0,Jumper-v0]")
     assert states(folder) == ["done"] * 4
     assert digests(folder).items() >= before.items()
     for words, phrase in {
         "tasks=[Jumper-v0]": "tasks may only grow",
         "evaluations=9": "evaluations cannot change",
     }.items():
-        outcome = quick("resume=latest", words)
-        assert (outcome.code, phrase in outcome.err) == (2, True), outcome.err
+        quick("resume=latest", words, fails=phrase)
     assert states(folder) == ["done"] * 4
 
 
@@ -293,19 +286,16 @@ def test_a_member_that_fails_is_told_and_the_others_go_on(quick: Callable, monke
         return errors.get(config.task) if config.seed == 0 else None
 
     failing(monkeypatch, fails)
-    outcome = quick()
+    last = quick(code=2).err.splitlines()[-1]
     (folder,) = Path("outputs/suite").iterdir()
-    last = outcome.err.splitlines()[-1]
-    assert outcome.code == 2
     assert last.startswith("warpvox: 2 of 4 members failed, the first of them (Walker-v0, ga, seed 0) with:")
     assert states(folder) == ["failed", "done"] * 2
     assert [row["error"] for row in table(folder)] == ["it diverged", "", "ValueError: a defect", ""]
     # failed members are reported again, and run again only when asked for
-    assert quick("resume=latest").code == 2
+    quick("resume=latest", code=2)
     assert len(calls) == 4
     errors.clear()
-    outcome = quick("resume=latest", "retry=true")
-    assert outcome.code == 0, outcome.err
+    quick("resume=latest", "retry=true")
     assert len(calls) == 6
     assert states(folder) == ["done"] * 4
     assert yaml.safe_load((folder / "config.yaml").read_text())["retry"] is False
@@ -318,9 +308,8 @@ def test_an_interrupt_saves_what_there_is(quick: Callable, monkeypatch: pytest.M
             raise Terminated
 
     failing(monkeypatch, stop)
-    outcome = quick()
+    outcome = quick(code=128 + signal.SIGTERM)
     (folder,) = Path("outputs/suite").iterdir()
-    assert outcome.code == 128 + signal.SIGTERM
     assert states(folder) == ["done", "waiting", "waiting", "waiting"]
     assert f"resume={folder.absolute()}" in outcome.out
     monkeypatch.undo()
@@ -329,30 +318,28 @@ def test_an_interrupt_saves_what_there_is(quick: Callable, monkeypatch: pytest.M
 def test_a_full_disk_stops_a_suite_which_goes_on_when_there_is_room(quick: Callable, monkeypatch) -> None:
     full = [StorageError("x.pt cannot be written: no space is left.", OSError(errno.ENOSPC, ""))]
     failing(monkeypatch, lambda config: full[0] if full and config.task == "Thrower-v0" else None)
-    outcome = quick()
+    quick(fails="x.pt cannot be written: no space is left.")
     (folder,) = Path("outputs/suite").iterdir()
-    assert (outcome.code, outcome.err.strip()) == (2, "warpvox: x.pt cannot be written: no space is left.")
     assert states(folder) == ["done", "waiting", "waiting", "waiting"]
     full.clear()
-    assert quick("resume=latest").code == 0
+    quick("resume=latest")
     assert states(folder) == ["done"] * 4
 
 
 def test_a_member_that_others_end_is_no_failure(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     failing(monkeypatch, lambda config: Terminated() if (config.task, config.seed) == ("Thrower-v0", 0) else None)
-    outcome = quick()
+    assert "1 of 4 members were asked to end" in quick(code=2).err
     (folder,) = Path("outputs/suite").iterdir()
-    assert (outcome.code, "1 of 4 members were asked to end" in outcome.err) == (2, True), outcome.err
     assert states(folder) == ["done", "done", "waiting", "done"]
 
 
 def test_report_again(quick: Callable) -> None:
-    assert quick("seeds=1", "tasks=[Walker-v0]").code == 0
+    quick("seeds=1", "tasks=[Walker-v0]")
     (folder,) = Path("outputs/suite").iterdir()
     before = (folder / CURVES).read_text()
     for file in (CURVES, "report.html"):
         (folder / file).unlink()
-    assert quick(f"report={folder}").code == 0
+    quick(f"report={folder}")
     assert (folder / CURVES).read_text() == before
     assert "1 done" in (folder / "report.html").read_text()
 
@@ -364,11 +351,9 @@ def test_the_command_that_goes_on_names_the_code_of_the_suite(quick: Callable, m
     )
     with monkeypatch.context() as patch:
         failing(patch, lambda settings: DivergenceError("it diverged"))
-        outcome = quick("tasks=[Walker-v0,own.py:MINE]", "seeds=1")
-        assert outcome.code == 2
+        outcome = quick("tasks=[Walker-v0,own.py:MINE]", "seeds=1", fails="")
     (command,) = re.findall("go on: warpvox suite (.*)", outcome.out)
-    again = quick(*shlex.split(command))
-    assert again.code == 0, again.err
+    quick(*shlex.split(command))
 
 
 # ----------------------------------------------------------------------------------------------------- processes
@@ -446,8 +431,6 @@ def test_a_suite_that_is_ended_again_and_again_comes_to_the_same_end(tmp_path: P
 def test_ray_makes_the_same_members(warpvox: Callable) -> None:
     pytest.importorskip("ray", reason="Ray is not installed")
     with parallel.turn("ray"):
-        outcome = warpvox("suite", *TINY, "executor=ray", "workers=2", "name=ray")
-    assert outcome.code == 0, outcome.err
-    outcome = warpvox("suite", *TINY, "workers=2", "name=here")
-    assert outcome.code == 0, outcome.err
+        warpvox("suite", *TINY, "executor=ray", "workers=2", "name=ray")
+    warpvox("suite", *TINY, "workers=2", "name=here")
     assert digests(Path("outputs/suite/ray")) == digests(Path("outputs/suite/here"))

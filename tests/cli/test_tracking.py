@@ -72,7 +72,7 @@ def test_a_resumed_training_goes_on_in_the_same_run(
 ) -> None:
     folder = train("logger=wandb", "max_iterations=1")
     told()
-    assert warpvox("train", f"resume={folder}", "max_iterations=2").code == 0
+    warpvox("train", f"resume={folder}", "max_iterations=2")
     found = told()
     assert found["init"][0]["id"] == (folder / "wandb_id.txt").read_text()
     assert [row.get("step") for row in found["log"]] == [2, None]
@@ -84,8 +84,7 @@ def test_the_searches_of_a_suite_send_their_generations_as_one_group(told: Calla
         " training.envs=8 training.iterations=1 training.eval_interval=1 training.rungs=[] training.ppo.steps=4"
         " training.ppo.hidden=[8] training.ppo.epochs=1 device=cpu threads=1 logger=wandb"
     ).split()
-    outcome = warpvox("suite", *words)
-    assert outcome.code == 0, outcome.err
+    warpvox("suite", *words)
     found = told()
     (options,) = found["init"]
     assert (options["group"], options["name"]) == ("pilot", "random/seed0")

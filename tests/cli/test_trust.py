@@ -120,13 +120,9 @@ HARMLESS = [
 def test_no_command_runs_code_that_a_file_names(words: str, foreign: Path, warpvox: Callable, monkeypatch) -> None:
     monkeypatch.chdir(foreign)
     before = set(Path().rglob("*"))
-    outcome = warpvox(*words.split())
+    warpvox(*words.split(), fails="names code" if words in REFUSED else None)
     assert not Path("marker").exists()
-    assert outcome.code == (2 if words in REFUSED else 0), outcome.err
-    if words in REFUSED:
-        assert "names code" in outcome.err
-        assert outcome.err.count("\n") == 1
-        assert set(Path().rglob("*")) == before
+    assert words in HARMLESS or set(Path().rglob("*")) == before
 
 
 def test_python_runs_no_code_that_a_file_names(foreign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -198,31 +194,28 @@ def test_a_run_of_a_custom_task_plays_from_anywhere(train, warpvox, own_task: st
     run = train(f"task={own_task}", "max_iterations=1")
     copied = {path.name for path in (run / "code" / "task").iterdir()}
     assert copied == {"n.txt", "own.py", "steps.py"}
-    assert warpvox("play", f"run={run}", f"task={own_task}", *PLAY).code == 0
+    warpvox("play", f"run={run}", f"task={own_task}", *PLAY)
     entry = warpvox("zoo", f"add={run}", "folder=entries", "task=stored")
     assert "written to entries/Mine-v0.npz" in entry.out, entry.err
-    assert "'task=mine/own.py:MINE'" not in warpvox("play", "zoo=entries/Mine-v0.npz", *PLAY).err
-    played = warpvox("play", "zoo=entries/Mine-v0.npz", f"task={own_task}", *PLAY)
-    assert played.code == 0, played.err
+    refused = warpvox("play", "zoo=entries/Mine-v0.npz", *PLAY, fails="Unknown task 'Mine-v0'")
+    assert "'task=mine/own.py:MINE'" not in refused.err
+    warpvox("play", "zoo=entries/Mine-v0.npz", f"task={own_task}", *PLAY)
     place = tmp_path / "far" / "away"
     shutil.move(run, place)
     shutil.rmtree(tmp_path / "mine")
     (tmp_path / "other").mkdir()
     monkeypatch.chdir(tmp_path / "other")
-    refused = warpvox("play", f"run={place}", *PLAY)
+    refused = warpvox("play", f"run={place}", *PLAY, fails="If you trust it: ")
     pasted = refused.err.split("If you trust it: ")[1].split()
     assert pasted[0] == "warpvox"
     for words in (pasted[1:], ("export", "format=strip", "device=cpu", f"run={place}", "task=stored")):
-        outcome = warpvox(*words)
-        assert outcome.code == 0, outcome.err
+        warpvox(*words)
     resumed = warpvox("train", f"resume={place}", "max_iterations=2", "device=cpu", "task=stored")
-    assert resumed.code == 0, resumed.err
     assert "task=stored" in resumed.out
     assert yaml.safe_load((place / "config.yaml").read_text())["task"] == own_task
     shutil.copytree(place / "code" / "task", "changed")
     Path("changed/steps.py").write_text("def count(path):\n    return 1 + int(path.read_text())\n")
     again = warpvox("train", f"resume={place}", "max_iterations=3", "device=cpu", "task=changed/own.py:MINE")
-    assert again.code == 0, again.err
     assert "not as it was when the run began, its copy is replaced: steps.py" in again.out
     assert "1 +" in (place / "code" / "task" / "steps.py").read_text()
 
@@ -238,17 +231,14 @@ def test_a_search_on_a_custom_task_in_a_module(warpvox: Callable, tmp_path: Path
     Path("search.py").write_text(SEARCH)
     own = "task=zoo_of_tasks.inner.walks:MINE", "search=custom", "search.make=search.py:Mine"
     outcome = warpvox("codesign", *own, *CODESIGN)
-    assert outcome.code == 0, outcome.err
     (folder,) = Path("outputs/codesign/Mine-v0").iterdir()
     shutil.rmtree(package.parent)
     Path("search.py").unlink()
     assert f"warpvox play run={folder.absolute()} task=stored" in outcome.out
     assert f"warpvox play run={folder.absolute()}/designs/0 task=stored</code>" in (folder / "report.html").read_text()
     for run in (folder, next((folder / "designs").iterdir())):
-        played = warpvox("play", f"run={run}", "task=stored", *PLAY)
-        assert played.code == 0, played.err
-    again = warpvox("codesign", f"resume={folder}", "task=stored", "search.make=stored")
-    assert again.code == 0, again.err
+        warpvox("play", f"run={run}", "task=stored", *PLAY)
+    warpvox("codesign", f"resume={folder}", "task=stored", "search.make=stored")
     assert "make: search.py:Mine" in (folder / "config.yaml").read_text()
 
 
@@ -264,5 +254,4 @@ def test_what_cannot_be_meant(train: Callable, warpvox: Callable, own_task: str)
         ("\x1b[2K\x1b]0;x\x07\n.py:X", "seed=0", r"names code, task=\x1b[2K\x1b]0;x\x07\x0a.py:X"),
     ):
         change_config(run, task=stored)
-        outcome = warpvox("train", f"resume={run}", "max_iterations=2", word)
-        assert (outcome.code, message in outcome.err) == (2, True), outcome.err
+        warpvox("train", f"resume={run}", "max_iterations=2", word, fails=message)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from worlds import ground, world
 
 from warpvox import contact_order as order
 from warpvox.compile import compile_world
@@ -11,7 +12,6 @@ from warpvox.design import sample_design
 from warpvox.errors import SimulationError
 from warpvox.kernels.exact.order import PATH
 from warpvox.types import Physics
-from warpvox.world import World
 
 
 class Chained:
@@ -75,11 +75,9 @@ def test_the_set_is_gone_through_as_a_chained_hash_table(changes):
 
 
 def compiled(seed, shape=(5, 5)):
-    world = World(20, 12)
-    world.add_from_array("ground", np.full((1, 20), 5), 0, 0)
-    world.add_from_array("box", np.full((2, 2), 1), 12, 1)
-    world.add_from_array("robot", sample_design(shape, seed=seed), 1, 1)
-    return compile_world(world, Physics.preset("evogym"))
+    robot = sample_design(shape, seed=seed), 1, 1
+    made = world(20, 12, ground=ground(20), box=(np.full((2, 2), 1), 12, 1), robot=robot)
+    return compile_world(made, Physics.preset("evogym"))
 
 
 @settings(max_examples=20, deadline=None)
@@ -101,17 +99,6 @@ def test_a_tree_holds_every_surface_voxel_once(seed, shape):
                 assert (begin[pair[0]], begin[pair[1]]) == (begin[n], middle[n])
 
 
-def test_nodes_of_bodies_come_before_those_of_terrain():
-    design = compiled(3)
-    arrays = order_arrays(design)
-    nodes, count = arrays["node"], int(arrays["nodes"])
-    voxels = sum(len(body.surface) for body in design.bodies)
-    assert sorted(-1 - nodes[arrays["leaf"], 0]) == list(range(voxels))
-    assert arrays["leaf"].max() < count <= arrays["cell_leaf"].max()
-    assert (nodes[arrays["leaf"][0], 2], arrays["objects"]) == (0, 3)  # the robot comes first
-    assert set(arrays["cell_leaf"][20:]) == {0}  # nothing above the ground
-
-
 def test_trees_deeper_than_a_path_are_refused(monkeypatch):
     assert order.DEEPEST == PATH
     design = compiled(3)
@@ -130,19 +117,3 @@ def test_more_objects_than_a_key_tells_apart_are_refused(monkeypatch):
     monkeypatch.setattr(order, "MOST_OBJECTS", 2)
     with pytest.raises(SimulationError, match="up to 2 objects; this world has 3"):
         order_arrays(compiled(3))
-
-
-def test_the_depth_of_a_tree_is_that_of_its_deepest_leaf():
-    tree = tree_of(compiled(5).bodies[0])
-
-    def below(node):
-        return 1 + max(map(below, tree.children[node])) if tree.children[node] else 0
-
-    assert tree.depth() == below(len(tree.cells) - 1)
-
-
-def test_large_bodies_stay_far_below_the_limit():
-    world = World(20, 20)
-    world.add_from_array("robot", np.full((20, 20), 3), 0, 0)
-    (body,) = compile_world(world, Physics.preset("evogym")).bodies
-    assert tree_of(body).depth() == 8

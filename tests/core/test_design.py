@@ -69,9 +69,7 @@ def test_check_design_accepts_exactly_the_valid_bodies(grid: np.ndarray) -> None
         ([3, 3], r"two dimensions \[rows, columns\], got shape \(2,\)"),
         (np.zeros((0, 5)), "no cells"),
         ([[3, 3], [3]], "ragged"),
-        ([["h", "v"]], "must hold numbers"),
         ("walker", "must hold numbers"),
-        ([["3", 4]], "must hold numbers"),
         (Stranger(), "cannot be read as an array"),
     ],
 )
@@ -138,15 +136,11 @@ def test_samples_follow_the_law_of_independent_cells_given_validity() -> None:
     ("arguments", "words"),
     [
         ({"shape": (0, 5)}, "shape"),
-        ({"shape": np.array(5)}, "shape"),
         ({"seed": -1}, "seed"),
         ({"probabilities": [1, 1, 1]}, "five weights"),
         ({"probabilities": [1, 1, 1, 0, 0]}, "actuator"),
-        ({"probabilities": [1, 1, 1, -1, 3]}, "not negative"),
         ({"probabilities": [1, 1, float("nan"), 1, 1]}, "finite"),
         ({"probabilities": [0, 0, 0, 0, 0]}, r"all zero.*got \(0\.0, 0\.0, 0\.0, 0\.0, 0\.0\)"),
-        ({"probabilities": [1, 1e308, 1e308, 1e308, 1]}, "must be"),
-        ({"probabilities": Stranger()}, "must be"),
         ({"probabilities": "walker"}, "must be"),
         ({"shape": (25, 25), "probabilities": [8, 1, 1, 1, 1]}, "No valid 25x25 body"),
     ],
@@ -219,15 +213,10 @@ def test_load_design_understands_names_random_text_and_arrays() -> None:
     [
         ("worn", "Did you mean 'worm'"),
         ("random:5", "ROWSxCOLUMNS"),
-        ("random:0x5", "shape"),
         ("[[3, 3], [4", "not a nested list"),
-        ("[[0]]", "empty"),
         ("nowhere.json", "There is no design file"),
-        (7, "two dimensions"),
         ("x" * 5000 + ".npy", "cannot be read"),
         ("a\0b.npz", "design"),
-        ("random:" + "9" * 5000 + "x1", "Cannot read the size"),
-        ("random:99999x99999", "too large"),
         ("/dev/zero.npy", "no design file"),
     ],
 )
@@ -248,9 +237,7 @@ def test_load_design_refuses_what_it_cannot_read(spec: object, words: str) -> No
             "no world in EvoGym's format",
         ),
         ("d.json", b"\xff\xfe", "cannot be read"),
-        ("e.json", b"import os", "not a nested list"),
         ("f.npz", b"not a zip", "cannot be read"),
-        ("g.npy", b"", "cannot be read"),
     ],
 )
 def test_bad_files_are_named(tmp_path: Path, name: str, content: bytes, words: str) -> None:
@@ -285,11 +272,3 @@ def test_the_only_robot_of_a_world_is_a_body(
     filled = np.argwhere(bodies[0])
     (top, left), (bottom, right) = filled.min(0), filled.max(0) + 1
     np.testing.assert_array_equal(wv.load_design(file), bodies[0][top:bottom, left:right])
-
-
-def test_a_robot_of_a_world_that_is_cut_is_no_body(tmp_path: Path) -> None:
-    world = wv.World(5, 5)
-    world.add_from_array("robot", np.array([[3, 3], [3, 3]]), 1, 1, np.array([[0, 0, 1], [1, 2, 3]]))
-    world.to_json(tmp_path / "w.json")
-    with pytest.raises(wv.DesignError, match=r"leaves 1 pair\(s\) of neighbouring cells unconnected"):
-        wv.load_design(tmp_path / "w.json")

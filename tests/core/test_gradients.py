@@ -6,25 +6,21 @@ import itertools
 import numpy as np
 import pytest
 import torch
+from worlds import ground, world
 
 from warpvox.design import sample_design
 from warpvox.errors import ActionError, SimulationError
 from warpvox.gradients import Gradients
 from warpvox.simulation import Simulation
 from warpvox.types import VOXEL
-from warpvox.world import World
 
 FIELDS = dict(device="cpu", dtype="float64", arithmetic="fast", lanes=8)
 HEIGHT = 3.0  # in the air, in simulator units
 
 
 def world_of(body):
-    world = World(12, 8)
-    world.add_from_array("ground", np.full((1, 12), 5), 0, 0)
-    world.add_from_array("step", np.full((2, 2), 5), 7, 1)
-    world.add_from_array("shelf", np.full((1, 4), 5), 0, 7)
-    world.add_from_array("robot", body, 1, 1)
-    return world
+    fixed = {"ground": ground(12), "step": (np.full((2, 2), 5), 7, 1), "shelf": (np.full((1, 4), 5), 0, 7)}
+    return world(12, 8, **fixed, robot=(body, 1, 1))
 
 
 def bodies(count=8):
@@ -287,11 +283,11 @@ def test_actions_beyond_the_range_have_no_derivative(grads):
 
 
 def test_mistakes(grads):
-    world = world_of(np.array([[3]]))
+    one = world_of(np.array([[3]]))
     with pytest.raises(SimulationError, match="arithmetic='fast', got 'exact'"):
-        Gradients(Simulation([world], device="cpu", dtype="float64"))
+        Gradients(Simulation([one], device="cpu", dtype="float64"))
     with pytest.raises(SimulationError, match="layout='lanes', got 'group'"):
-        Gradients(Simulation([world], device="cpu", layout="group"))
+        Gradients(Simulation([one], device="cpu", layout="group"))
     for smoothing in (0, -1.0, float("inf"), float("nan"), "thin", True, 1e-300):
         with pytest.raises(SimulationError, match="smoothing must be from"):
             Gradients(grads.sim, smoothing)

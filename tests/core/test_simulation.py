@@ -7,20 +7,16 @@ import pytest
 import torch
 import warp as wp
 from warp._src.context import Module
+from worlds import ground, world
 
 from warpvox.design import sample_design
 from warpvox.errors import SimulationError
 from warpvox.simulation import Simulation
 from warpvox.types import Physics
-from warpvox.world import World
 
 
-def world_of(body, ground=True, x=1, y=1):
-    world = World(40, 12)
-    if ground:
-        world.add_from_array("ground", np.full((1, 40), 5), 0, 0)
-    world.add_from_array("robot", body, x, y)
-    return world
+def world_of(body):
+    return world(40, 12, ground=ground(40), robot=(body, 1, 1))
 
 
 def worlds(count=4):
@@ -69,9 +65,7 @@ def test_bad_worlds_and_names_are_refused():
     with pytest.raises(SimulationError, match="list of one World"):
         Simulation([])
     with pytest.raises(SimulationError, match="nothing that can move"):
-        ground = World(3, 1)
-        ground.add_from_array("ground", np.full((1, 3), 5), 0, 0)
-        Simulation([ground], device="cpu")
+        Simulation([world(3, 1, ground=ground(3))], device="cpu")
     sim = Simulation(worlds(1), device="cpu")
     with pytest.raises(SimulationError, match="Did you mean 'robot'"):
         sim.com("robto")
@@ -80,9 +74,9 @@ def test_bad_worlds_and_names_are_refused():
 
 
 def test_a_world_that_is_changed_afterwards_changes_no_simulation():
-    world = world_of(np.array([[3, 4]]))
-    sim = Simulation([world], device="cpu", lanes=8)
-    world.add_from_array("stone", [[2]], 20, 3)
+    changed = world_of(np.array([[3, 4]]))
+    sim = Simulation([changed], device="cpu", lanes=8)
+    changed.add_from_array("stone", [[2]], 20, 3)
     assert set(sim.worlds[0].objects) == set(sim.object_names) == {"ground", "robot"}
 
 

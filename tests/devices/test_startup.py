@@ -55,9 +55,3 @@ def test_compilation_is_announced_once_and_only_where_there_is_any(tmp_path: Pat
     assert lines[2:] == ["ours"]
     assert cold.stdout == ""  # neither the banner nor a line for every module
     assert "Compiling" not in probe(tmp_path).stderr  # they are in the cache
-
-
-def test_a_simulation_starts_without_a_banner(tmp_path: Path) -> None:
-    code = "from warpvox.devices.names import resolve_device; print(resolve_device('cpu'))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
-    assert (done.stdout, done.stderr) == ("cpu\n", "")

@@ -1,4 +1,4 @@
-"""Figures that README and the FAQ repeat are those of the tables, which commands have written."""
+"""Figures and lists that pages repeat are those of the tables and tasks."""
 
 import importlib
 import re
@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from warpvox.envs.registry import get_task, task_ids
 
 ROOT = Path(__file__).resolve().parents[2]
 ROW = re.compile(r"^\| ([\w-]+-v\d)[^|]* \| ([\d,]+) \| ([\d,]+) \| (\d+) \|$", re.MULTILINE)
@@ -86,3 +88,23 @@ def test_the_table_of_readme_is_a_part_of_the_tables() -> None:
     ours, *_, ratio = cells(tables("peer"), "warpvox, one gymnasium environment")
     reference, *_ = cells(tables("peer"), "evogym 2.0.0, Python 3.10.13")
     assert (task, *single) == ("Walker-v0", ours, reference, f"{float(ratio):.0f}")
+
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "paper.md"
+PAPER_ROW = re.compile(r"^\| ([\w-]+-v\d) \| ([a-z, ]+) \| .+ \| .+ \|$", re.MULTILINE)
+WORDS = {"ends": "terminations", "max episode steps": "max_episode_steps"}
+
+
+def test_the_table_is_complete() -> None:
+    named: dict[str, set[str]] = {}
+    for task, parts in PAPER_ROW.findall(PAGE.read_text(encoding="utf-8")):
+        named.setdefault(task, set()).update(WORDS.get(part, part) for part in parts.split(", "))
+    changed = {task: set(get_task(task).paper) for task in task_ids()}
+    assert named == {task: parts for task, parts in changed.items() if parts}
+
+
+def test_the_number_of_tasks_that_differ_is_the_one_that_is_printed() -> None:
+    count = sum(bool(get_task(task).paper) for task in task_ids())
+    assert f"{count} of the {len(task_ids())} tasks" in " ".join(PAGE.read_text(encoding="utf-8").split())
+    readme = (PAGE.parents[1] / "README.md").read_text(encoding="utf-8")
+    assert f"differ in {count} tasks" in " ".join(readme.split())

@@ -24,7 +24,9 @@ def actions_of(env: VoxelVecEnv, steps: int, seed: int = 0) -> torch.Tensor:
     return torch.as_tensor(np.stack(draws, 1)[..., : env.num_actions], dtype=env.dtype)
 
 
-@pytest.mark.parametrize("task", task_ids())
+@pytest.mark.parametrize(
+    "task", [task if k % 3 == 0 else pytest.param(task, marks=pytest.mark.slow) for k, task in enumerate(task_ids())]
+)
 def test_a_body_does_the_same_whatever_the_others_of_its_pack_are(task: str) -> None:
     """Bit for bit, at one lane width: bodies that share a pack against a pack of one body."""
     designs = sampled(LANES, 3)

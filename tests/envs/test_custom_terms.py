@@ -1,13 +1,11 @@
 """What a user's terms may get wrong: found when environments are made, or caught and named when it happens."""
 
-import contextlib
 import re
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
@@ -81,20 +79,11 @@ def test_observations_are_checked_when_environments_are_made(kind: str) -> None:
         make(spec)
 
 
-def test_values_of_points_need_the_name_of_their_object() -> None:
-    from warpvox.envs.spec import Observation
-
-    term = Observation(odd(lambda s, thing: s.relative_positions(thing)), (("thing", "robot"),))
-    with pytest.raises(TaskError, match=r"'odd_robot'.*no parameter 'name' says which object's"):
-        make(replace(BASE, observations=(term,)))
-
-
 @pytest.mark.parametrize(
     ("function", "words"),
     [
         (lambda s, name: x_of(s), r"must give bool \[3\].*got float64 \[3\]"),
         (lambda s, name: x_of(s)[:, None] > 9, r"got bool \[3, 1\].*value\[:, 0\]"),
-        (lambda s, name: bool((x_of(s) > 9).any()), "got bool False"),
     ],
 )
 def test_terminations_are_checked_when_environments_are_made(function: Callable, words: str) -> None:
@@ -175,7 +164,6 @@ def test_a_lack_of_memory_stays_one() -> None:
     [
         ({"rewards": (displacement,)}, r"rewards\[0\] .* must be a Reward: rewards\(displacement"),
         ({"rewards": rewards(displacement, axis="x")}, "rewards of the task 'Mine-v0' must be a tuple of Reward"),
-        ({"terminations": (3,)}, r"terminations\[0\] .* must be a Termination"),
         ({"rewards": (rewards(displacement, axis="x", weight=float("nan")),)}, "weight .* finite number, got nan"),
         ({"max_episode_steps": 2.5}, "max_episode_steps .* integer"),
     ],
@@ -248,22 +236,6 @@ def test_a_term_that_is_not_finite_ends_its_environments(kind: str, auto_reset: 
     assert f"The {kind} 'faulty_robot' of the task 'Mine-v0' was NaN or infinite in 1 environment," in str(
         warning.message
     )
-
-
-@pytest.mark.parametrize("kind", ["reward", "observation"])
-def test_counts_go_on_when_bodies_change(kind: str) -> None:
-    """Other designs have other columns, and there are more of them."""
-    env = make(blinking(kind, float("nan"), [1]), grid=(3, 3))
-    env._on_cpu = False
-    env.reset()
-    at = AT if kind == "reward" else AT + 1
-    for round_, body in enumerate((np.full((3, 3), 3), np.full((2, 3), 4)), start=1):
-        assert not env.set_designs([body], torch.tensor([True, False, False])).isnan().any()
-        env.reset(mask=torch.tensor([True, True, True]))
-        for _ in range(at):
-            env.step(acting(env))
-        with pytest.warns(RuntimeWarning) if round_ == 1 else contextlib.nullcontext():
-            assert env.not_finite() == {f"{kind} faulty_robot": round_}
 
 
 def test_a_reward_about_the_state_before_sees_it() -> None:

@@ -7,6 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from worlds import ground, world
 
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.registry import get_task
@@ -15,7 +16,6 @@ from warpvox.envs.terms.terminations import beyond
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.simulation import Simulation
 from warpvox.types import Physics
-from warpvox.world import World
 
 STEPS, AT, VICTIM, ENVS = 14, 5, 1, 5
 BAD = {
@@ -142,11 +142,10 @@ def test_an_explosion_within_a_step_ends_with_the_observation_before_it(dtype: s
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_those_on_the_floor_of_an_empty_world_do_not_notice(dtype: str) -> None:
     # The floor at y = 0 is a force that whole packs take or do not: a NaN in one lane must not decide for all.
-    world = World(12, 8)
-    world.add_from_array("robot", np.array([[3, 4], [4, 3]]), 4, 0)
+    floorless = world(12, 8, robot=([[3, 4], [4, 3]], 4, 0))
 
     def run(bad: str | None) -> list[torch.Tensor]:
-        sim = Simulation([world] * 8, device="cpu", lanes=8, dtype=dtype, threads=1)
+        sim = Simulation([floorless] * 8, device="cpu", lanes=8, dtype=dtype, threads=1)
         rows = []
         for step in range(20):
             if bad and step == 6:
@@ -160,17 +159,17 @@ def test_those_on_the_floor_of_an_empty_world_do_not_notice(dtype: str) -> None:
         assert all(same(a, b, [0, 2, 3, 4, 5, 6, 7]) for a, b in zip(run(bad), calm, strict=True)), bad
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-@pytest.mark.parametrize("how", ["explodes", "is torn", "collapses"])
+@pytest.mark.parametrize(
+    ("how", "dtype"),
+    [("explodes", "float32"), ("is torn", "float64"), ("collapses", "float32"), ("collapses", "float64")],
+)
 def test_what_overlaps_everywhere_does_not_take_the_room_for_candidates(how: str, dtype: str) -> None:
-    world = World(60, 60)
-    world.add_from_array("ground", np.full((2, 60), 5), 0, 0)
-    world.add_from_array("robot", np.full((20, 20), 3), 20, 2)
-    world.add_from_array("load", np.full((3, 12), 2), 22, 22)
+    load = np.full((3, 12), 2), 22, 22
+    made = world(60, 60, ground=ground(60, 2), robot=(np.full((20, 20), 3), 20, 2), load=load)
     noise = 2 * torch.rand(4000, generator=torch.Generator().manual_seed(0), dtype=torch.float64) - 1
 
     def run(bad: bool) -> tuple[list[torch.Tensor], bool]:
-        sim = Simulation([world] * 3, device="cpu", lanes=8, dtype=dtype, threads=1)
+        sim = Simulation([made] * 3, device="cpu", lanes=8, dtype=dtype, threads=1)
         rows, stopped = [], False
         for step in range(4):
             if bad and step == 1:
@@ -214,9 +213,7 @@ def test_tests_for_the_end_look_at_the_old_state_when_the_step_was_stopped() -> 
 
 def test_speeds_of_a_fall_without_end_are_sound() -> None:
     # gravity / drag = 1100: nothing that falls is faster, and what is as fast must not be stopped
-    world = World(5, 5)
-    world.add_from_array("robot", np.array([[3]]), 2, 2)
-    sim = Simulation([world], device="cpu", dtype="float64")
+    sim = Simulation([world(5, 5, robot=([[3]], 2, 2))], device="cpu", dtype="float64")
     state = sim.state()
     state["pos"][:, 1::2] += 5000.0
     state["vel"][:, 1::2] = -1100.0

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from warpvox.design import example_design
 from warpvox.envs.adapters.gym_vector import VoxelGymVectorEnv
@@ -40,7 +39,7 @@ def compare(ours: Any, theirs: Any, place: str = "infos") -> None:
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
-@pytest.mark.parametrize("task", ["Walker-v0", "Carrier-v1", "UpStepper-v0", "Flipper-v0", "Catcher-v0"])
+@pytest.mark.parametrize("task", ["Walker-v0", "UpStepper-v0", "Catcher-v0"])
 def test_it_is_what_gymnasium_makes_of_single_environments(task: str, mode: AutoresetMode) -> None:
     ours = make(task, body="walker", max_episode_steps=4, autoreset_mode=mode)
     assert ours.metadata["autoreset_mode"] is mode
@@ -73,23 +72,6 @@ def test_it_is_what_gymnasium_makes_of_single_environments(task: str, mode: Auto
         compare(infos, expected, f"infos {step}")
         ended = numbers[2] | numbers[3]
     compare(ours.reset()[0], theirs.reset()[0], "reset of all")
-
-
-@pytest.mark.parametrize("mode", AutoresetMode)
-def test_gymnasiums_statistics_work_on_it(mode: AutoresetMode) -> None:
-    env = RecordEpisodeStatistics(make(num_envs=2, body="walker", max_episode_steps=6, autoreset_mode=mode.name))
-    env.reset(seed=0)
-    for _ in range(2):
-        total = np.zeros(2)
-        for _ in range(6):
-            _, reward, _, _, infos = env.step(env.action_space.sample())
-            total += reward
-        assert infos["episode"]["l"].tolist() == [6, 6]
-        assert infos["episode"]["r"] == pytest.approx(total)
-        if mode is AutoresetMode.NEXT_STEP:
-            env.step(env.action_space.sample())
-        if mode is AutoresetMode.DISABLED:
-            env.reset(options={"reset_mask": np.ones(2, dtype=bool)})
 
 
 def test_who_has_ended_must_be_reset_where_nobody_else_does() -> None:

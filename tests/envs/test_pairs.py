@@ -13,7 +13,7 @@ from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import DesignError, WorldError
 
-FEW, MANY = 256, 10_000  # pairs over all tasks
+FEW, MANY = 160, 10_000  # pairs over all tasks
 BATCH = 40
 STEPS = 25
 LARGEST = 8

@@ -17,7 +17,7 @@ from warpvox.envs.spec import TaskSpec, observes, rewards
 from warpvox.envs.terms.observations import shape
 from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.vec_env import make_vec
-from warpvox.envs.worlds import block, rows, task_world
+from warpvox.envs.worlds import block, task_world
 from warpvox.errors import ConfigError, TaskError, WorldError
 from warpvox.examples import EXAMPLES, MADE_FOR
 
@@ -127,9 +127,7 @@ def test_a_file_of_a_package_is_a_module_of_it(tmp_path) -> None:
     ("name", "words"),
     [
         ("broken_tasks:MINE", r"cannot be imported: NameError: name 'nonsense' is not defined"),
-        ("broken_tasks.py:MINE", r"cannot be imported: NameError"),
         ("no_tasks_here:MINE", r"There is no module 'no_tasks_here', neither in .* nor installed"),
-        ("needs_tasks:MINE", r"cannot be imported: ModuleNotFoundError: No module named 'not_there'"),
         ("nowhere/my_own.py:MINE", r"There is no file nowhere/my_own.py"),
         ("own_tasks:MIEN", r"'MIEN' does not exist in own_tasks. Did you mean 'MINE'\? There: MINE"),
         ("own_tasks:NUMBER", r"'NUMBER' is no TaskSpec in own_tasks"),
@@ -139,17 +137,10 @@ def test_a_file_of_a_package_is_a_module_of_it(tmp_path) -> None:
 def test_tasks_of_ones_own_that_cannot_be_had(tmp_path, monkeypatch: pytest.MonkeyPatch, name: str, words: str) -> None:
     (tmp_path / "own_tasks.py").write_text(OWN)
     (tmp_path / "broken_tasks.py").write_text("nonsense")
-    (tmp_path / "needs_tasks.py").write_text("import not_there")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "own_tasks", raising=False)
     with pytest.raises(ConfigError, match=words):
         get_task(Code(name))
-
-
-@pytest.mark.parametrize("line", ["3Q", "F3", "x", "2-F"])
-def test_unreadable_lines_are_refused(line: str) -> None:
-    with pytest.raises(WorldError, match="expected runs such as"):
-        rows("thing", line)
 
 
 @pytest.mark.parametrize("task", task_ids())

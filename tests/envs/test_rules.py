@@ -379,7 +379,7 @@ def test_observations_and_rewards_follow_from_the_points(task: str, rules: str) 
     moment = now(env)
     if env.memory.keys() >= {"goals"}:
         goals = follow_goals(env, moment, 0) * 0
-    for step in range(40):
+    for step in range(24):
         wanted = np.concatenate([look(moment, word) for word in page.obs.split()])
         np.testing.assert_allclose(obs[0], wanted, rtol=0, atol=EXACT)
         obs, reward, terminated, truncated, info = env.step(1.1 + 0.55 * np.sin(speed * step + phase)[None])

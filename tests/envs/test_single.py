@@ -10,9 +10,9 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from warpvox.design import example_design
 from warpvox.envs.adapters.gym import VoxelEnv
 from warpvox.envs.registry import get_task, task_ids
-from warpvox.envs.spec import rewards
-from warpvox.envs.vec_env import make_vec
-from warpvox.errors import ActionError
+from warpvox.envs.spec import TaskSpec, observes, rewards
+from warpvox.envs.terms.rewards import action_rate, control_cost
+from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 
 
 def waves(env: VoxelEnv, steps: int) -> np.ndarray:
@@ -27,7 +27,7 @@ def test_every_task_is_stepped_fast_with_the_numbers_of_torch(task: str, rules: 
     assert env._fast is not None
     for seed in (3, None):
         assert np.array_equal(env.reset(seed=seed)[0], slow.reset(seed=seed)[0][0].numpy())
-        for action in waves(env, 8):
+        for action in waves(env, 4):
             obs, reward, terminated, truncated, info = env.step(action)
             theirs, their_reward, their_end, _, their_info = slow.step(torch.as_tensor(action[None]))
             assert np.array_equal(obs, theirs[0].numpy())
@@ -78,14 +78,61 @@ def test_terms_of_others_are_left_to_torch() -> None:
         assert reward == 2 * their_reward
 
 
-@pytest.mark.filterwarnings("error")
-def test_actions_are_checked_and_clipped_as_before() -> None:
-    env, twin = VoxelEnv("Walker-v0", body="walker"), VoxelEnv("Walker-v0", body="walker")
-    env.reset(), twin.reset()
-    huge, most = np.full(env.action_space.shape, 1e308), np.full(env.action_space.shape, 1.6)
-    with pytest.raises(ActionError, match="finite"):
-        env.step(np.where(np.arange(huge.size) == 2, np.nan, 1.0))
-    for _ in range(3):
-        (obs, reward, *_), (theirs, their_reward, *_) = env.step(huge), twin.step(most)
-        assert np.array_equal(obs, theirs)
-        assert reward == their_reward
+def last_actions(state, name):
+    return state.actions(name)
+
+
+COSTS = (rewards(control_cost, weight=-1.0), rewards(action_rate, weight=-1.0))
+SPEC = replace(get_task("Walker-v0"), id="Mine-v0", rewards=COSTS)
+TASK = replace(SPEC, observations=(observes(last_actions),))
+COUNTS = 8, 21  # actuators of mini and walker
+
+
+def make_pair(spec: TaskSpec = TASK, **options) -> VoxelVecEnv:
+    return make_vec(spec, ["mini", "walker"], 2, device="cpu", threads=1, **options)
+
+
+def costs(info: dict) -> list[list[float]]:
+    return [info["reward_terms"][f"{name}_robot"].tolist() for name in ("control_cost", "action_rate")]
+
+
+def test_actions_are_clipped_and_have_no_padding() -> None:
+    env = make_pair()
+    obs, _ = env.reset()
+    assert obs.eq(1).all(), "an episode begins at rest"
+    for value, told, change in (3.0, 0.6, 0.6), (0.0, -0.4, -1.0):
+        obs, *_, info = env.step(torch.full((2, env.num_actions), value))
+        assert [row.ne(1).sum().item() for row in obs] == list(COUNTS)
+        expected = [[-count * one**2 for count in COUNTS] for one in (told, change)]
+        assert np.allclose(costs(info), expected, rtol=1e-6)
+    env.reset()
+    *_, info = env.step(torch.full((2, env.num_actions), 1.2))
+    assert np.allclose(costs(info)[1], [-count * 0.2**2 for count in COUNTS], rtol=1e-5), "not of the last episode"
+
+
+def test_another_body_has_its_own_actions() -> None:
+    env = make_pair(grid=(5, 5))
+    env.set_designs("mini", torch.tensor([False, True]))
+    *_, info = env.step(torch.full((2, env.num_actions), 1.6))
+    assert np.allclose(costs(info)[0], -8 * 0.6**2, rtol=1e-6)
+
+
+def test_actions_before_a_resume_are_known_after_it() -> None:
+    env, again = make_pair(), make_pair()
+    first, second = torch.full((2, env.num_actions), 1.5), torch.full((2, env.num_actions), 0.7)
+    env.step(first)
+    again.set_state(env.state())
+    for ours, theirs in zip(costs(env.step(second)[4]), costs(again.step(second)[4]), strict=True):
+        assert ours == theirs
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_a_single_environment_is_stepped_fast_with_the_numbers_of_torch(dtype: str) -> None:
+    env = VoxelEnv(SPEC, body="walker", dtype=dtype)
+    slow = make_vec(SPEC, body="walker", device="cpu", dtype=dtype, threads=1, auto_reset=False)
+    assert env._fast is not None
+    env.reset()
+    slow.reset()
+    for action in np.random.default_rng(0).uniform(0, 2, (5, env.action_space.shape[0])):
+        info, theirs = env.step(action)[4], slow.step(action[None])[4]
+        assert info["reward_terms"] == {name: part.item() for name, part in theirs["reward_terms"].items()}

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from warpvox.envs.adapters.gym import VoxelEnv
-from warpvox.envs.adapters.gym_vector import VoxelGymVectorEnv
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.design_episodes import design_episodes
 from warpvox.envs.registry import get_task
@@ -70,24 +68,6 @@ def test_it_goes_on_from_a_stored_state_and_begins_again_with_another_body() -> 
     obs = env.set_designs(["worm"], torch.tensor([False, True]))
     times = [float(obs[design, columns["elapsed_steps"]]) for design, columns in enumerate(env.obs_columns)]
     assert times == [3.0, 0.0]
-
-
-def test_gymnasium_has_it() -> None:
-    env = VoxelEnv("Walker-v0", body="walker", obs="timed")
-    plain = VoxelEnv("Walker-v0", body="walker")
-    assert env._fast is not None  # a term of ours: no slower than others
-    assert (env.observation_space.low[-1], env.observation_space.high[-1]) == (0.0, np.inf)
-    for _ in range(2):
-        obs, theirs = env.reset()[0], plain.reset()[0]
-        for step in range(3):
-            assert obs[-1] == step
-            assert np.array_equal(obs[:-1], theirs)
-            move = np.full(env.action_space.shape, 0.7 + 0.3 * step)
-            obs, theirs = env.step(move)[0], plain.step(move)[0]
-    batch = VoxelGymVectorEnv("Walker-v0", num_envs=2, body="walker", obs="timed", device="cpu", max_episode_steps=2)
-    assert batch.reset()[0][:, -1].tolist() == [0.0, 0.0]
-    moves = np.ones(batch.action_space.shape)
-    assert [batch.step(moves)[0][0, -1] for _ in range(3)] == [1.0, 0.0, 1.0]
 
 
 def test_training_that_begins_at_random_ages_sees_them() -> None:

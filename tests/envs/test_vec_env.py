@@ -57,15 +57,15 @@ def test_shapes_dtypes_and_masks(task: str, rules: str) -> None:
 @ALL
 def test_a_batch_of_designs_gives_what_single_environments_give(task: str) -> None:
     designs = [sample_design((3, 3), seed=1), example_design("walker"), sample_design((5, 4), seed=2)]
-    env = make(task, designs, 6, lanes=8, max_episode_steps=25)
+    env = make(task, designs, 6, lanes=8, max_episode_steps=10)
     random = bool(env.memory)  # the next episode would be another one than that of an environment alone
-    actions = some_actions(env, 24 if random else 28)
+    actions = some_actions(env, 9 if random else 12)
     first, _ = env.reset()
     drawn = env.memory
     steps = [env.step(action) for action in actions]
     for number in (0, 5):
         design = int(env.design_index[number])
-        alone = make(task, [designs[design]], 1, lanes=8, max_episode_steps=25)
+        alone = make(task, [designs[design]], 1, lanes=8, max_episode_steps=10)
         width, count = alone.num_obs, alone.num_actions
         own = {name: value[number : number + 1] for name, value in drawn.items()}
         assert torch.equal(first[number, :width], alone.reset(memory=own)[0][0])
@@ -83,10 +83,10 @@ def test_a_batch_of_designs_gives_what_single_environments_give(task: str) -> No
 
 @ALL
 def test_an_episode_after_a_reset_repeats_the_first(task: str) -> None:
-    env = make(task, None, 2, max_episode_steps=15)
+    env = make(task, None, 2, max_episode_steps=8)
     if env.memory:
         pytest.skip("every episode is drawn anew")
-    actions = some_actions(env, 15)
+    actions = some_actions(env, 8)
     start, _ = env.reset()
     first = [env.step(action) for action in actions]
     assert first[-1][3].all()
@@ -97,13 +97,6 @@ def test_an_episode_after_a_reset_repeats_the_first(task: str) -> None:
     for one, two in zip(first, again, strict=True):
         assert torch.equal(one[4]["final_obs"], two[4]["final_obs"])
         assert torch.equal(one[1], two[1])
-
-
-def test_actions_may_be_numpy_and_are_clipped() -> None:
-    a, b = make("Walker-v0", None, 2), make("Walker-v0", None, 2)
-    a.reset(), b.reset()
-    wild = np.full((2, a.num_actions), 9.0)
-    assert torch.equal(a.step(wild)[0], b.step(torch.full((2, a.num_actions), 1.6))[0])
 
 
 def test_what_is_returned_belongs_to_the_caller() -> None:
@@ -129,12 +122,6 @@ def test_equal_designs_share_a_model_but_keep_their_blocks() -> None:
     assert env.design_index.tolist() == [0, 0, 1, 1]
     assert tuple(env.obs_mask.shape) == (2, env.num_obs)
     assert tuple(env.action_mask.shape) == (2, env.num_actions)
-
-
-def test_bodies_may_be_given_in_any_form() -> None:
-    body = example_design("walker")
-    for designs in (None, "walker", ["walker"], body, [body.tolist()], body[None]):
-        assert np.array_equal(make("Walker-v0", designs).designs[0], body)
 
 
 @pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0", "BidirectionalWalker-v0"])
@@ -211,11 +198,9 @@ def test_actions_that_are_not_finite_are_refused_and_change_nothing(value: float
         ),
         (ConfigError, "not both", {"designs": ["walker"], "body": "walker"}),
         (ConfigError, "make_vec has no argument 'desings'. Did you mean 'designs'", {"desings": ["walker"]}),
-        (ConfigError, "integer >= 1", {"num_envs": 0}),
         (ConfigError, "max_episode_steps must be", {"max_episode_steps": 0}),
         (ConfigError, "one entry a design", {"connections": [None, None]}),
         (DesignError, "list of designs is empty", {"designs": []}),
-        (DesignError, "must be a list of bodies", {"designs": 7}),
         (DesignError, "Design 1: .*not connected", {"designs": ["walker", [[3, 0], [0, 3]]], "num_envs": 2}),
     ],
 )

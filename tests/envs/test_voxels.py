@@ -9,7 +9,6 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.terms.observations import shape
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
-from warpvox.simulation import Simulation
 
 EXACT = 1e-12
 SIDES = {(-1, 0): 0, (0, 1): 1, (1, 0): 2, (0, -1): 3}
@@ -130,14 +129,3 @@ def test_a_value_for_every_cell_becomes_actions() -> None:
         own = values[number].reshape(5, 5)[torch.as_tensor(grid >= 3)]
         assert actions[number, : len(own)].tolist() == own.tolist()
         assert not actions[number, len(own) :].any()
-
-
-def test_bodies_that_stay_are_not_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    bodies = [sample_design((3, 3), seed=seed) for seed in range(6)]
-    env = make("Walker-v0", bodies[:4], 4, grid=(3, 3), dtype="float32", lanes=8)
-    looked, corners = [], Simulation.voxel_corners
-    monkeypatch.setattr(Simulation, "voxel_corners", lambda sim, *place: looked.append(place) or corners(sim, *place))
-    env.set_designs(bodies[4:], np.array([True, False, True, False]))
-    assert len(looked) == 2
-    fresh = make("Walker-v0", [bodies[4], bodies[1], bodies[5], bodies[3]], 4, grid=(3, 3), dtype="float32", lanes=8)
-    assert torch.equal(env.reset()[0], fresh.reset()[0])

@@ -1,7 +1,8 @@
-"""Runs a command in copies of this process, each of which is killed, or finds the disk full, at one of its writes.
+"""Runs commands in copies of this process, each of which is killed, or finds the disk full, at one of its writes.
 
-Arguments: a folder, and as JSON the words of the command and the moments ``[[how, number], ...]``, where a number is a
-share of all writes. The copy of moment ``k`` runs in the folder ``k`` below, and the last one undisturbed in ``whole``.
+Arguments: a folder, and as JSON the words of commands by name and the moments ``[[how, number], ...]``, where a number
+is a share of all writes. The copy of moment ``k`` runs in the folder ``k`` below that of its command, and the last one
+undisturbed in ``whole``.
 """
 
 import errno
@@ -41,9 +42,12 @@ def run(folder: Path, words: list[str], how: str = "", at: int = 0) -> int:
 
 
 if __name__ == "__main__":
-    home, words, moments = Path(sys.argv[1]), *map(json.loads, sys.argv[2:])
-    main([*words, f"output_dir={home / 'first'}"])  # loads libraries and kernels
-    codes = [run(home / "whole", words)]
-    count = int((home / "writes").read_text())
-    codes += [run(home / str(k), words, how, 1 + int(share * count)) for k, (how, share) in enumerate(moments)]
-    (home / "codes").write_text(json.dumps(codes))
+    commands, moments = map(json.loads, sys.argv[2:])
+    for command, words in commands.items():
+        home = Path(sys.argv[1], command)
+        home.mkdir(parents=True)
+        main([*words, f"output_dir={home / 'first'}"])  # loads libraries and kernels
+        codes = [run(home / "whole", words)]
+        count = int((home / "writes").read_text())
+        codes += [run(home / str(k), words, how, 1 + int(share * count)) for k, (how, share) in enumerate(moments)]
+        (home / "codes").write_text(json.dumps(codes))

@@ -1,12 +1,6 @@
-"""A search, an evaluator and a store that are cheap and exact: for tests of the loop and the archive.
+"""A search, an evaluator and a store that are cheap and exact: for tests of the loop and the archive."""
 
-Run as a program it makes an experiment in a folder, or goes on with it: ``python codesign_toys.py FOLDER SECONDS
-BATCH`` with seconds for a design and designs in a batch (0: all of a generation).
-"""
-
-import dataclasses
 import json
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -83,8 +77,8 @@ class ToyEvaluator:
         report: Callable[[dict[str, Any]], None] | None = None,
         checkpoint: Path | None = None,
     ) -> list[Outcome]:
-        outcomes = self._saved(candidates, checkpoint)
-        for candidate in candidates[len(outcomes) :]:
+        outcomes = []
+        for candidate in candidates:
             time.sleep(self.seconds)
             rng = np.random.default_rng(candidate_seed(self.seed, candidate.id))
             inherited = sum(parents[parent].policy["gain"] for parent in candidate.parents if parent in parents)
@@ -92,21 +86,9 @@ class ToyEvaluator:
             policy = {"gain": float(rng.random()) + 0.5 * inherited}
             self.trained.append(candidate.id)
             outcomes.append(Outcome(curve[-1][1] + policy["gain"], curve, 300, policy, bool(rng.random() < 0.2)))
-            if checkpoint is not None:
-                write_text(checkpoint, json.dumps([dataclasses.asdict(outcome) for outcome in outcomes]))
             if report is not None:
                 report({"id": candidate.id})
         return outcomes
-
-    @staticmethod
-    def _saved(candidates: Sequence[Candidate], checkpoint: Path | None) -> list[Outcome]:
-        """What a killed evaluation of the same candidates has left."""
-        if checkpoint is None or not checkpoint.exists():
-            return []
-        saved = [Outcome(**values) for values in json.loads(checkpoint.read_text())]
-        for outcome in saved:
-            outcome.curve = [tuple(point) for point in outcome.curve]
-        return saved
 
 
 class ToyStore:
@@ -124,20 +106,12 @@ class ToyStore:
         return json.loads((self.folder / path).read_text())
 
 
-def make_loop(folder: Path, seconds: float = 0.0, **changes: Any) -> Loop:
+def make_loop(folder: Path, **changes: Any) -> Loop:
     """A loop over the toys with its archive in ``folder``, new or one to go on with."""
     folder.mkdir(exist_ok=True)
     path = folder / FILE
     archive = Archive.open(path) if path.exists() else Archive.create(path, {"seed": SEED})
     options = dict(seed=SEED, policies=ToyStore(folder), batch=1, inherit=True) | changes
     search = options.pop("search", None) or ToySearch()
-    executor = options.pop("executor", None) or LocalExecutor(ToyEvaluator(seconds))
+    executor = options.pop("executor", None) or LocalExecutor(ToyEvaluator())
     return Loop(search, executor, archive, **options)
-
-
-if __name__ == "__main__":
-    place, pause, size = Path(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3])
-    loop = make_loop(place, pause, batch=size or None, checkpoints=place / "training")
-    print("begun", flush=True)
-    loop.run()
-    loop.archive.close()

@@ -121,16 +121,6 @@ WHEN_LEFT = {"train": check_models, "codesign": check_archive}
 WHEN_DONE = {"train": check_training, "codesign": check_search}
 
 
-def check_complaint(result: Any, *phrases: str) -> None:
-    """One line says what is wrong, with these phrases; nobody is shown a traceback."""
-    assert result.code == 2, result
-    assert result.err.startswith("warpvox: "), result.err
-    assert result.err.count("\n") == 1, result.err
-    assert "Traceback" not in result.out + result.err
-    for phrase in phrases:
-        assert phrase in result.err, result.err
-
-
 def has_begun(run: Path) -> bool:
     """Whether there is something to resume."""
     return (run / "state.pt").is_file() or (run / FILE).is_file()

@@ -267,7 +267,7 @@ def test_damaged_files_are_refused_by_a_sentence_or_of_use(name: str, tmp_path: 
         read(path)
 
     use(whole)
-    assert refusals(use, damaged_bytes(whole, 90)) > 9
+    assert refusals(use, damaged_bytes(whole, 60)) > 9
     if path.suffix in (".json", ".yaml"):
-        trees = damaged_tree(yaml.safe_load(whole), 90)
+        trees = damaged_tree(yaml.safe_load(whole), 60)
         assert refusals(use, (json.dumps(tree).encode() for tree in trees)) > 9

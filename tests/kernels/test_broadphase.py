@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from worlds import ground, world
 
 from warpvox.batch.arrays import MARGIN
 from warpvox.kernels.broadphase import (
@@ -18,19 +19,16 @@ from warpvox.kernels.broadphase import (
 from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import DISTANT
 from warpvox.simulation import Simulation
-from warpvox.world import World
 
 LANES = 8
 
 
 def make(rows=18, columns=18, lanes=LANES):
     """One ring-shaped body with more surface voxels than the grid needs, over a strip of ground."""
-    world = World(60, 40)
-    world.add_from_array("ground", np.full((1, 60), 5), 0, 0)
     ring = np.full((rows, columns), 3)
     ring[2:-2, 2:-2] = 0
-    world.add_from_array("robot", ring, 10, 5)
-    return Simulation([world] * lanes, device="cpu", dtype="float64", lanes=lanes)
+    made = world(60, 40, ground=ground(60), robot=(ring, 10, 5))
+    return Simulation([made] * lanes, device="cpu", dtype="float64", lanes=lanes)
 
 
 @pytest.fixture(scope="module")
@@ -130,10 +128,9 @@ def test_values_that_are_not_finite_are_no_candidates(sim):
 @pytest.fixture(scope="module")
 def mixed():
     """A robot above a body of soft and fixed cells: some voxels stand still, some share points with them."""
-    world = World(30, 12)
-    world.add_from_array("robot", np.full((3, 4), 3), 8, 6)
-    world.add_from_array("bridge", np.array([[5, 5, 2, 2, 2, 2, 5, 5, 5], [5, 0, 0, 2, 2, 0, 0, 0, 5]]), 5, 3)
-    return Simulation([world] * LANES, device="cpu", dtype="float64", lanes=LANES)
+    bridge = [[5, 5, 2, 2, 2, 2, 5, 5, 5], [5, 0, 0, 2, 2, 0, 0, 0, 5]]
+    made = world(30, 12, robot=(np.full((3, 4), 3), 8, 6), bridge=(bridge, 5, 3))
+    return Simulation([made] * LANES, device="cpu", dtype="float64", lanes=LANES)
 
 
 @given(seed=st.integers(0, 10**6), spread=st.sampled_from([0.0, 0.01, 0.05, 0.2]))
@@ -164,21 +161,3 @@ def test_voxels_near_terrain_are_found(sim, seed, drop):
     assert set(np.flatnonzero(sure.any(0))) <= near
     slack = (low <= 0.1 + MARGIN + 1e-3) & (high >= -MARGIN - 1e-3)
     assert near <= set(np.flatnonzero((reaches | slack).any(0)))
-
-
-def test_candidates_know_their_corners():
-    world = World(5, 5)
-    world.add_from_array("robot", np.array([[3, 3], [3, 0]]), 1, 1)
-    sim = Simulation([world], device="cpu", dtype="float64", lanes=1)
-    launch_stage(boxes, sim._state)
-    assert candidates(sim, collect_pairs) == {}  # at rest no corner is near a voxel that it is no corner of
-    pos = sim._state.arrays["pos"].numpy()
-    pos[0] = (pos[0].reshape(-1, 2, 1) * 0.3).reshape(-1, 1)  # all corners within the margin
-    sim._state.arrays["pos"].assign(pos)
-    launch_stage(boxes, sim._state)
-    # Corner bits: 1 top left, 2 top right, 4 bottom right, 8 bottom left.
-    assert candidates(sim, collect_pairs) == {
-        (0, 1): (1 | 8, 2 | 4),  # side by side: the outer corners are their own
-        (0, 2): (1 | 2, 4 | 8),  # one above the other
-        (1, 2): (1 | 2 | 4, 1 | 4 | 8),  # diagonal neighbours share one corner
-    }

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from worlds import ground, world
 
 from warpvox.design import sample_design
 from warpvox.errors import ConfigError
@@ -13,7 +14,6 @@ from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.springs import goals
 from warpvox.simulation import STATE_FIELDS, Simulation
 from warpvox.types import Physics
-from warpvox.world import World
 
 BOTH = pytest.mark.parametrize("dtype", ["float32", "float64"])
 DEFAULT = Physics()
@@ -30,11 +30,8 @@ def scaled(**factors: float) -> Physics:
 
 def scene(physics: Physics, dtype: str, body: np.ndarray = BODY, count: int = 1, **options: str) -> Simulation:
     """A robot and a box over ground that ends, so that both meet terrain, each other and the floor at y = 0."""
-    world = World(20, 12)
-    world.add_from_array("ground", np.full((1, 9), 5), 0, 0)
-    world.add_from_array("box", np.full((2, 2), 1), 8, 1)
-    world.add_from_array("robot", body, 2, 1)
-    return Simulation([world] * count, device="cpu", dtype=dtype, physics=physics, threads=1, lanes=8, **options)
+    made = world(20, 12, ground=ground(9), box=(np.full((2, 2), 1), 8, 1), robot=(body, 2, 1))
+    return Simulation([made] * count, device="cpu", dtype=dtype, physics=physics, threads=1, lanes=8, **options)
 
 
 def walk(sim: Simulation, steps: int = 25, times: int = 1) -> dict[str, torch.Tensor]:

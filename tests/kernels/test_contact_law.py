@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import torch
+from worlds import world
 
 from warpvox.design import sample_design
 from warpvox.kernels import step
 from warpvox.simulation import Simulation
 from warpvox.types import Physics
-from warpvox.world import World
 
 LANES = 8  # those of other tests, whose kernels these tests share
 CONSTANTS = [{}, {"friction": 0.0}, {"contact_stiffness": 0.0}, {"contact_damping": 0.0, "contact_depth": 0.01}]
@@ -18,13 +18,10 @@ def touching(dtype: str, arithmetic: str, physics: Physics, speed: float) -> Sim
     """Robots pushed into two boxes and a bumpy ground, with random velocities of this size, their contacts found."""
     ground = np.full((2, 20), 5)
     ground[0, ::3] = 0
-    world = World(20, 12)
-    world.add_from_array("ground", ground, 0, 0)
-    world.add_from_array("box", np.full((2, 2), 1), 8, 2)
-    world.add_from_array("other", np.full((1, 2), 2), 3, 7)
-    world.add_from_array("robot", sample_design((5, 5), seed=1), 3, 2)
+    others = {"box": (np.full((2, 2), 1), 8, 2), "other": (np.full((1, 2), 2), 3, 7)}
+    made = world(20, 12, ground=(ground, 0, 0), **others, robot=(sample_design((5, 5), seed=1), 3, 2))
     options = dict(device="cpu", dtype=dtype, arithmetic=arithmetic, physics=physics, threads=1, lanes=LANES)
-    sim = Simulation([world] * LANES, **options)
+    sim = Simulation([made] * LANES, **options)
     state, rng = sim.state(), np.random.default_rng(4)
     shape = state["pos"].shape
     state["pos"] = state["pos"] * torch.tensor([0.96, 0.98]).repeat(shape[1] // 2) + torch.as_tensor(
@@ -111,8 +108,7 @@ def found(sim: Simulation, env: int = 0) -> np.ndarray:
     return rows[sim._state.arrays["order"].numpy()[0, :, 0]]
 
 
-@pytest.mark.parametrize("speed", [0.0, 3.0])
-@pytest.mark.parametrize("changes", CONSTANTS, ids=lambda changes: ",".join(changes) or "default")
+@pytest.mark.parametrize(("changes", "speed"), [({}, 0.0), *((changes, 3.0) for changes in CONSTANTS)], ids=str)
 @pytest.mark.parametrize(
     ("dtype", "arithmetic", "tolerance"),
     [

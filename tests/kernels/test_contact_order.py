@@ -83,12 +83,3 @@ def test_contacts_are_taken_in_the_order_of_the_descent(crowd, seed, lanes):
         place = {pair: n for n, pair in enumerate(met)}
         assert len(set(taken)) == count > 20
         assert taken == sorted(taken, key=lambda hit, place=place: (place[hit[:2]], hit[2]))
-
-
-def test_a_contact_inside_one_object_is_met_from_both_sides(crowd):
-    _, arrays = crowd(0, 1)
-    owner = arrays["node"][:, 2]
-    hits = [tuple(hit) for hit in arrays["hit"][: arrays["hits"][0], 0]]
-    own = {hit for hit in hits if owner[hit[0]] == owner[hit[1]]}
-    assert own
-    assert {(b, a, (place + 4) % 8, point) for a, b, place, point in own} == own

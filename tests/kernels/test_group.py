@@ -7,6 +7,7 @@ import pytest
 import torch
 import warp as wp
 from ptxas import SETTLING, visits
+from worlds import world
 
 from warpvox.batch import arrays, options
 from warpvox.design import sample_design
@@ -17,7 +18,6 @@ from warpvox.kernels import group
 from warpvox.kernels.device import zeros
 from warpvox.simulation import Simulation
 from warpvox.types import ACTION_HIGH, ACTION_LOW
-from warpvox.world import World
 
 ROUNDING = 5e-9
 """Of positions after a control step, approximate against exact: springs round in float32 in both. The same batches in
@@ -125,17 +125,10 @@ def test_groups_of_a_warp_go_the_same_way(parts):
 
 def crowd(count):
     """Different robots that fall onto boxes and each other on bumpy ground."""
-    worlds = []
-    for seed in range(count):
-        world = World(24, 16)
-        ground = np.full((2, 24), 5)
-        ground[0, ::3] = 0
-        world.add_from_array("ground", ground, 0, 0)
-        world.add_from_array("bridge", np.array([[5, 2, 2, 5]]), 14, 4)
-        world.add_from_array("box", np.full((1, 2), 2), 8, 2)
-        world.add_from_array("robot", sample_design((5, 5), seed=seed), 3, 2)
-        worlds.append(world)
-    return worlds
+    ground = np.full((2, 24), 5)
+    ground[0, ::3] = 0
+    fixed = {"ground": (ground, 0, 0), "bridge": ([[5, 2, 2, 5]], 14, 4), "box": ([[2, 2]], 8, 2)}
+    return [world(24, 16, **fixed, robot=(sample_design((5, 5), seed=seed), 3, 2)) for seed in range(count)]
 
 
 def disturb(sims, change):
@@ -182,7 +175,7 @@ def test_frozen_folded_and_diverged_environments_leave_the_others_alone():
 
 def test_bits_do_not_depend_on_the_batch():
     worlds = crowd(3)
-    together, alone = pair_of(worlds)[1], [pair_of([world])[1] for world in worlds]
+    together, alone = pair_of(worlds)[1], [pair_of([one])[1] for one in worlds]
     for step in range(5):
         actions = random_actions(together, step)
         together.step(actions)
@@ -231,14 +224,6 @@ def test_all_tasks_fit_into_shared_memory_and_35x35_bodies_do_not():
         assert group.choose(61 * 61, 14000, precision, "cpu") is None
     for points, springs in [(356, 560), (370, 362), (344, 850)]:  # the largest worlds of the tasks
         assert group.choose(points, springs, "float32", "cuda:0") is not None
-
-
-@pytest.mark.parametrize("sizes", [(36, 104), (40, 112), (45, 124), (69, 196)])
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_groups_side_by_side_begin_in_different_banks(sizes, precision):
-    chosen = group.choose(*sizes, precision, "cuda:0")
-    assert chosen.bytes % 128 == 64
-    assert chosen.layout["close"][0] >= 7 * chosen.parts
 
 
 @pytest.mark.parametrize(

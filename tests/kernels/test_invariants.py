@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from worlds import ground, world
 
 from warpvox.design import sample_design
 from warpvox.simulation import Simulation
@@ -31,9 +32,9 @@ def falling(centre: np.ndarray, velocity: np.ndarray, time: float, physics: Phys
 def test_a_free_body_falls_as_a_mass_does(dtype: str, tolerance: float, preset: str, side: int) -> None:
     body = np.random.default_rng(side).integers(1, 5, (side, side))
     body[0, 0] = 3
-    world = World(80, 400)
-    world.add_from_array("robot", body, 10, 300)
-    sim = Simulation([world], device="cpu", dtype=dtype, physics=preset, threads=1, lanes=1)
+    sim = Simulation(
+        [world(80, 400, robot=(body, 10, 300))], device="cpu", dtype=dtype, physics=preset, threads=1, lanes=1
+    )
     state = sim.state()
     state["vel"][:, 0::2], state["vel"][:, 1::2] = 20.0, 15.0
     state["true_vel"] = state["vel"].clone()
@@ -69,11 +70,7 @@ def energy(sim: Simulation) -> tuple[np.ndarray, np.ndarray]:
 def test_energy_does_not_grow_without_actuation(preset: str, dtype: str) -> None:
     bodies = [np.full((3, 3), cell) for cell in (1, 2, 3)] + [sample_design((4, 4), seed=k) for k in range(7)]
     bodies[0][0, 0] = bodies[1][0, 0] = 3
-    worlds = []
-    for body in bodies:
-        worlds.append(World(20, 16))
-        worlds[-1].add_from_array("ground", np.full((2, 20), 5), 0, 0)
-        worlds[-1].add_from_array("robot", body, 6, 5)
+    worlds = [world(20, 16, ground=ground(20, 2), robot=(body, 6, 5)) for body in bodies]
     sim = Simulation(worlds, device="cpu", dtype=dtype, physics=preset, threads=1, lanes=1)
     points = np.array([len(design.bodies[0].points) for design in sim.designs])
     growth, at_rest = BOUNDS[preset]
@@ -97,9 +94,7 @@ def test_bodies_do_not_go_through_terrain(thickness: int, dtype: str) -> None:
     for cell in (1, 2, 3):
         body = np.full((3, 3), cell)
         body[1, 1] = 3
-        worlds.append(World(30, 30))
-        worlds[-1].add_from_array("ground", np.full((thickness, 30), 5), 0, 3)
-        worlds[-1].add_from_array("robot", body, 12, 10)
+        worlds.append(world(30, 30, ground=(np.full((thickness, 30), 5), 0, 3), robot=(body, 12, 10)))
     sim = Simulation(worlds, device="cpu", dtype=dtype, threads=1, lanes=8)
     for speed, most in IMPACTS:
         sim.reset()
@@ -118,29 +113,27 @@ def test_bodies_do_not_go_through_terrain(thickness: int, dtype: str) -> None:
 def random_world(rng: np.random.Generator, largest: int) -> World:
     """Ground, a step, a robot of ``largest`` voxels a side and up to 12 other bodies, where there is room."""
     width = int(rng.integers(20, 60)) + 2 * largest
-    world = World(width, 30 + 2 * largest)
-    world.add_from_array("ground", np.full((2, width), 5), 0, 0)
-    world.add_from_array("step", np.full((3, 4), 5), int(rng.integers(0, width - 4)), 2)
-    world.add_from_array("robot", sample_design((largest, largest), seed=int(rng.integers(2**31))), width // 2, 6)
+    step = np.full((3, 4), 5), int(rng.integers(0, width - 4)), 2
+    robot = sample_design((largest, largest), seed=int(rng.integers(2**31))), width // 2, 6
+    made = world(width, 30 + 2 * largest, ground=ground(width, 2), step=step, robot=robot)
     taken = [(width // 2, 6, largest, largest), (0, 0, width, 6)]
     for number in range(int(rng.integers(3, 13))):
         rows, columns = (int(n) for n in rng.integers(1, min(largest, 6) + 1, 2))
-        x, y = int(rng.integers(0, width - columns)), int(rng.integers(6, world.height - rows))
+        x, y = int(rng.integers(0, width - columns)), int(rng.integers(6, made.height - rows))
         if any(x <= a + c and a <= x + columns and y <= b + r and b <= y + rows for a, b, r, c in taken):
             continue
         taken.append((x, y, rows, columns))
         grid = np.full((rows, columns), int(rng.choice([1, 2])))
         if rng.random() < 0.3 and grid.size > 1:
             grid[0, 0] = 5  # hangs on a fixed voxel
-        world.add_from_array(f"body{number}", grid, x, y)
-    return world
+        made.add_from_array(f"body{number}", grid, x, y)
+    return made
 
 
 def batter(seed: int, largest: int, steps: int, dtype: str) -> int:
     """Extreme actions and teleports in a random world; the number of control steps that diverged."""
     rng = np.random.default_rng(seed)
-    world = random_world(rng, largest)
-    sim = Simulation([world] * 4, device="cpu", dtype=dtype, threads=1)
+    sim = Simulation([random_world(rng, largest)] * 4, device="cpu", dtype=dtype, threads=1)
     fixed = sim.fixed_rows
     home, stopped = sim.state()["pos"], 0
     for step in range(steps):

@@ -3,24 +3,18 @@
 import numpy as np
 import pytest
 import torch
+from worlds import ground, world
 
-from warpvox.compile import compile_world
 from warpvox.design import sample_design
 from warpvox.errors import SimulationError
 from warpvox.simulation import Simulation
-from warpvox.types import Physics
-from warpvox.world import World
 
 EXACT = 1e-13  # sums in another order
 
 
 def world_of(body, *, box=(12, 3)):
-    world = World(30, 12)
-    world.add_from_array("ground", np.full((1, 30), 5), 0, 0)
-    world.add_from_array("box", [[2, 2], [2, 2]], *box)
-    world.add_from_array("peg", [[5, 5]], box[0], box[1] - 2)
-    world.add_from_array("robot", body, 1, 1)
-    return world
+    peg = [[5, 5]], box[0], box[1] - 2
+    return world(30, 12, ground=ground(30), box=([[2, 2], [2, 2]], *box), peg=peg, robot=(body, 1, 1))
 
 
 def make(worlds, **options):
@@ -69,13 +63,6 @@ def test_hull_of_points_in_line_twice_and_on_a_lattice():
     np.testing.assert_allclose(sim.hull_area("robot").numpy(), [0.09, 0.0, 2.0], rtol=0, atol=EXACT)
 
 
-def test_hull_does_not_count_the_padding_of_smaller_bodies():
-    small, large = np.full((1, 2), 3), np.full((4, 4), 3)
-    sim = make([world_of(small), world_of(large)])
-    np.testing.assert_allclose(sim.hull_area("robot").numpy(), [0.02, 0.16], rtol=0, atol=EXACT)
-    np.testing.assert_allclose(sim.extent("robot").numpy(), [[0.2, 0.1], [0.4, 0.4]], rtol=0, atol=EXACT)
-
-
 def test_orientation_is_the_angle_of_a_turn():
     sim = make([world_of(sample_design((4, 4), seed=1))] * 6)
     turns = np.array([0.3, 1.0, 2.0, 4.0, 5.0, 6.0])
@@ -92,10 +79,10 @@ def test_shifted_objects_are_bit_for_bit_where_a_world_would_have_put_them(lanes
     cells = torch.tensor([[0, 0], [3, 2], [-2, 1], [7, 0], [1, 5], [-4, 2]])
     sim.shift(cells)
     for e, (dx, dy) in enumerate(cells.tolist()):
-        world = make([world_of(bodies[e // 3], box=(12 + dx, 3 + dy))])
+        fresh = make([world_of(bodies[e // 3], box=(12 + dx, 3 + dy))])
         for name in ("box", "peg", "robot"):
-            count = world.num_points(name)
-            assert torch.equal(sim.object_positions(name)[e, :count], world.object_positions(name)[0])
+            count = fresh.num_points(name)
+            assert torch.equal(sim.object_positions(name)[e, :count], fresh.object_positions(name)[0])
 
 
 def test_a_shift_touches_what_its_mask_names_and_a_reset_takes_it_back():
@@ -119,12 +106,6 @@ def test_loose_terrain_stays_in_place_and_carries():
     heights = sim.com("box")[:, 1]
     assert float(heights[0]) == pytest.approx(0.3, abs=0.02)
     assert float(heights[1]) == pytest.approx(0.2, abs=0.02)
-
-
-def test_loose_terrain_is_a_body_and_the_rest_is_not():
-    design = compile_world(world_of(np.array([[3]])), Physics.preset("evogym"), loose=("peg",))
-    assert [body.name for body in design.bodies] == ["robot", "box", "peg"]
-    assert [body.name for body in design.statics] == ["ground"]
 
 
 def test_bad_shifts_are_refused():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from worlds import ground, world
 
 from warpvox.design import sample_design
 from warpvox.kernels import step
@@ -11,19 +12,13 @@ from warpvox.kernels.reset import save, settle
 from warpvox.kernels.springs import goals
 from warpvox.simulation import STATE_FIELDS, Simulation
 from warpvox.types import SUBSTEPS
-from warpvox.world import World
 
 STEPS = 6
 
 
 def make(dtype, arithmetic, lanes):
-    worlds = []
-    for seed in range(3):
-        world = World(30, 10)
-        world.add_from_array("ground", np.full((1, 30), 5), 0, 0)
-        world.add_from_array("box", np.full((2, 2), 1), 8, 1)
-        world.add_from_array("robot", sample_design((5, 5), seed=seed), 1, 1)
-        worlds.append(world)
+    box, bodies = (np.full((2, 2), 1), 8, 1), [sample_design((5, 5), seed=seed) for seed in range(3)]
+    worlds = [world(30, 10, ground=ground(30), box=box, robot=(body, 1, 1)) for body in bodies]
     return Simulation(worlds * lanes, device="cpu", dtype=dtype, arithmetic=arithmetic, lanes=lanes)
 
 

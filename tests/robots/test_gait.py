@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from warpvox.algos.checkpoints.files import PolicySpec, save_checkpoint, spec_dict
 from warpvox.algos.checkpoints.policy import parse_policy, policy_text
-from warpvox.design import full_connections, load_design
+from warpvox.design import full_connections
 from warpvox.envs.adapters.gym import VoxelEnv
 from warpvox.errors import RunError
 from warpvox.robots import Gait, Robot, judge, read_robot, robot_env, save_robot
@@ -68,7 +68,6 @@ def test_actions_are_sinusoids_of_the_time_alone(seed: int, stages: int) -> None
         ({"period": [4.0, 0.0, 1.0]}, "period of a gait must be above 0"),
         ({"amplitude": np.zeros(5)}, r"amplitude .* \[stages, actuators\], got \[5\]"),
         ({"rest": np.full((3, 5), np.nan)}, "rest of a gait has numbers that are not finite"),
-        ({"rest": np.full((3, 5), 1e300)}, "rest of a gait has numbers that are not finite"),
         ({"rest": [["a"]]}, "rest of a gait must be an array of numbers"),
     ],
 )
@@ -150,11 +149,3 @@ def test_the_gait_of_a_checkpoint_has_the_values_of_its_actuators(tmp_path: Path
         save_checkpoint(file, content | {"actor_state_dict": state})
         with pytest.raises(RunError, match="holds a policy of another kind"):
             policy_of_checkpoint(file)
-
-
-def test_a_wave_along_the_body_moves_it() -> None:
-    phases = np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    gait = Gait([0], [20], np.full((1, 8), 0.8), phases[None], np.zeros((1, 8)))
-    body = load_design("mini")
-    robot = Robot("Walker-v0", body, full_connections(body).T, gait)
-    assert abs(judge(robot).mean_return) > 0.3

@@ -1,13 +1,17 @@
 """locks/ and constraints.txt say the same, and nothing is installed from a lock without its hash."""
 
+import functools
 import re
 import sys
 from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
+import yaml
 from closure import canonical, installed_closure, required
 from packaging.requirements import Requirement
+
+import warpvox
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -27,6 +31,7 @@ UNLOCKED = {"torch"}  # which build of torch fits depends on the machine, and ev
 CUDA_PARTS = re.compile(r"(nvidia|cuda)-|triton$")
 
 
+@functools.cache
 def entries(path: Path) -> list[tuple[Requirement, set[str]]]:
     """The requirements of a file in pip's format, with their hashes."""
     lines = path.read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
@@ -128,3 +133,27 @@ def test_what_the_locks_know_of_torch_is_true(repository: Path) -> None:
     assert names == {name for name in installed if not CUDA_PARTS.match(name)}
     (pin,) = [asked for asked, _ in entries(repository / "constraints.txt") if asked.name == "torch"]
     assert pin.specifier.contains(told["version"])
+
+
+def test_workflows_run_targets_of_the_makefile(repository: Path) -> None:
+    makefile = (repository / "Makefile").read_text(encoding="utf-8")
+    targets = set(re.search(r"^\.PHONY: (.+)$", makefile, re.MULTILINE)[1].split())
+    asked = set()
+    for path in (repository / ".github/workflows").glob("*.yml"):
+        for job in yaml.safe_load(path.read_text(encoding="utf-8"))["jobs"].values():
+            asked |= {*job.get("strategy", {}).get("matrix", {}).get("target", ())}
+            for step in job["steps"]:
+                asked |= set(re.findall(r"\bmake ([\w-]+)", step.get("run", "")))
+    assert {"lint", "types", "test", "docs", "packaging", "release"} <= asked <= targets
+
+
+def test_versions_and_dates_agree(repository: Path) -> None:
+    citation = yaml.safe_load((repository / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == warpvox.__version__
+    changes = (repository / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"## [{citation['version']}] - {citation['date-released']}" in changes
+    readme = (repository / "README.md").read_text(encoding="utf-8")
+    assert f"version = {{{citation['version']}}}" in readme
+    hook = (repository / ".pre-commit-config.yaml").read_text(encoding="utf-8")
+    pins = (repository / "constraints.txt").read_text(encoding="utf-8")
+    assert re.search(r"^ruff==(\S+)", pins, re.MULTILINE)[1] == re.search(r"rev: v(\S+)", hook)[1]

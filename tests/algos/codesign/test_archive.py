@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
 from warpvox.algos.codesign.archive import APPLICATION, VERSION, Archive, Finished
@@ -74,6 +74,7 @@ def test_what_is_written_is_what_is_read(filled: Archive, path: Path) -> None:
         assert [(row["best"], row["mean"]) for row in archive.generations()] == [(2.0, 1.0), (2.0, 0.5)]
 
 
+@settings(max_examples=30)
 @given(data=st.data())
 def test_the_best_and_the_lineage_by_brute_force(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
     pool = bodies(4)

@@ -12,10 +12,8 @@ from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.design import DesignModel, design_models
 from warpvox.design import are_valid
 from warpvox.envs.adapters.design_rsl_rl import RslRlDesignEnv
-from warpvox.envs.adapters.rsl_rl import ACTION_CENTER, ACTION_SCALE
 from warpvox.envs.design_episodes import design_episodes
 from warpvox.envs.vec_env import make_vec
-from warpvox.errors import ConfigError
 from warpvox.view.rollout import record
 
 ENVS, SHAPE, LIMIT = 8, (3, 3), 4
@@ -163,14 +161,3 @@ def test_rsl_rls_own_runner_trains_both_stages(revise: str) -> None:
     plain = make_vec("Walker-v0", list(bodies), ENVS, obs="voxel", grid=SHAPE, auto_reset=False, **OPTIONS)
     rollout = record(plain, env.controller(policy, bodies))
     np.testing.assert_allclose(rollout.returns[-1], found.returns, atol=1e-6)
-
-
-def test_outputs_for_the_design_are_taken_as_they_are() -> None:
-    env = make()
-    outputs = torch.ones(ENVS, env.num_actions)
-    control = env.env.layout.control
-    goals = env._goals(outputs)
-    assert torch.equal(goals[:, control:], outputs[:, control:])
-    assert bool((goals[:, :control] == ACTION_CENTER + ACTION_SCALE).all())
-    with pytest.raises(ConfigError, match="types"):
-        design_models(make(actions="logits"))

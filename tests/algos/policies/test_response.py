@@ -1,6 +1,5 @@
 """The linear response of bodies: against a recursion in plain numpy, and against the simulator."""
 
-import copy
 import math
 
 import numpy as np
@@ -8,8 +7,7 @@ import pytest
 import torch
 
 from warpvox import make_vec
-from warpvox.algos.policies import response as response_module
-from warpvox.algos.policies.cpg import CpgNetwork, _driving, _moved
+from warpvox.algos.policies.cpg import CpgNetwork, _moved
 from warpvox.algos.policies.layout import VoxelInputs, VoxelLayout, layout_of
 from warpvox.algos.policies.response import LinearResponse
 from warpvox.design import sample_design
@@ -104,15 +102,6 @@ def test_bodies_on_the_ground_move_much_like_it() -> None:
     assert float((seen * told).sum() / (seen.norm() * told.norm())) > 0.7
 
 
-def test_driving_is_the_transposed_of_moving() -> None:
-    draw = torch.Generator().manual_seed(0)
-    response = torch.randn(3, 2, 2, 10, 5, generator=draw, dtype=torch.float64)
-    swing, wanted = (torch.randn(3, 2, n, 2, generator=draw, dtype=torch.float64) for n in (5, 10))
-    assert (_moved(response, swing) * wanted).sum().item() == pytest.approx(
-        (swing * _driving(response, wanted)).sum().item()
-    )
-
-
 def test_large_grids_are_refused() -> None:
     with pytest.raises(ConfigError, match="its grid may have 100 cells, got 11x10"):
         CpgNetwork(VoxelLayout(11, 10, 4, 110, timed=True, periods=CpgNetwork.periods), critic=False)
@@ -125,24 +114,3 @@ def test_known_bodies_are_not_computed_again(monkeypatch: pytest.MonkeyPatch) ->
     assert torch.equal(first, response(bodies).float())
     monkeypatch.setattr(LinearResponse, "forward", lambda *_: pytest.fail("computed again"))
     assert torch.equal(response.known(bodies[[3, 1]]), first[[3, 1]])
-
-
-def test_what_is_known_has_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    response = LinearResponse(3, 3, [PERIOD])
-    bodies = one_hot(np.stack([BODY, BODY[::-1], BODY.T]))
-    whole = response.known(bodies)
-    monkeypatch.setattr(response_module, "KEPT", 2 * whole[0].numel() * 4)
-    response = LinearResponse(3, 3, [PERIOD])
-    for _ in range(2):
-        assert torch.equal(response.known(bodies), whole)
-        assert len(response._known) == 2
-
-
-def test_copies_begin_without_known_responses() -> None:
-    network = LinearResponse(3, 3, (PERIOD,))
-    types = one_hot(BODY[None])
-    found = network.known(types)
-    other = copy.deepcopy(network)
-    assert network._known
-    assert not other._known
-    assert torch.equal(other.known(types), found)

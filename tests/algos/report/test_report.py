@@ -1,45 +1,30 @@
-"""The report: it says what the archive says, and needs nothing from elsewhere."""
+"""Reports of one search and of several: they say what the archives say, and need nothing from elsewhere."""
 
+import csv
 import html
+import itertools
+import json
 import math
 import re
-import shutil
-import subprocess
 import xml.etree.ElementTree as ET
-from html.parser import HTMLParser
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from codesign_toys import make_loop
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from warpvox.algos.candidate import Candidate, Outcome
-from warpvox.algos.codesign.archive import Archive, Finished, Record
+from warpvox.algos.codesign.archive import FILE, Archive, Finished, Record, archives_in
 from warpvox.algos.report import family_tree, places, report_page, write_report
+from warpvox.algos.report.benchmark import write_benchmark
 from warpvox.algos.report.charts import Series, chart, ticks
+from warpvox.algos.report.comparison import compare
+from warpvox.algos.report.members import progress, read_members
 from warpvox.design import sample_design
-
-
-class Page(HTMLParser):
-    """Checks that what is opened is closed."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag: str, attributes: list) -> None:
-        if tag not in ("meta", "link", "br"):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_startendtag(self, tag: str, attributes: list) -> None:
-        pass
+from warpvox.envs.known_returns import known_returns
+from warpvox.envs.registry import task_ids
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +39,6 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Archive:
 
 def test_every_design_has_its_row(archive: Archive) -> None:
     text = report_page(archive, {"task": "Walker-v0"}, Path())
-    Page(text)
     found = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr[^>]*>(.*?)</tr>", text, re.DOTALL)]
     rows = [[html.unescape(re.sub("<[^>]*>", "", cell)) for cell in row] for row in found if row]
     for row, record in zip(rows, archive.records(), strict=True):
@@ -89,11 +73,12 @@ def test_an_empty_archive_has_a_report(tmp_path: Path) -> None:
         assert "No design is evaluated yet" in text
         assert "{{rows}}" in text  # a setting, not a slot
         archive.propose([Candidate(0, sample_design((3, 3), 0))], 0)
-        Page(report_page(archive, {}, Path()))
+        report_page(archive, {}, Path())
         archive.finish([Finished(0, Outcome(-3.0))])
-        Page(report_page(archive, {}, Path()))
+        report_page(archive, {}, Path())
 
 
+@settings(max_examples=40)
 @given(st.floats(-1e3, 1e3), st.floats(1e-1, 1e6))
 def test_ticks_are_round_and_inside(low: float, span: float) -> None:
     high = low + span
@@ -119,6 +104,7 @@ def test_charts_put_points_where_they_belong() -> None:
     assert "Nothing to show" in chart([Series("none", [])], "x", "y")
 
 
+@settings(max_examples=40)
 @given(st.data())
 def test_in_a_tree_no_two_share_a_place_and_children_are_to_the_right(data: st.DataObject) -> None:
     with_parents = [()]
@@ -128,9 +114,7 @@ def test_in_a_tree_no_two_share_a_place_and_children_are_to_the_right(data: st.D
         with_parents.append(parents)
         generation.append(1 + max((generation[parent] for parent in parents), default=-1))
     body = sample_design((2, 2), 0)
-    records = [
-        _record(Candidate(k, body, parents, "x", generation[k]), float(k)) for k, parents in enumerate(with_parents)
-    ]
+    records = [Record(Candidate(k, body, parents, "x", generation[k]), 0, k) for k, parents in enumerate(with_parents)]
     where = places(records)
     assert len(set(where.values())) == len(records)
     for record in records:
@@ -138,13 +122,9 @@ def test_in_a_tree_no_two_share_a_place_and_children_are_to_the_right(data: st.D
             assert where[parent][0] < where[record.id][0]
 
 
-def _record(candidate: Candidate, fitness: float) -> Record:
-    return Record(candidate, 0, fitness)
-
-
 def test_a_long_line_is_cut_and_says_so() -> None:
     body = sample_design((2, 2), 0)
-    line = [_record(Candidate(k, body, (k - 1,) if k else (), "mutation", k), 0.0) for k in range(100)]
+    line = [Record(Candidate(k, body, (k - 1,) if k else (), "mutation", k), 0, 0.0) for k in range(100)]
     text = family_tree(line)
     assert "40 earlier ancestors" in text
     root = ET.fromstring(text[text.index("<div") :])
@@ -153,31 +133,134 @@ def test_a_long_line_is_cut_and_says_so() -> None:
     assert [node.find("text").text for node in root.findall(".//g[@class='node winner']")] == ["#99"]
 
 
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
-def test_the_page_runs_in_a_browser(archive: Archive, tmp_path: Path) -> None:
-    """Sorted by fitness by clicks on the heading, and without a word on the console."""
-    text = report_page(archive, {"task": "Walker-v0"}, Path())
-    # a script of the test's own, after the page's: its policy allows scripts in the page only
-    probe = (
-        "<script>document.querySelectorAll('th button')[1].click(); document.getElementById('theme').click();"
-        "document.title = document.documentElement.dataset.theme + ' ' + [...document.querySelectorAll("
-        "'#all tbody tr')].map((row) => row.cells[0].textContent).join(' ')</script>"
-    )
-    page = tmp_path / "report.html"
-    page.write_text(text.replace("</body>", probe + "</body>"))
-    command = [
-        "chromium",
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--enable-logging=stderr",
-        "--dump-dom",
-        page.as_uri(),
-    ]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert "CONSOLE" not in run.stderr
-    theme, *order = re.search(r"<title>([^<]*)</title>", run.stdout)[1].split()
-    assert theme == "dark"
+def test_the_page_runs_in_a_browser(archive: Archive, tmp_path: Path, open_page: Callable) -> None:
+    page = open_page(write_report(archive, tmp_path / "report.html", {"task": "Walker-v0"}).as_uri())
+    page.locator("th button").nth(1).click()
+    page.click("#theme")
+    assert page.evaluate("document.documentElement.dataset.theme") == "dark"
+    order = page.evaluate("[...document.querySelectorAll('#all tbody tr')].map((row) => +row.cells[0].textContent)")
     records = archive.records()
     known = {record.id: -math.inf if record.fitness is None else record.fitness for record in records}
-    assert [int(number) for number in order] == sorted(known, key=lambda number: (-known[number], number))
+    assert order == sorted(known, key=lambda number: (-known[number], number))  # by fitness
+    assert page.problems == []
+
+
+POPULATION = 3
+
+
+def make_search(folder: Path, task: str, seed: int, fitness: list[float], steps: int = 100, **search: object) -> Path:
+    """An archive with these returns, in generations of three; every design takes ``steps``."""
+    folder.mkdir(parents=True)
+    settings = {"task": task, "seed": seed, "search": {"algorithm": "ga"} | search}
+    with Archive.create(folder / FILE, settings) as archive:
+        for start in range(0, len(fitness), POPULATION):
+            ids = range(start, min(start + POPULATION, len(fitness)))
+            bodies = [sample_design((5, 5), 1000 * seed + k) for k in ids]
+            waiting = [Candidate(k, b, (), "random", start // POPULATION) for k, b in zip(ids, bodies, strict=True)]
+            archive.propose(waiting, seed)
+            archive.finish([Finished(k, Outcome(fitness[k], [(steps, fitness[k])], steps)) for k in ids])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two searches on three tasks, of one of which no return is published; two seeds."""
+    root = tmp_path_factory.mktemp("suite")
+    for task, base in (("Catcher-v0", -1.0), ("Walker-v0", 4.0), ("Traverser-v0", 0.0)):
+        for number, search in enumerate(("slow", "quick<")):
+            for seed in range(2):
+                fitness = [base + number + seed + k / 10 for k in range(7)]
+                folder = root / "members" / task / search / f"seed{seed}"
+                make_search(folder, task, seed, fitness, 100 * (1 + number))
+    fresh = {"mean": 0.25, "low": 0.125, "high": 0.375, "episodes": 64}
+    summary = {"elapsed_seconds": 90.0, "fresh_seeds": fresh}
+    (root / "members/Catcher-v0/slow/seed1/summary.json").write_text(json.dumps(summary))
+    return root
+
+
+def test_the_page_says_what_the_archives_say(suite: Path, tmp_path: Path) -> None:
+    page = write_benchmark(tmp_path, archives_in(suite), {"status": "a < b"}).read_text()
+    assert "status</dt><dd>a &lt; b" in page
+    assert "quick&lt;" in page
+    rows = re.findall(r"<tr><td>(.*?)</td></tr>", page.partition('id="all"')[2].partition("</table>")[0])
+    cells = [re.sub(r"<td[^>]*>", "", row).split("</td>") for row in rows]
+    assert [row[0] for row in cells] == [t for t in ("Walker-v0", "Catcher-v0", "Traverser-v0") for _ in range(2)]
+    slow = cells[2 * 1 + [row[1] for row in cells[2:4]].index("slow")]
+    # returns of the two runs end at -1 + 0.6 and 0 + 0.6
+    assert slow[2:] == ["2", "<b>0.600</b>", "0.100 ± 0.707", "0.250 [0.125, 0.375]", "0.333", "14", "1,400", "2 min"]
+    assert not re.search(r"https?:|@import|url\(|<link[^>]*href=.(?!data:,)", page)
+    with (tmp_path / "results.csv").open(encoding="utf-8", newline="") as file:
+        table = list(csv.DictReader(file))
+    assert len(table) == 12
+    assert [row["fresh_mean"] for row in table if row["fresh_mean"]] == ["0.25"]
+    first = [sample_design((5, 5), k) for k in range(POPULATION)]  # of seed 0
+    apart = [np.mean(one != other) for one, other in itertools.combinations(first, 2)]
+    row = next(row for row in table if row["seed"] == "0")
+    assert float(row["diversity_first"]) == pytest.approx(np.mean(apart))
+    for name in ("evaluations.svg", "steps.svg", "comparison.svg"):
+        text = (tmp_path / name).read_text()
+        assert "var(" not in text
+        panels = [node for node in ET.fromstring(text) if node.tag.endswith("}svg")]
+        assert len(panels) == (4 if name == "comparison.svg" else 3)
+    assert {path.stem for path in (tmp_path / "generations").iterdir()} == {"Walker-v0", "Catcher-v0", "Traverser-v0"}
+
+
+def test_equal_archives_give_equal_files(suite: Path, tmp_path: Path) -> None:
+    first, second = (write_benchmark(tmp_path / name, archives_in(suite)).parent for name in "ab")
+    files = sorted(path.relative_to(first) for path in first.rglob("*") if path.is_file())
+    assert len(files) == 9
+    assert all((first / path).read_bytes() == (second / path).read_bytes() for path in files)
+
+
+def test_searches_are_compared_at_equal_control_steps(suite: Path) -> None:
+    members = read_members(archives_in(suite))
+    groups: dict = {}
+    for one in members:
+        groups.setdefault(one.task, {}).setdefault(one.search, []).append(one)
+    found = compare(groups)
+    assert (found.left_out, found.steps) == (["Traverser-v0"], {"Catcher-v0": 700, "Walker-v0": 700})
+    # after 700 steps all seven designs of the one are done, and three of the other
+    known = known_returns()["Walker-v0"]
+    expected = {"slow": [4.6, 5.6], "quick<": [5.2, 6.2]}
+    for name, values in expected.items():
+        assert found.scores[name]["Walker-v0"].tolist() == pytest.approx([known.score(value) for value in values])
+    assert found.improvements()["quick<", "slow"].mean == pytest.approx(0.75)
+    assert (known.score(known.random), known.score(known.best)) == (0, 1)
+
+
+def test_progress_holds_the_best_so_far(tmp_path: Path) -> None:
+    first = make_search(tmp_path / "a", "Walker-v0", 0, [1.0, 0.5, 2.0], 10)
+    second = make_search(tmp_path / "b", "Walker-v0", 1, [0.0, 3.0], 15)
+    members = read_members([first, second])
+    places, values = progress(members, "evaluations")
+    assert (places.tolist(), values.T.tolist()) == ([1, 2, 3], [[1, 1, 2], [0, 3, 3]])
+    places, values = progress(members, "steps")
+    assert (places.tolist(), values.T.tolist()) == ([15, 20, 30], [[1, 1, 2], [0, 0, 3]])
+
+
+def test_runs_of_one_algorithm_are_told_apart_by_their_settings(tmp_path: Path) -> None:
+    make_search(tmp_path / "a", "Walker-v0", 0, [1.0], max_evaluations=10, population=5)
+    make_search(tmp_path / "b", "Walker-v0", 1, [1.0], max_evaluations=20, population=7)
+    make_search(tmp_path / "c", "Carrier-v0", 1, [1.0], population=9)
+    names = [one.search for one in read_members(archives_in(tmp_path))]
+    assert names == ["ga, search.population=5", "ga, search.population=7", "ga"]
+
+
+def test_a_suite_that_has_only_begun_has_a_report(tmp_path: Path) -> None:
+    empty = make_search(tmp_path / "members/Walker-v0/ga/seed0", "Walker-v0", 0, [])
+    assert "No design is evaluated yet" in write_benchmark(tmp_path, [empty]).read_text()
+    one = make_search(tmp_path / "members/Walker-v0/ga/seed1", "Walker-v0", 1, [float(np.pi)])
+    own = make_search(tmp_path / "members/own/ga/seed0", "tasks.py:MINE", 1, [2.0])
+    page = write_benchmark(tmp_path, [empty, one, own]).read_text()
+    assert "<b>3.142</b>" in page
+    assert (tmp_path / "generations/tasks.py_MINE.png").is_file()
+
+
+def test_every_task_has_its_known_return() -> None:
+    known = known_returns()
+    assert list(known) == task_ids()
+    assert [task for task, one in known.items() if one.best is None] == ["Traverser-v0"]
+    for one in known.values():
+        if one.best is not None:
+            assert one.best > one.random, one
+            assert all((one.method, one.source, one.protocol)), one

@@ -8,7 +8,6 @@ import torch
 from botorch.acquisition import LogExpectedImprovement
 
 from warpvox.algos.search import BO, make_search
-from warpvox.algos.search.bo import BayesianSearch
 from warpvox.algos.search.bo_acquire import (
     ascend,
     climb,
@@ -19,7 +18,7 @@ from warpvox.algos.search.bo_acquire import (
     own_torch,
     thompson_starts,
 )
-from warpvox.algos.search.bodies import body_key, mutate, neighbours
+from warpvox.algos.search.bodies import body_key, neighbours
 from warpvox.design import are_valid, draw_bodies
 
 TOLERANCE = 1e-6
@@ -76,26 +75,6 @@ def test_the_posterior_is_that_of_the_text_book() -> None:
     assert posterior.variance.detach().numpy()[:, 0] == pytest.approx(variance * fitness.var(ddof=1), rel=1e-3)
 
 
-def test_the_fit_uses_l_bfgs_with_its_limit_and_restarts(monkeypatch: pytest.MonkeyPatch) -> None:
-    from botorch.optim import fit
-
-    calls = []
-    original = fit.scipy_minimize
-
-    def watched(*args: object, **kwargs: object):
-        calls.append(kwargs)
-        return original(*args, **kwargs)
-
-    monkeypatch.setattr(fit, "scipy_minimize", watched)
-    bodies = some_bodies(15)
-    with own_torch(0):
-        fit_model(bodies, some_fitness(bodies), BO(optimizer_restarts=3, optimizer_iterations=7))
-    assert len(calls) == 3
-    for call in calls:
-        assert call["options"] == {"maxiter": 7}
-        assert call.get("method", "L-BFGS-B") == "L-BFGS-B"
-
-
 @pytest.fixture(scope="module")
 def model():
     bodies = some_bodies(30)
@@ -138,17 +117,6 @@ def test_an_ascent_stays_on_free_bodies_and_ends_where_none_beside_it_is_higher(
         taken.add(body_key(summit))
     # additive values have hardly more than one summit, and yet every start has found a body of its own
     assert len(taken) == len(starts)
-
-
-def test_an_ascent_takes_the_better_entry_and_leaves_one_that_is_not_free() -> None:
-    values = cell_sums(np.repeat(np.arange(5.0)[None], 16, 0))
-    low, high = np.full((4, 4), 1, np.int8), np.full((4, 4), 3, np.int8)
-    only = lambda *bodies: lambda found: np.array([any((body == one).all() for one in bodies) for body in found])  # noqa: E731
-    assert np.array_equal(ascend(values, np.stack([low, high]), only(low, high)), high)
-    beside = low.copy()
-    beside[0, 0] = 2
-    assert np.array_equal(ascend(values, low[None], only(beside)), beside)
-    assert ascend(values, low[None], only()) is None
 
 
 def test_l_bfgs_climbs_expected_improvement_from_every_start(model, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -213,16 +181,6 @@ def test_climbing_ends_where_no_valid_neighbour_is_higher() -> None:
     assert (heights <= table.max(-1).sum(-1) + TOLERANCE).all()
 
 
-def test_torch_is_as_before_whatever_happens() -> None:
-    threads, state = torch.get_num_threads(), torch.get_rng_state()
-    with pytest.raises(ZeroDivisionError), own_torch(3):
-        assert torch.get_num_threads() == 1
-        torch.rand(3)
-        raise ZeroDivisionError
-    assert torch.get_num_threads() == threads
-    assert torch.equal(torch.get_rng_state(), state)
-
-
 @pytest.mark.parametrize("acquisition", ["paper", "pathwise"])
 def test_proposals_do_not_depend_on_the_threads_of_torch(acquisition: str) -> None:
     settings = hasty(acquisition=acquisition, population=6, max_evaluations=12)
@@ -233,71 +191,3 @@ def test_proposals_do_not_depend_on_the_threads_of_torch(acquisition: str) -> No
         found.append([body_key(candidate.body) for asked in searched(settings, (5, 5), 4) for candidate in asked])
     torch.set_num_threads(before)
     assert found[0] == found[1]
-
-
-def test_with_l_bfgs_alone_proposals_are_ends_or_their_starts(monkeypatch: pytest.MonkeyPatch) -> None:
-    from warpvox.algos.search import bo
-
-    settings = hasty(acquisition="lbfgs", population=6, max_evaluations=18)
-    search = BayesianSearch(settings, (4, 4), seed=1)
-    first = search.ask()
-    search.tell(some_fitness(np.stack([candidate.body for candidate in first])))
-    seen = {}
-
-    def ends_of(model: object, best: float, starts: np.ndarray, iterations: int) -> np.ndarray:
-        ends = starts.copy()
-        ends[0] = mutate(np.random.default_rng(0), starts[:1], 1e-9)[0]  # its start: new
-        ends[1] = ends[0]  # known by now
-        ends[2] = 0  # not valid
-        ends[3] = np.full((4, 4), 4, np.int8)  # new
-        seen.update(starts=starts, best=best)
-        return ends
-
-    monkeypatch.setattr(bo, "improve", ends_of)
-    asked = search.ask()
-    assert seen["best"] == max(search.fitness)
-    origins = [candidate.origin for candidate in asked]
-    assert origins == ["improvement", "thompson", "thompson", "improvement", "improvement", "improvement"]
-    for place in (0, 1, 2, 4, 5):
-        assert np.array_equal(asked[place].body, seen["starts"][place])
-    assert (asked[3].body == 4).all()
-
-
-def test_the_pool_has_random_bodies_and_mutants_of_the_best() -> None:
-    search = BayesianSearch(BO(population=40, max_evaluations=80), seed=0)
-    asked = search.ask()
-    search.tell([float(candidate.id) for candidate in asked])
-    pool = search.pool(np.random.default_rng(0), 50, 150)
-    assert len(pool) == 200
-    assert are_valid(pool.bodies).all()
-    keys = {body_key(body) for body in pool.bodies}
-    assert len(keys) == 200
-    assert not any(search.is_known(key) for key in keys)
-    assert (pool.parents[:50] == -1).all()
-    assert set(pool.parents[50:]) <= set(range(15, 40))
-    changes = np.array(
-        [(search.bodies[p] != b).sum() for p, b in zip(pool.parents[50:], pool.bodies[50:], strict=True)]
-    )
-    assert changes.min() >= 1
-    assert changes.mean() < 5
-
-
-def test_replay_fits_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    from warpvox.algos.search import bo
-
-    settings = hasty(population=5, max_evaluations=15)
-    search, history = BayesianSearch(settings, seed=2), []
-    for _ in range(2):
-        asked = search.ask()
-        told = some_fitness(np.stack([candidate.body for candidate in asked]))
-        search.tell(told)
-        history.append((asked, told))
-    expected = [body_key(candidate.body) for candidate in search.ask()]
-    calls = []
-    original = bo.fit_model
-    monkeypatch.setattr(bo, "fit_model", lambda *args: calls.append(1) or original(*args))
-    again = BayesianSearch(settings, seed=2)
-    again.replay(history)
-    assert not calls
-    assert [body_key(candidate.body) for candidate in again.ask()] == expected
-    assert len(calls) == 1

@@ -1,6 +1,5 @@
 """CPPN-NEAT is the paper's: Table 5, three inputs, five outputs; its randomness is its own."""
 
-import random
 from pathlib import Path
 
 import neat
@@ -73,15 +72,6 @@ def test_a_voxel_is_of_the_type_with_the_largest_output() -> None:
     # x > y: type 3, y > x: type 4, and of equal outputs the first
     expected = [[3 if column - 2 >= row - 1 else 4 for column in range(5)] for row in range(3)]
     assert body.tolist() == expected
-
-
-def test_own_random_gives_the_global_generator_back_even_after_an_error() -> None:
-    random.seed(3)
-    expected = random.Random(3).random()
-    with pytest.raises(ZeroDivisionError), own_random(5):
-        random.random()
-        raise ZeroDivisionError
-    assert random.random() == expected
 
 
 def test_children_descend_from_the_networks_that_bred_them() -> None:

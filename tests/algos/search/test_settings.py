@@ -1,15 +1,29 @@
 """Settings: the paper's values, the choices of the command line, and mistakes."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from warpvox.algos.search import ALGORITHMS, BO, GA, CppnNeat, MapElites, RandomDesigns, make_search, settings_from
+from warpvox.algos.search import (
+    ALGORITHMS,
+    BO,
+    GA,
+    BaseSearch,
+    CppnNeat,
+    CustomSearch,
+    MapElites,
+    Proposal,
+    make_search,
+    settings_from,
+)
 from warpvox.cli.config import load
-from warpvox.errors import ConfigError
+from warpvox.code import Code
+from warpvox.errors import ConfigError, SearchError
 
 
 @pytest.mark.parametrize(
@@ -43,19 +57,12 @@ def test_ga_defaults_are_those_of_table_3() -> None:
     assert settings.min_survivors == 2
 
 
-def test_none_stands_for_the_default() -> None:
-    assert settings_from({"algorithm": "ga", "population": None}) == GA()
-    assert settings_from({"algorithm": "random", "population": 7}) == RandomDesigns(population=7)
-
-
 @pytest.mark.parametrize(
     ("given", "words"),
     [
         ({}, "one of ga, .*None"),
         ({"algorithm": "random", "mutation_rate": 0.2}, "'random' has no setting 'mutation_rate'.*a setting of ga"),
         ({"algorithm": "ga", "population": 2.5}, "population must be an integer, got 2.5"),
-        ({"algorithm": "ga", "max_evaluations": 0}, "max_evaluations must be at least 1"),
-        ({"algorithm": "ga", "mutation_rate": 0.0}, "mutation_rate must be greater than 0"),
         ({"algorithm": "ga", "survivor_rate": float("nan")}, "survivor_rate must be a finite number"),
         ({"algorithm": "ga", "population": 5, "min_survivors": 5}, r"min_survivors must be less than population \(5\)"),
     ],
@@ -85,3 +92,71 @@ def test_settings_alone_load_no_library(tmp_path: Path) -> None:
     )
     run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
     assert (run.stderr, run.stdout) == ("", "\n")
+
+
+@pytest.fixture(scope="module")
+def examples(repository: Path) -> list[str]:
+    text = (repository / "docs" / "search.md").read_text(encoding="utf-8")
+    return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+
+
+@pytest.fixture
+def mine(examples: list[str], tmp_path: Path) -> Path:
+    path = tmp_path / "mine.py"
+    path.write_text(examples[-1], encoding="utf-8")
+    return path
+
+
+def test_the_documentation_names_every_search(repository: Path) -> None:
+    text = (repository / "docs" / "search.md").read_text(encoding="utf-8")
+    for file in (repository / "configs" / "search").glob("*.yaml"):
+        assert f"`{file.stem}`" in text, file
+
+
+def test_a_file_with_a_search(mine: Path) -> None:
+    settings = CustomSearch(make=Code(f"{mine}:BestAndMutants"), population=10, max_evaluations=40)
+    search = make_search(settings, (4, 5), seed=3)
+    assert isinstance(search, BaseSearch)
+    while asked := search.ask():
+        assert [candidate.origin for candidate in asked].count("mutation") == (5 if asked[0].generation else 0)
+        search.tell([float((candidate.body == 3).sum()) for candidate in asked])
+    assert len({body.tobytes() for body in search.bodies}) == 40
+    assert {body.shape for body in search.bodies} == {(4, 5)}
+
+
+def test_what_does_not_ask_is_no_search(tmp_path: Path) -> None:
+    path = tmp_path / "half.py"
+    path.write_text(
+        "class Half:\n    def __init__(self, *args): pass\n    def ask(self): return []\n", encoding="utf-8"
+    )
+    with pytest.raises(ConfigError, match="'custom' needs make=FILE"):
+        make_search(CustomSearch(make=None))
+    with pytest.raises(ConfigError, match="makes a Half, which cannot tell, replay"):
+        make_search(CustomSearch(make=Code(f"{path}:Half")))
+
+
+class Careless(BaseSearch):
+    """Proposes whatever it was given."""
+
+    def __init__(self, proposals: list) -> None:
+        super().__init__(CustomSearch(make="here:Careless", population=4, max_evaluations=8))
+        self.proposals = proposals
+
+    def propose(self, rng: np.random.Generator, count: int) -> list:
+        return self.proposals
+
+
+def test_a_careless_search_is_told_what_is_wrong() -> None:
+    good = np.full((5, 5), 3, np.int8)
+    cut = good.copy()
+    cut[2] = 0
+    for proposals, words in (
+        ([], "proposed no body"),
+        ([Proposal(good)] * 5, "proposed 5 bodies where 4 were wanted"),
+        ([Proposal(cut)], r"proposed a body that is not valid\. The body is not connected"),
+        ([Proposal(good[:4])], r"proposed a body of shape \(4, 5\)"),
+        ([Proposal(good), Proposal(good)], "proposed a body twice"),
+        ([Proposal(good, parents=(3,))], "parents"),
+    ):
+        with pytest.raises(SearchError, match=words):
+            Careless(proposals).ask()

@@ -9,7 +9,7 @@ from learning import assert_same_weights, ppo_settings, small_env
 
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.policies.registry import layout_for
-from warpvox.algos.training.ascent import AscentRunner
+from warpvox.algos.training.ascent import AscentRunner, Targets
 from warpvox.algos.training.bodies import Bodies, draw_bodies
 from warpvox.algos.training.runner import STATE, Schedule, adapt
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -127,3 +127,23 @@ def test_what_has_no_derivative_is_refused() -> None:
         make_runner(layout="group", lanes=None)
     with pytest.raises(ConfigError, match="which is not observed: it needs obs=timed"):
         make_runner(obs="voxel")
+
+
+def numbered(*numbers: int) -> torch.Tensor:
+    return torch.tensor([[[float(number)]] for number in numbers])
+
+
+def content(targets: Targets) -> list[tuple[float, float]]:
+    """Pairs of body and target, oldest first."""
+    state = targets.state()
+    return list(zip(state["bodies"].flatten().tolist(), state["targets"].flatten().tolist(), strict=True))
+
+
+def test_the_last_stay_and_a_body_has_its_newest() -> None:
+    targets = Targets(4)
+    targets.add(numbered(1, 2, 3), numbered(10, 20, 30))
+    targets.add(numbered(2, 4, 2), numbered(21, 40, 22))
+    assert content(targets) == [(1, 10), (3, 30), (2, 22), (4, 40)]
+    targets.add(numbered(5), numbered(50))
+    assert content(targets) == [(3, 30), (2, 22), (4, 40), (5, 50)]
+    assert len(targets) == 4

@@ -74,13 +74,6 @@ def test_new_bodies_take_the_place_of_those_whose_episode_has_ended(tmp_path: Pa
     assert all(row["eval_q10"] <= row["eval_q50"] <= row["eval_q90"] for row in rows)
 
 
-def test_bodies_stay_where_nothing_is_to_take_their_place() -> None:
-    runner = make_runner("none", 3)
-    before = in_use(runner)
-    runner.run()
-    assert in_use(runner) == before
-
-
 def test_a_rollout_is_of_one_body_and_episodes_begin_with_it() -> None:
     runner = make_runner("random", 9)
     bodies, exchange = [in_use(runner)], runner.bodies.exchange

@@ -21,16 +21,7 @@ SMALL = (
 
 def torchrun(folder: Path, *words: str) -> subprocess.CompletedProcess:
     folder.mkdir(exist_ok=True)
-    line = [
-        sys.executable,
-        "-m",
-        "torch.distributed.run",
-        "--standalone",
-        "--nproc-per-node=2",
-        "-m",
-        "warpvox",
-        "train",
-    ]
+    line = [sys.executable, *"-m torch.distributed.run --standalone --nproc-per-node=2 -m warpvox train".split()]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     return subprocess.run([*line, *words], cwd=folder, env=environment, capture_output=True, text=True, timeout=600)
 
@@ -38,13 +29,7 @@ def torchrun(folder: Path, *words: str) -> subprocess.CompletedProcess:
 def test_alone_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("WORLD_SIZE", raising=False)
     assert join_process_group("cpu") is SINGLE_PROCESS
-    assert (
-        SINGLE_PROCESS.sum([1.5, 2]),
-        SINGLE_PROCESS.any(True),
-        SINGLE_PROCESS.any(False),
-        SINGLE_PROCESS.broadcast("x"),
-    ) == ([1.5, 2], True, False, "x")
-    assert SINGLE_PROCESS.seed(7) == 7
+    assert (SINGLE_PROCESS.sum([1.5, 2]), SINGLE_PROCESS.seed(7)) == ([1.5, 2], 7)
     assert len({ProcessGroup(rank, 4).seed(7) for rank in range(4)}) == 4
 
 

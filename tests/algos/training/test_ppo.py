@@ -1,5 +1,6 @@
 """Learning: schedules, time limits, and that a resumed run is the run that was not interrupted."""
 
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,8 @@ from learning import ENVS, assert_same_weights, ppo_settings, rows, small_env, w
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.evaluate import evaluate, evaluator
 from warpvox.algos.settings import Ppo
-from warpvox.algos.training.metrics import read_metrics
+from warpvox.algos.training import metrics
+from warpvox.algos.training.metrics import Metrics, check_logger, read_metrics
 from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError, RunError
@@ -158,19 +160,6 @@ def test_time_limits_are_told_from_ends_and_rewards_are_scaled() -> None:
     assert scaled.pop_episodes()["return"] == pytest.approx(episodes["return"])
 
 
-def test_final_observations_belong_to_what_ended() -> None:
-    env = adapt(make_env(), ppo_settings())
-    for _ in range(LIMIT):
-        obs, _, _, extras = env.step(torch.zeros(ENVS, env.num_actions))
-    assert not torch.equal(extras["final_obs"]["policy"], obs["policy"])
-    assert torch.equal(obs["policy"], env.reset()["policy"])
-
-
-def test_without_bootstrapping_time_limits_are_not_reported() -> None:
-    env = adapt(make_env(), ppo_settings(bootstrap_time_limit=False))
-    assert "time_outs" not in env.step(torch.zeros(ENVS, env.num_actions))[3]
-
-
 def test_values_beyond_a_time_limit_are_those_of_the_final_state() -> None:
     runner = make_runner(1)
     env = runner.env
@@ -187,7 +176,8 @@ def test_values_beyond_a_time_limit_are_those_of_the_final_state() -> None:
 
 
 def test_episodes_of_a_random_start_do_not_count() -> None:
-    env = adapt(make_env(), ppo_settings())
+    env = adapt(make_env(), ppo_settings(bootstrap_time_limit=False))
+    assert "time_outs" not in env.step(torch.zeros(ENVS, env.num_actions))[3]
     env.episode_length_buf = torch.arange(ENVS)
     ended = 0
     for _ in range(LIMIT):
@@ -215,9 +205,11 @@ def test_normalised_rewards_follow_the_spread_of_discounted_returns() -> None:
     torch.testing.assert_close(normalised, expected, rtol=1e-2, atol=1e-6)
 
 
-def test_training_wants_environments_that_reset_themselves() -> None:
+def test_training_wants_environments_that_reset_themselves_and_an_evaluation_others() -> None:
     with pytest.raises(ConfigError, match="auto_reset=True"):
         adapt(make_env(auto_reset=False), ppo_settings())
+    with pytest.raises(ConfigError, match="auto_reset=False"):
+        evaluate(make_env(), lambda obs: obs)
 
 
 def test_an_evaluation_is_the_sum_of_rewards_of_one_episode() -> None:
@@ -245,6 +237,22 @@ def test_fitness_is_per_design() -> None:
     assert result.fitness[0] != result.fitness[1]
 
 
-def test_an_evaluation_wants_environments_that_wait() -> None:
-    with pytest.raises(ConfigError, match="auto_reset=False"):
-        evaluate(make_env(), lambda obs: obs)
+ROW = {"iteration": 1, "steps": 8, "eval_return": 2.5, "elapsed": 0.1, "return_mean": float("nan")}
+
+
+def test_a_table_that_was_moved_away_begins_again_with_its_heading(tmp_path: Path) -> None:
+    written = Metrics(tmp_path, 0, "none")
+    written.write(ROW)
+    (tmp_path / "metrics.csv").unlink()
+    for iteration in (2, 3):
+        written.write(ROW | {"iteration": iteration})
+    assert [row["iteration"] for row in read_metrics(tmp_path)] == [2, 3]
+
+
+def test_a_logger_that_is_not_installed_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metrics, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match="logger=wandb needs the package wandb"):
+        check_logger("wandb")
+    check_logger("tensorboard")
+    monkeypatch.setattr(metrics, "find_spec", lambda name: ModuleSpec(name, None))
+    check_logger("neptune")
