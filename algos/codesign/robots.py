@@ -127,12 +127,13 @@ def _of_run(path: Path) -> Iterator[Robot]:
 
 def _of_training(run: Run) -> dict[str, Any]:
     """Facts from the files of a training; what it has cost includes the one whose policy it began with."""
-    about = _about(run) | {"control_steps": read_summary(run.folder).get("steps")}
+    about: dict[str, Any] = _about(run) | {"control_steps": read_summary(run.folder).get("steps")}
     if source := run.config.get("pretrained"):
         known = _of_training(find_run(source, ""))
         about["config"]["pretrained"] = "/".join(Path(source).parts[-3:])
         for name in "control_steps", "wall_s":
-            about[name] = None if None in (about[name], known[name]) else about[name] + known[name]
+            spent = about[name], known[name]
+            about[name] = None if None in spent else sum(spent)
         names = ("control_steps", "wall_s", "processor", "config")
         about["start"] = [*known.get("start", ()), {name: known[name] for name in names}]
     return about

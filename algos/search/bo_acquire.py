@@ -1,5 +1,9 @@
 """Bayesian optimisation: its model, and which designs it tries next, by expected improvement or posterior samples."""
 
+# GPyTorch and parts of BoTorch and torch have no types.
+# pyright: reportMissingTypeStubs=false, reportUnknownLambdaType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+
 from __future__ import annotations
 
 import math

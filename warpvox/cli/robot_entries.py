@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import glob
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,7 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[
     return best, before, save_robot(path, best)
 
 
-def _command(about: dict[str, Any]) -> str:
+def _command(about: Mapping[str, Any]) -> str:
     return command_of("codesign" if "search" in about["config"] else "train", about["config"])
 
 
