@@ -30,8 +30,7 @@ from warpvox.algos.suite.members import DONE, Member
 from warpvox.algos.suite.run import FAILED, make_member
 from warpvox.cli.config import load
 from warpvox.cli.suite_plan import BENCHMARK10, plan
-from warpvox.envs.known_returns import known_returns
-from warpvox.envs.registry import task_ids
+from warpvox.envs.registry import known_returns, task_ids
 from warpvox.errors import RunError
 from warpvox.io.writing import claimed, write_table, write_text
 from warpvox.robots.returns import recorded

@@ -19,7 +19,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-DATA_SUFFIXES = {".pyi", ".yaml", ".cfg", ".html", ".js", ".css", ".h", ".typed", ".npz", ".csv", ".pt"}
+DATA_SUFFIXES = {".pyi", ".yaml", ".cfg", ".html", ".js", ".css", ".h", ".typed", ".npz", ".csv", ".pt", ".sql"}
 HEAVY = "torch warp botorch neat ribs hydra omegaconf rsl_rl gymnasium matplotlib pxr tensorboard".split()
 IMPORT_SECONDS = 1.0
 

@@ -23,8 +23,7 @@ from warpvox.algos.report.charts import Series, chart, ticks
 from warpvox.algos.report.comparison import compare
 from warpvox.algos.report.members import progress, read_members
 from warpvox.design import sample_design
-from warpvox.envs.known_returns import known_returns
-from warpvox.envs.registry import task_ids
+from warpvox.envs.registry import known_returns, task_ids
 
 
 @pytest.fixture(scope="module")
