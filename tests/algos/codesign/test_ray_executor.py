@@ -127,7 +127,7 @@ def test_errors_of_an_evaluator_come_through_as_they_are(cluster: tuple, tmp_pat
 
 def test_two_nodes_with_dying_workers_give_the_results_of_one_process(cluster, tmp_path, undisturbed: str) -> None:
     where, nodes = cluster
-    make = functools.partial(Mortal, tmp_path, fatal=(1,))
+    make = functools.partial(Mortal, tmp_path, fatal=(1, POPULATION + 2))
     executor = ray_executor.RayExecutor(make, address=where.address)
     assert executor.size == 2
 
@@ -144,7 +144,7 @@ def test_two_nodes_with_dying_workers_give_the_results_of_one_process(cluster, t
     loop.run()
     executor.close()
     assert loop.archive.digest() == undisturbed
-    assert {file.name for file in tmp_path.glob("died_*")} == {"died_1"}
+    assert {file.name for file in tmp_path.glob("died_*")} == {"died_1", f"died_{POPULATION + 2}"}
     workers = {file.name.split("_")[2] for file in tmp_path.glob("done_*")}
     assert len(workers) >= 2  # others after a death; how many more depends on how fast each of them starts
     assert nodes == [nodes[0]]
