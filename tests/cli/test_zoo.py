@@ -114,6 +114,7 @@ def test_a_gait_is_listed_shown_played_and_loaded(warpvox: Callable) -> None:
     "line",
     [
         "warpvox codesign search=bo task=Hurdler-v0 seed=1 training.rungs=[0.2,0.5] training.keep=0.4",
+        "warpvox codesign evaluation=gaits fitness=robust evaluation.episodes=16",
         "warpvox train ppo=evogym task=Thrower-v0 design=[[3,3],[4,4]] stop_return=2.5",
     ],
 )

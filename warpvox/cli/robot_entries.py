@@ -19,8 +19,11 @@ from warpvox.robots.returns import recorded
 from warpvox.runs import as_name
 from warpvox.trust import allowed
 
-GROUPS = {"train": ("ppo",), "codesign": ("search", "training")}
-"""Groups of keys whose YAML files shorten a command."""
+GROUPS = {
+    "train": {"ppo": None},
+    "codesign": {"search": "search.algorithm", "evaluation": "evaluation.name", "training": None},
+}
+"""Groups of keys whose choices shorten a command, and the key that says which choice a configuration has."""
 ELSEWHERE = {"output_dir", "name", "resume", "config", "report", "export", "threads", "device", "executor", "workers"}
 """Keys that do not change what is found, or name places on a machine."""
 
@@ -76,11 +79,13 @@ def command_of(command: str, config: dict[str, Any]) -> str:
     """The shortest command line that ``config``, the content of a ``config.yaml``, comes from: what is no default."""
     values = {name: value for name, value in flat_values(command, config).items() if not name.startswith("physics.")}
     words: list[str] = []
-    for group in GROUPS[command]:
-        only = values.get("search.algorithm") if group == "search" else None
-        names = [name for name in options_of(command, group) if only in (None, name)]
+    for group, key in GROUPS[command].items():
+        only, known = values.get(key), _values(command, tuple(words))
+        names = [name for name in options_of(command, group) if key is None or name == only]
         choices = [[*words, f"{group}={name}"] for name in names]
-        words = min([words, *choices], key=lambda one: (len(_differences(command, one, values)), len(one)))
+        if key is None or only in (None, known[key]):  # else the choice has keys that the others lack
+            choices.insert(0, words)
+        words = min(choices, key=lambda one: (len(_differences(command, one, values)), len(one)))
     return " ".join(["warpvox", command, *words, *_differences(command, words, values)])
 
 
