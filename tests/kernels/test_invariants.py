@@ -114,7 +114,8 @@ def random_world(rng: np.random.Generator, largest: int) -> World:
     """Ground, a step, a robot of ``largest`` voxels a side and up to 12 other bodies, where there is room."""
     width = int(rng.integers(20, 60)) + 2 * largest
     step = np.full((3, 4), 5), int(rng.integers(0, width - 4)), 2
-    robot = sample_design((largest, largest), seed=int(rng.integers(2**31))), width // 2, 6
+    weights = None if largest < 20 else (0.05, 0.2, 0.2, 0.2, 0.2)  # with many empty cells no large body is connected
+    robot = sample_design((largest, largest), int(rng.integers(2**31)), weights), width // 2, 6
     made = world(width, 30 + 2 * largest, ground=ground(width, 2), step=step, robot=robot)
     taken = [(width // 2, 6, largest, largest), (0, 0, width, 6)]
     for number in range(int(rng.integers(3, 13))):
