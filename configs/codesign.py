@@ -8,7 +8,7 @@ from typing import Any
 from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
-from warpvox.algos.training.settings import DEVICES, MOST_THREADS
+from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY
 from warpvox.configs.schema import CONFIG_FILE, PresetConfig
 from warpvox.keys import MISSING, key
 
@@ -66,9 +66,7 @@ class SuiteConfig:
         "where searches run: in processes of this machine (local) or in tasks of Ray (ray)",
         choices=("local", "ray"),
     )
-    address: str | None = key(
-        None, "address of a running Ray cluster: auto or host:port; null: start Ray on this machine"
-    )
+    address: str | None = key(None, RAY)
     workers: int | None = key(
         None,
         "searches that run at the same time; null: one per core as far as memory allows (device=cuda: one;"

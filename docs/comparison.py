@@ -7,7 +7,6 @@ A suite may be run in parts, at different times: rows of the same search, task a
 ``tests/docs`` says when the page is out of date.
 """
 
-import csv
 import json
 import re
 import statistics
@@ -16,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from warpvox.envs.registry import known_returns
+from warpvox.io.reading import read_table
 from warpvox.io.writing import write_text
 
 FOLDER = Path(__file__).resolve().parent
@@ -70,23 +70,14 @@ def _verdict(name: str, found: Mapping[str, Mapping[str, Mapping[int, float]]]) 
     )
 
 
-def read_table() -> list[dict[str, str]]:
-    """The committed rows."""
-    if not TABLE.is_file():
-        return []
-    with TABLE.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def with_suite(rows: Sequence[Row], folder: Path) -> list[Row]:
     """Rows with those of a suite's members that are done."""
     by_name = {(row["search"], row["task"], int(row["seed"])): row for row in rows}
-    with (folder / "members.csv").open(encoding="utf-8", newline="") as file:
-        for member in csv.DictReader(file):
-            if member["state"] == "done":
-                summary = json.loads((folder / member["folder"] / "summary.json").read_text(encoding="utf-8"))
-                row = member | {"commit": summary["commit"], "best_fitness": f"{float(member['best_fitness']):.6g}"}
-                by_name[row["search"], row["task"], int(row["seed"])] = {name: row[name] for name in COLUMNS}
+    for member in read_table(folder / "members.csv"):
+        if member["state"] == "done":
+            summary = json.loads((folder / member["folder"] / "summary.json").read_text(encoding="utf-8"))
+            row = member | {"commit": summary["commit"], "best_fitness": f"{float(member['best_fitness']):.6g}"}
+            by_name[row["search"], row["task"], int(row["seed"])] = {name: row[name] for name in COLUMNS}
     return [by_name[key] for key in sorted(by_name)]
 
 
@@ -99,13 +90,13 @@ def write_table(rows: Sequence[Row]) -> None:
 def main(words: Sequence[str]) -> None:
     """See the top of this file."""
     if words[:1] == ["add"]:
-        rows: list[Row] = list(read_table())
+        rows: list[Row] = list(read_table(TABLE))
         for folder in words[1:]:
             rows = with_suite(rows, Path(folder))
         write_table(rows)
     elif words:
         raise SystemExit(__doc__)
-    write_text(PAGE, page(PAGE.read_text(encoding="utf-8"), read_table()))
+    write_text(PAGE, page(PAGE.read_text(encoding="utf-8"), read_table(TABLE)))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ copied to ``docs/results`` they are what the page is made of. ``tests/docs`` say
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import sys
 import time
@@ -32,6 +31,7 @@ from warpvox.cli.config import load
 from warpvox.cli.suite_plan import BENCHMARK10, plan
 from warpvox.envs.registry import known_returns, task_ids
 from warpvox.errors import RunError
+from warpvox.io.reading import read_table
 from warpvox.io.writing import claimed, write_table, write_text
 from warpvox.robots.returns import recorded
 from warpvox.runs import read_summary
@@ -72,8 +72,7 @@ def members() -> list[Member]:
 
 def read_rows(name: str, folder: Path = RESULTS) -> list[Row]:
     """The committed rows of a table and those in ``folder``, which replace them."""
-    files = [path / name for path in dict.fromkeys((RESULTS, folder)) if (path / name).is_file()]
-    rows = [row for file in files for row in csv.DictReader(file.read_text(encoding="utf-8").splitlines())]
+    rows = [*read_table(RESULTS / name), *read_table(folder / name)]
     return list({(*map(row.get, KEY), row.get("axis")): row for row in rows}.values())
 
 

@@ -11,7 +11,6 @@ task the one with the best return stays, that of the table included. ``tests/doc
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -29,6 +28,7 @@ from warpvox.algos.statistics import mean_interval
 from warpvox.cli.robot_entries import command_of
 from warpvox.envs.registry import FILE as KNOWN_RETURNS, KnownReturn, known_returns, task_ids
 from warpvox.io import writing
+from warpvox.io.reading import read_table
 from warpvox.robots import Gait, zoo_tasks
 from warpvox.robots.returns import EPISODES, judge_robust
 from warpvox.runs import find_codesign
@@ -174,14 +174,6 @@ def _sources(published: Iterable[KnownReturn]) -> list[str]:
     return lines
 
 
-def read_table(path: Path = TABLE) -> list[dict[str, str]]:
-    """The committed rows; none if there is no file yet."""
-    if not path.is_file():
-        return []
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def write_table(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """Write rows in the order of the tasks; columns are those of the first."""
     ordered = sorted(rows, key=lambda row: task_ids().index(row["task"]))
@@ -297,6 +289,6 @@ if __name__ == "__main__":
     elif sys.argv[1:2] == ["protocols"]:
         measure_disturbed(sys.argv[2:] or task_ids())
     elif sys.argv[1:2] == ["export"]:
-        write_table(TABLE, export([Path(text) for text in sys.argv[2:]], read_table()))
+        write_table(TABLE, export([Path(text) for text in sys.argv[2:]], read_table(TABLE)))
     else:
-        writing.write_text(PAGE, page(read_table(), read_table(DISTURBED)))
+        writing.write_text(PAGE, page(read_table(TABLE), read_table(DISTURBED)))

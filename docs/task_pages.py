@@ -4,7 +4,6 @@ Formulas are those of the terms, returns those of ``docs/results`` and ``envs/kn
 makes the films.
 """
 
-import csv
 import io
 from collections.abc import Iterator
 from functools import cache
@@ -15,6 +14,7 @@ from warpvox.envs.about import UNITS
 from warpvox.envs.registry import get_task, known_returns, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.worlds import task_world
+from warpvox.io.reading import read_table
 from warpvox.robots.entry import zoo, zoo_tasks
 from warpvox.robots.gait import Gait
 from warpvox.view.body_picture import draw_world
@@ -114,8 +114,7 @@ def _returns(task: str) -> Iterator[tuple[str, str]]:
 
 @cache
 def _rows(file: str) -> list[dict[str, str]]:
-    with (RESULTS / file).open(encoding="utf-8", newline="") as table:
-        return list(csv.DictReader(table))
+    return read_table(RESULTS / file)
 
 
 def _paper(task: TaskSpec) -> str:

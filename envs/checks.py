@@ -236,6 +236,6 @@ class FiniteGuard:
 
 
 def all_finite(*values: torch.Tensor) -> bool:
-    """Whether the sum of all values is finite; False also if it overflows."""
+    """True if the sum of all values is finite; False also if it overflows."""
     total: Any = sum(value.sum() for value in values)
     return math.isfinite(total.item())

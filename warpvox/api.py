@@ -157,12 +157,11 @@ def evaluate(
         RunError: no such run. ConfigError: a function without a task, an unknown option. WarpvoxError: as
             :func:`warpvox.make_vec`.
     """
-    from warpvox.algos.disturbance import Disturbed
-    from warpvox.algos.protocols import NOMINAL, PROTOCOLS, parts_of
+    from warpvox.algos.protocols import PROTOCOLS, parts_of
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.job import own_torch
     from warpvox.algos.training.loading import TrainedRun, is_alone, load_policy
-    from warpvox.algos.training.playing import Playing
+    from warpvox.algos.training.playing import Playing, disturbed
     from warpvox.algos.training.policy_table import EvaluatedPolicy, PolicyTable, evaluate_run
     from warpvox.code import Code, is_code
     from warpvox.envs.vec_env import make_vec
@@ -201,6 +200,5 @@ def evaluate(
             count = episodes * len(parts)
             env = make_vec(where, load_bodies(body, seed), count, seed=seed, auto_reset=False, **given, **options)
             name = getattr(policy, "__name__", f"policy {number}")
-            acting = Disturbed(policy, env, parts, seed) if protocol != NOMINAL else policy
-            rows.extend(EvaluatedPolicy.each(name, env, acting, level, parts))
+            rows.extend(EvaluatedPolicy.each(name, env, disturbed(policy, env, parts, seed), level, parts))
     return PolicyTable(rows)

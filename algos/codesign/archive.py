@@ -39,7 +39,7 @@ FILE, BACKUP = "archive.sqlite", "archive.backup.sqlite"
 APPLICATION = 0x77766F78
 """SQLite's application id of our files: "wvox"."""
 VERSION = 1
-"""Of the tables in archive.sql; a file of a later version is refused."""
+"""Version of the tables in archive.sql; a file of a later version is refused."""
 WAIT_SECONDS = 30.0
 """How long to wait for a reader to finish."""
 

@@ -77,7 +77,7 @@ class GaitEvaluator:
     fitness: str = NOMINAL
 
     def noise(self, device: Any) -> Draws | None:
-        """That on the actions of the episodes of each gait, the same for all of them; None: there is none."""
+        """Noise on the actions of the episodes of each gait, the same for all gaits; None: there is none."""
         return None if self.fitness == NOMINAL else Draws(self.seed, SEARCHED, self.episodes, device)
 
     def evaluate(

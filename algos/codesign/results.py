@@ -163,7 +163,7 @@ def fresh_text(facts: Mapping[str, Any]) -> str:
 
 
 SIZE, VOXELS = (320, 150), 13.0
-"""Of a picture, in pixels, and the height of what it shows."""
+"""Size of a picture in pixels, and the height of what it shows in voxels."""
 LONGEST, EVERY, PAUSE = 300, 5, 100
 """Control steps that are shown at most, those from one picture to the next, and the milliseconds that they take."""
 

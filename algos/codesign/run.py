@@ -22,6 +22,7 @@ from warpvox.algos.codesign.results import Found, Results, evaluate_winner
 from warpvox.algos.codesign.robots import keep_start, read_start
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.codesign.stored_policies import StoredPolicies
+from warpvox.algos.protocols import episodes_of
 from warpvox.algos.search import make_search
 from warpvox.algos.settings import MLP
 from warpvox.algos.training.job import own_torch, task_name
@@ -247,9 +248,7 @@ def _run_of_design(settings: Codesign, task: str, candidate: Candidate, outcome:
         "max_iterations": training.iterations,
         **{name: getattr(training, name) for name in ("eval_interval", "eval_envs")},
         "fitness": settings.fitness,
-        "lanes": lanes_for(
-            settings.factory().episodes(training.eval_envs)
-        ),  # as in the evaluation that found the fitness
+        "lanes": lanes_for(episodes_of(training.eval_envs, settings.fitness)),  # as where the fitness was found
         "physics": dataclasses.asdict(settings.physics),
         "ppo": dataclasses.asdict(training.ppo),
     }

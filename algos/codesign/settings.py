@@ -13,7 +13,7 @@ from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation, Speciali
 from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.search.settings import GA, SearchSettings, settings_from
 from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, physics_of, sim_of
-from warpvox.algos.training.settings import DEVICES, MOST_THREADS, arithmetic_key
+from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY, arithmetic_key
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import check_values, convert, key, plain
 
@@ -97,9 +97,7 @@ class Codesign:
         "where designs are trained: in this process (local) or on workers of Ray (ray)",
         choices=("local", "ray"),
     )
-    address: str | None = key(
-        None, "address of a running Ray cluster: auto or host:port; null: start Ray on this machine"
-    )
+    address: str | None = key(None, RAY)
     workers: int | None = key(
         None, "number of workers of executor=ray; null: one for each GPU, or as many as the CPUs allow", low=1
     )

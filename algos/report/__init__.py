@@ -181,8 +181,8 @@ def family_tree(line: Sequence[Record]) -> str:
             if parent in where:
                 (x0, y0), (x1, y1) = (_corner(where[node], column, row) for node in (parent, record.id))
                 x0, y0, y1 = x0 + columns * CELL + 4, y0 + rows * CELL / 2, y1 + rows * CELL / 2
-                bend = max(20.0, (x1 - x0) / 2)
-                curve = f"M{x0:g} {y0:g}C{x0 + bend:g} {y0:g} {x1 - bend - 4:g} {y1:g} {x1 - 4:g} {y1:g}"
+                handle = max(20.0, (x1 - x0) / 2)
+                curve = f"M{x0:g} {y0:g}C{x0 + handle:g} {y0:g} {x1 - handle - 4:g} {y1:g} {x1 - 4:g} {y1:g}"
                 parts.append(f'<path class="edge" d="{curve}"/>')
     for record in shown:
         x, y = _corner(where[record.id], column, row)

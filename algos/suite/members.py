@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import Any
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.report.members import SearchResult, read_members
 from warpvox.errors import RunError
+from warpvox.io.reading import read_table
 from warpvox.io.writing import check_folder, write_table
 from warpvox.runs import read_summary
 
@@ -100,12 +100,11 @@ class Table:
     def stored(cls, folder: Path) -> Table:
         """The table as ``members.csv`` has it; without rows if there is no such file."""
         try:
-            lines = csv.DictReader(io.StringIO((folder / MEMBERS).read_text(encoding="utf-8")))
             rows = [
                 Row(one["task"], one["search"], int(one["seed"]), folder / one["folder"], 0, one["state"], one["error"])
-                for one in lines
+                for one in read_table(folder / MEMBERS)
             ]
-        except (OSError, UnicodeDecodeError, csv.Error, KeyError, ValueError):
+        except (csv.Error, KeyError, ValueError):
             rows = []
         return cls(folder, rows)
 

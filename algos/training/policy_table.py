@@ -120,7 +120,7 @@ class Judged:
 
     @property
     def disturbance(self) -> str:
-        """That of the episodes."""
+        """Disturbance of the episodes."""
         return self.rows[0].disturbance
 
     @property

@@ -164,5 +164,5 @@ class ElapsedSteps:
 
 
 def is_timed(env: VoxelVecEnv) -> bool:
-    """Whether observations end with the time."""
+    """True if observations end with the time."""
     return NAME in env.obs_columns[0]

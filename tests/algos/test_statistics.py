@@ -63,7 +63,7 @@ def test_runs_are_drawn_within_their_task() -> None:
 
 
 def test_the_promise_is_kept() -> None:
-    """Of intervals over four tasks of known means, with many runs: percentile intervals are too short for few."""
+    """Intervals over four tasks of known means, with many runs: percentile intervals are too short for few."""
     rng = np.random.default_rng(0)
     hits, repeats = 0, 400
     for _ in range(repeats):

@@ -20,7 +20,7 @@ SIDE, BODIES = 5, 32
 STEPS, ITERATIONS = 120, 40
 """Control steps whose displacement counts, and steps of Adam."""
 SMOOTHINGS = 1e-6, 1e-4, 4e-4, 8e-4, 1.6e-3, 6.4e-3
-"""Of contacts with terrain, in simulator units."""
+"""Smoothing of contacts with terrain, in simulator units."""
 ROBOT = "robot"
 ALLOWED = 0.1
 """Relative error of a derivative by the actions in the air beyond which no time is reported."""

@@ -162,7 +162,8 @@ class WorldObject:
     def load_from_json(self, file_path: str) -> None:
         """Become the one object of a file of EvoGym's design tool.
 
-        FileNotFoundError: no such file. WorldError: it is not a world, or not of one object.
+        Raises:
+            FileNotFoundError: no such file. WorldError: it is not a world, or not of one object.
         """
         objects = _read(file_path)
         if len(objects) != 1:

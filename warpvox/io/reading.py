@@ -9,6 +9,8 @@ rollouts turn into errors of their own.
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import os
 import re
@@ -51,6 +53,14 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
         return read_bytes(path, limit).decode("utf-8")
     except UnicodeDecodeError as error:
         raise Unreadable(f"it is not text in UTF-8 (byte {error.start})") from None
+
+
+def read_table(path: str | os.PathLike[str], limit: int = 1 << 24) -> list[dict[str, str]]:
+    """The rows of a CSV file by the names of its columns; none if there is no file; see :func:`read_text`."""
+    try:
+        return list(csv.DictReader(io.StringIO(read_text(path, limit), newline="")))
+    except Missing:
+        return []
 
 
 def parse_json(text: str) -> Any:

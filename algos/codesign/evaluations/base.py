@@ -65,12 +65,17 @@ class Evaluation:
         raise NotImplementedError
 
     def check(self, search: Codesign) -> None:
-        """Find settings that do not go together. ConfigError: which, and what would."""
+        """Find settings that do not go together.
+
+        Raises:
+            ConfigError: which, and what would.
+        """
 
     def resolved(self, search: Codesign, folder: Path | None) -> Evaluation:
         """A copy with what its names stand for; ``folder``: of a search that is resumed.
 
-        WarpvoxError: what is named does not exist, or does not fit the task and the bodies.
+        Raises:
+            WarpvoxError: what is named does not exist, or does not fit the task and the bodies.
         """
         return self
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.evaluations.base import Workload, probe, steps_of_training
 from warpvox.algos.codesign.evaluations.specialist import Screened
+from warpvox.algos.protocols import episodes_of
 from warpvox.algos.settings import CPG, MLP, Ppo
 from warpvox.algos.training.pretrained import check_learned, find_pretrained, kept_name, observed_by
 from warpvox.code import is_code
@@ -90,7 +91,7 @@ class CommonPolicy(Screened):
         """The first is about as many."""
         each = (self.ppo or {}).get("steps", search.training.ppo.steps) * self.iterations * self.envs
         last = self.finalists * steps_of_training(search.training, self.finalists)
-        return each + search.factory().episodes(self.eval_envs) * task.max_episode_steps, last
+        return each + episodes_of(self.eval_envs, search.fitness) * task.max_episode_steps, last
 
     def workloads(self, search: Codesign) -> list[Workload]:
         population, ppo = search.search.population, self.ppo_of(search)
@@ -105,7 +106,7 @@ class CommonPolicy(Screened):
             **{name: getattr(self, name) for name in ("policy", "network", "ppo", "eval_envs")},
             "num_envs": self.envs,
             **dict.fromkeys(("max_iterations", "eval_interval"), max(1, self.iterations)),
-            "lanes": search.factory().shared_lanes(search.factory().episodes(self.eval_envs)),
+            "lanes": search.factory().shared_lanes(episodes_of(self.eval_envs, search.fitness)),
             "designs": {"bodies": bodies, "refresh": "none", "held_out": bodies},
         }
 

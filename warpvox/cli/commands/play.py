@@ -161,7 +161,7 @@ REST = 1.0  # seconds that the last picture stands before the episode is shown a
 
 
 def wants_window(choice: str) -> bool:
-    """Whether a window is to be shown: ``on``, ``off``, or ``auto``, where there is a display."""
+    """True if a window is to be shown: ``on``, ``off``, or ``auto``, where there is a display."""
     reason = why_no_window()
     if choice == "on" and reason is not None:
         raise DisplayError(f"window=on cannot be: {reason}. Leave it away, and look at files: export=[gif,html].")
