@@ -24,7 +24,7 @@ from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import StepResult, VoxelVecEnv, make_vec
-from warpvox.errors import ActionError, ConfigError, DesignError, did_you_mean, listing
+from warpvox.errors import ActionError, ConfigError, DesignError, check_choice
 from warpvox.types import Cell
 
 NUM_TYPES = 5
@@ -158,7 +158,7 @@ def design_episodes(
     without = ("designs", "body", "connections", "grid")
     check_known(options, design_episodes, make_vec, without=without)
     for name, value in {"revise": revise, "actions": actions, "invalid": invalid}.items():
-        _check_choice(name, value, CHOICES[name])
+        check_choice(name, value, CHOICES[name])
     shape = check_shape("shape", shape)
     if get_task(task).partners:
         raise ConfigError(f"Bodies are designed in tasks of one robot; {get_task(task).id} has several.")
@@ -178,16 +178,10 @@ def design_episodes(
     return DesignVecEnv(env, layout, design_steps, beginning, invalid, float(penalty), (0.0, *prices), auto_reset)
 
 
-def _check_choice(name: str, value: object, choices: Sequence[str], more: str = "") -> None:
-    if not isinstance(value, str) or value not in choices:
-        hint = did_you_mean(str(value), choices)
-        raise ConfigError(f"{name} must be one of {listing(choices)}{more}, got {value!r:.80}.{hint}")
-
-
 def _start(start: Any, shape: tuple[int, int]) -> np.ndarray | None:
     """The cells that a design begins with; None: those of a random body."""
     if isinstance(start, str):
-        _check_choice("start", start, ("empty", "random"), " or a grid of cell types")
+        check_choice("start, if it is a name,", start, ("empty", "random"))
         return None if start == "random" else np.zeros(shape, np.int8)
     grid = as_grid(start, what="start")
     if grid.shape != shape or (grid >= NUM_TYPES).any():

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from warpvox.devices.out_of_memory import shortage
 from warpvox.envs.about import About, about_of
-from warpvox.errors import ConfigError, TaskError, WarpvoxError, did_you_mean, listing
+from warpvox.errors import TaskError, WarpvoxError, check_choice, did_you_mean, listing
 from warpvox.world import WorldObject
 
 if TYPE_CHECKING:
@@ -289,6 +289,5 @@ class TaskSpec:
         Raises:
             ConfigError: unknown rules.
         """
-        if not isinstance(rules, str) or rules not in RULES:
-            raise ConfigError(f"rules must be one of {listing(RULES)}, got {rules!r:.80}.{did_you_mean(rules, RULES)}")
+        check_choice("rules", rules, RULES)
         return replace(self, paper={}, **self.paper) if rules == "paper" else self

@@ -26,7 +26,7 @@ from warpvox.envs.spec import ROBOT, Observation, TaskSpec
 from warpvox.envs.terms.observations import NAME as TIME, ElapsedSteps, is_timed
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import load_worlds, one_body
-from warpvox.errors import ConfigError, DesignError, SimulationError, did_you_mean, listing
+from warpvox.errors import ConfigError, DesignError, SimulationError, check_choice, did_you_mean, listing
 from warpvox.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -137,9 +137,7 @@ class VoxelVecEnv:
         auto_reset: bool = True,
         obs: str = "task",
     ) -> None:
-        if not isinstance(obs, str) or obs not in OBSERVATIONS:
-            hint = did_you_mean(obs, OBSERVATIONS)
-            raise ConfigError(f"obs must be one of {listing(OBSERVATIONS)}, got {obs!r:.80}.{hint}")
+        check_choice("obs", obs, OBSERVATIONS)
         self.episodes = Episodes(sim.num_envs, sim.device, spec.max_episode_steps)
         if obs.endswith("voxel"):
             spec = replace(spec, observations=voxel_observations(spec.observations, tuple(spec.robots), sim))

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.errors import ConfigError, check_choice, did_you_mean, listing
 
 if TYPE_CHECKING:
     from warpvox.algos.training.loading import TrainedRun
@@ -173,9 +173,7 @@ def evaluate(
             raise ConfigError(
                 f"evaluate has no argument {key!r}.{did_you_mean(key, names)} Options: {listing(PLAYED)}."
             )
-    if protocol not in PROTOCOLS:
-        hint = did_you_mean(protocol, PROTOCOLS)
-        raise ConfigError(f"protocol must be one of {listing(PROTOCOLS)}; got {protocol!r:.80}.{hint}")
+    check_choice("protocol", protocol, PROTOCOLS)
     several = isinstance(policies, Sequence) and not isinstance(policies, str)
     own = Code(task) if is_code(task) else task
     how = Playing(episodes, checkpoint, stochastic, seed, task=own, protocol=protocol, **options)

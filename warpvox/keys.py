@@ -9,7 +9,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.errors import ConfigError, check_choice, did_you_mean
 
 MISSING: Any = "???"
 """A key without a value of its own: one of the group's YAML files must set it."""
@@ -59,9 +59,8 @@ def check_values(config: Any, prefix: str = "") -> None:
 
 def _check_entry(name: str, value: Any, limits: Any) -> None:
     choices = limits.get("choices")
-    if choices is not None and value not in choices:
-        hint = did_you_mean(value, choices)
-        raise ConfigError(f"{name} must be one of {listing(choices)}; got {value!r}.{hint}")
+    if choices is not None:
+        check_choice(name, value, choices)
     if not isinstance(value, int | float) or isinstance(value, bool):
         return
     if not abs(value) < 1e308:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 
 from warpvox.checks import is_number
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.errors import ConfigError, check_choice, did_you_mean
 
 VOXEL = 0.1
 """Side of a voxel in simulator units."""
@@ -112,9 +112,7 @@ class Physics:
         Raises:
             ConfigError: unknown preset or constant, or a value out of range.
         """
-        if not isinstance(name, str) or name not in _PRESETS:
-            hint = did_you_mean(name, _PRESETS)
-            raise ConfigError(f"Unknown physics preset {name!r:.80}; there are {listing(_PRESETS)}.{hint}")
+        check_choice("physics", name, _PRESETS)
         known = [field.name for field in fields(Physics) if field.name != "name"]
         for key in changes:
             if key not in known:

@@ -6,7 +6,7 @@ from typing import Any
 
 from warpvox.algos.codesign.archive import Archive, Record, body_text
 from warpvox.design import save_design
-from warpvox.errors import RunError, did_you_mean, listing
+from warpvox.errors import RunError, check_choice
 from warpvox.io.writing import atomic_path, write_table, write_text
 
 COLUMNS = {
@@ -20,8 +20,7 @@ COLUMNS = {
 
 def export(archive: Archive, folder: Path, name: str) -> Path:
     """Write one of :data:`FORMATS` into ``folder``; returns the path of what was made."""
-    if name not in FORMATS:
-        raise RunError(f"The archive can be exported as {listing(FORMATS)}; got '{name}'.{did_you_mean(name, FORMATS)}")
+    check_choice("the format of an archive", name, FORMATS, RunError)
     return FORMATS[name](archive, folder)
 
 

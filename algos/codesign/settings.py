@@ -14,7 +14,7 @@ from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.search.settings import GA, SearchSettings, settings_from
 from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, physics_of, sim_of
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY, arithmetic_key
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.errors import ConfigError, check_choice, did_you_mean
 from warpvox.keys import check_values, convert, key, plain
 
 if TYPE_CHECKING:
@@ -152,9 +152,8 @@ def _evaluation(values: str | Mapping[str, Any]) -> Evaluation:
     """The evaluation that a name, or values with one, stand for."""
     given = {"name": values} if isinstance(values, str) else dict(values)
     name = given.get("name", "")
-    if (kind := EVALUATIONS.get(name)) is None:
-        hint = did_you_mean(name, EVALUATIONS)
-        raise ConfigError(f"evaluation must be one of {listing(EVALUATIONS)}; got {name!r:.80}.{hint}")
+    check_choice("evaluation", name, EVALUATIONS)
+    kind = EVALUATIONS[name]
     known = [item.name for item in dataclasses.fields(kind)]
     for key_ in given:
         if key_ not in known:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.errors import ConfigError, check_choice, did_you_mean, listing
 from warpvox.keys import check_values, convert, key
 
 DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", "height", "width", "symmetry")
@@ -140,9 +140,7 @@ def settings_from(values: Mapping[str, Any] | SearchSettings) -> SearchSettings:
     plain: Mapping[str, Any] = vars(values) if isinstance(values, SearchSettings) else values
     given = {name: value for name, value in plain.items() if value is not None}
     algorithm = given.pop("algorithm", None)
-    if algorithm not in ALGORITHMS:
-        hint = did_you_mean(algorithm, ALGORITHMS)
-        raise ConfigError(f"algorithm must be one of {listing(ALGORITHMS)}; got {algorithm!r}.{hint}")
+    check_choice("algorithm", algorithm, ALGORITHMS)
     known = [item.name for item in dataclasses.fields(ALGORITHMS[algorithm]) if item.name != "algorithm"]
     for name in given:
         if name not in known:

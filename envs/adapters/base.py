@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
-from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 from warpvox.view import window
 
@@ -53,13 +52,6 @@ class Adapter:
 
             self._view = LiveView(self.vec.sim, self.render_size)
         return self._view.pictures()
-
-
-def check_mode(mode: object, modes: Sequence[str]) -> None:
-    """Raise ConfigError for a render mode that there is not."""
-    if mode is not None and mode not in modes:
-        hint = did_you_mean(str(mode), modes)
-        raise ConfigError(f"render_mode must be None or one of {listing(modes)}, got {mode!r:.80}.{hint}")
 
 
 def metadata_here(metadata: dict[str, Any]) -> dict[str, Any]:

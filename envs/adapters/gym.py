@@ -7,10 +7,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from warpvox.envs.adapters.base import Adapter, check_mode, metadata_here, spaces_of
+from warpvox.envs.adapters.base import Adapter, metadata_here, spaces_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ActionError, ConfigError, DisplayError
+from warpvox.errors import ActionError, ConfigError, DisplayError, check_choice
 from warpvox.types import FRAME_SECONDS
 from warpvox.view import window
 
@@ -89,7 +89,7 @@ class VoxelEnv(Adapter, gymnasium.Env):
     ) -> None:
         from warpvox.envs.adapters.single import fast_stepper
 
-        check_mode(render_mode, VoxelEnv.metadata["render_modes"])
+        check_choice("render_mode", render_mode, [None, *VoxelEnv.metadata["render_modes"]])
         if render_mode == "human" and (reason := window.why_no_window()) is not None:
             raise DisplayError(f"render_mode='human' shows a window, but {reason}; render_mode='rgb_array' needs none.")
         self.metadata = metadata_here(VoxelEnv.metadata)

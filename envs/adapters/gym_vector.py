@@ -8,10 +8,10 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from warpvox.envs.adapters.base import Adapter, check_mode, spaces_of
+from warpvox.envs.adapters.base import Adapter, spaces_of
 from warpvox.envs.adapters.gym import FPS, NAMESPACE
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ConfigError, SimulationError, did_you_mean, listing
+from warpvox.errors import ConfigError, SimulationError, check_choice, did_you_mean, listing
 
 
 class VoxelGymVectorEnv(Adapter, VectorEnv):
@@ -57,7 +57,7 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **options: Any,
     ) -> None:
-        check_mode(render_mode, self.metadata["render_modes"])
+        check_choice("render_mode", render_mode, [None, *self.metadata["render_modes"]])
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         if designs is None and body is None and connections is not None:

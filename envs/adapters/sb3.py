@@ -7,9 +7,9 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box
 
-from warpvox.envs.adapters.base import Adapter, check_mode, spaces_of
+from warpvox.envs.adapters.base import Adapter, spaces_of
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ConfigError, listing
+from warpvox.errors import ConfigError, check_choice, listing
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 try:
@@ -51,7 +51,7 @@ class VoxelSB3VecEnv(Adapter, VecEnv):
         render_size: tuple[int, int] = (640, 360),
         **options: Any,
     ) -> None:
-        check_mode(render_mode, ["rgb_array"])
+        check_choice("render_mode", render_mode, [None, "rgb_array"])
         self._make(task, designs, num_envs, options, {"device": "cpu"}, body=body, auto_reset=True)
         self.normalize_actions, self.render_size = normalize_actions, render_size
         self._mode = render_mode

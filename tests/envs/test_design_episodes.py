@@ -218,7 +218,7 @@ def test_ends_are_spread_over_time() -> None:
 def test_what_is_not_valid_is_refused() -> None:
     for options, words in [
         ({"revise": "al"}, "revise must be one of all, one.*Did you mean 'all'"),
-        ({"start": "rand"}, "start must be"),
+        ({"start": "rand"}, "start, if it is a name, must be"),
         ({"cost": [1, 2]}, "four"),
         ({"design_steps": 0}, "design_steps"),
         ({"penalty": "a"}, "penalty"),

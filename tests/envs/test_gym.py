@@ -130,7 +130,7 @@ def test_a_task_of_ones_own_can_be_registered() -> None:
 def test_mistakes_are_named() -> None:
     with pytest.raises(DesignError, match="no actuator"):
         gymnasium.make("warpvox/Walker-v0", body=np.ones((5, 5)))
-    with pytest.raises(ConfigError, match="render_mode must be None"):
+    with pytest.raises(ConfigError, match="render_mode must be one of None"):
         VoxelEnv("Walker-v0", render_mode="ascii")
     with pytest.raises(ConfigError, match="Did you mean 'voxel'"):
         VoxelEnv("Walker-v0", obs="voxels")

@@ -110,7 +110,7 @@ def test_pictures_of_all() -> None:
 def test_mistakes_are_named() -> None:
     with pytest.raises(ConfigError, match="not both"):
         make(body="walker", designs=["walker"])
-    with pytest.raises(ConfigError, match="render_mode must be None or one of rgb_array"):
+    with pytest.raises(ConfigError, match="render_mode must be one of None, rgb_array"):
         make(body="walker", render_mode="human")
     with pytest.raises(ConfigError, match=r"DISABLED, got 'same'\. Did you mean 'SAME_STEP'"):
         make(body="walker", autoreset_mode="same")

@@ -81,7 +81,7 @@ def world() -> World:
     [
         ("float32", "exact", "needs dtype='float64'"),
         ("float64", "fasst", "Did you mean 'fast'"),
-        ("float64", 1, "must be 'fast', 'exact' or None"),
+        ("float64", 1, "must be one of fast, exact, None, got 1"),
     ],
 )
 def test_what_there_is_not_is_refused(dtype: str, arithmetic: object, said: str) -> None:

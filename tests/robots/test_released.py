@@ -96,7 +96,7 @@ LARGE = state_of(5, 2) | {"action_net.weight": torch.zeros(1).expand(30_000, 30_
         (saved({"trap": Trap()}), "UnpicklingError"),
         (saved({"actor.weight": torch.zeros(2)}), "KeyError"),
         (saved(LARGE), "larger than its storage"),
-        (saved(state_of(5, 2), "Mish"), "activations"),
+        (saved(state_of(5, 2), "Mish"), "activation of a stored policy"),
     ],
 )
 def test_a_policy_of_another_kind_leaves_the_body(blob: bytes, words: str, tmp_path: Path, monkeypatch: Any) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from warpvox.checks import check_shape
 from warpvox.devices.names import resolve_device
-from warpvox.errors import ConfigError, SimulationError, did_you_mean, listing
+from warpvox.errors import ConfigError, SimulationError, check_choice, did_you_mean, listing
 from warpvox.kernels.device import on_cuda
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.step import STAGES
@@ -153,9 +153,7 @@ def resolve_arithmetic(arithmetic: str | None, dtype: str) -> str:
     """
     if arithmetic is None:
         return "exact" if dtype == "float64" else "fast"
-    if not isinstance(arithmetic, str) or arithmetic not in STAGES:
-        hint = did_you_mean(arithmetic, list(STAGES)) if isinstance(arithmetic, str) else ""
-        raise SimulationError(f"arithmetic must be 'fast', 'exact' or None, got {arithmetic!r:.80}.{hint}")
+    check_choice("arithmetic", arithmetic, [*STAGES, None], SimulationError)
     if arithmetic == "exact" and dtype != "float64":
         raise SimulationError(
             f"arithmetic='exact' repeats sums of double precision and needs dtype='float64', got dtype={dtype!r}."
@@ -171,9 +169,7 @@ def resolve_layout(layout: str | None, arithmetic: str, device: str, lanes: int 
     """
     if layout is None:
         return "group" if on_cuda(device) and arithmetic == "fast" and lanes is None else "lanes"
-    if layout not in LAYOUTS:
-        hint = did_you_mean(layout, LAYOUTS) if isinstance(layout, str) else ""
-        raise SimulationError(f"layout must be 'group', 'lanes' or None, got {layout!r:.80}.{hint}")
+    check_choice("layout", layout, [*LAYOUTS, None], SimulationError)
     if layout == "group" and (arithmetic != "fast" or lanes is not None):
         raise SimulationError(
             f"layout='group' is for arithmetic='fast' and lanes=None, got {arithmetic!r} and {lanes!r:.80}."
@@ -194,6 +190,5 @@ def choose_lanes(index: np.ndarray, lanes: int | None, device: str) -> int:
         return CUDA_LANES
     if lanes is None:
         return lanes_for(int(np.bincount(index).max()))
-    if type(lanes) is not int or lanes not in WIDTHS:
-        raise SimulationError(f"lanes must be one of {listing(WIDTHS)}, got {lanes!r:.80}.")
+    check_choice("lanes", lanes, WIDTHS, SimulationError)
     return lanes

@@ -19,7 +19,7 @@ from warpvox.configs.codesign import SuiteConfig
 from warpvox.configs.composition import quoted, shape_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.errors import ConfigError, check_choice, did_you_mean, listing
 from warpvox.trust import COPIES, STORED, allowed
 
 BENCHMARK10 = (
@@ -79,8 +79,7 @@ def _searches(config: SuiteConfig, config_dir: Path | None) -> dict[str, Codesig
     if not config.searches:
         raise ConfigError(f"searches must name one search or more of {listing(known)}, got [].")
     for name in config.searches:
-        if name not in known:
-            raise ConfigError(f"searches must be of {listing(known)}; got '{name}'.{did_you_mean(name, known)}")
+        check_choice("each of searches", name, known)
     words = by_key(config.codesign)
     for key in words:
         if key.split("/")[0] in OF_SUITES:

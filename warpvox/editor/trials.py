@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.checks import check_integer, is_number
 from warpvox.editor.documents import design_of, world_of
-from warpvox.errors import ConfigError, TaskError, WorldError, did_you_mean, listing
+from warpvox.errors import ConfigError, TaskError, WorldError, check_choice, did_you_mean
 from warpvox.types import FRAME_SECONDS
 from warpvox.view.rollout import AGENTS, Rollout, record
 
@@ -42,8 +42,7 @@ def try_out(
         task: one of ``tasks``, for a body.
         tasks: what there is to choose from; None: the benchmark's. A name of code that is not here is not imported.
     """
-    if agent not in AGENTS:
-        raise ConfigError(f"agent must be one of {listing(AGENTS)}, got {agent!r:.80}.")
+    check_choice("agent", agent, AGENTS)
     if not is_number(seconds) or not FRAME_SECONDS <= seconds <= LONGEST:
         raise ConfigError(f"seconds must be a number from {FRAME_SECONDS} to {LONGEST:g}, got {seconds!r:.80}.")
     seed = check_integer("seed", seed, 0, 2**31 - 1)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.errors import RunError, did_you_mean, listing
+from warpvox.errors import RunError, check_choice
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 STEP = 2.0**-16
@@ -58,11 +58,7 @@ class Network:
     center: float
 
     def __post_init__(self) -> None:
-        if self.activation not in ACTIVATIONS:
-            hint = did_you_mean(self.activation, ACTIVATIONS)
-            raise RunError(
-                f"Stored policies have the activations {listing(ACTIVATIONS)}, not {self.activation!r:.40}.{hint}"
-            )
+        check_choice("the activation of a stored policy", self.activation, ACTIVATIONS, RunError)
         arrays = (*self.weights, *self.biases, self.mean, self.deviation)
         shapes = [array.shape for array in arrays]
         sizes = [len(self.mean), *(len(bias) for bias in self.biases)] if self.biases and self.mean.ndim == 1 else []

@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.checks import check_integer, is_integer
-from warpvox.errors import ActionError, ConfigError, RolloutError, did_you_mean, listing
+from warpvox.errors import ActionError, ConfigError, RolloutError, check_choice
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
 from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, VOXEL
@@ -342,8 +342,7 @@ def scenes_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], Any]]:
 def _agent(name: str, env: Any) -> Callable[[Any], Any]:
     import torch
 
-    if name not in AGENTS:
-        raise ConfigError(f"Unknown agent {name!r}; valid are {listing(AGENTS)}.{did_you_mean(name, AGENTS)}")
+    check_choice("agent", name, AGENTS)
     draw = _draws(env)
     if name == "zero":
         return lambda obs: torch.ones((env.num_envs, env.num_actions))

@@ -21,7 +21,7 @@ from warpvox.algos.statistics import LEVEL, mean_interval
 from warpvox.cli.application import run_command
 from warpvox.cli.run_groups import group_runs
 from warpvox.configs.show import CurvesConfig
-from warpvox.errors import ConfigError, RunError, listing
+from warpvox.errors import RunError, check_choice, listing
 from warpvox.io.console import echo, literal
 from warpvox.runs import Run, find_runs, find_searches
 
@@ -37,8 +37,7 @@ def _draw(config: CurvesConfig, console: Console) -> None:
     check_file(config.file)
     searches = find_searches(config.runs, config.output_dir)
     what, axes = ("design searches", AXES_OF_SEARCHES) if searches else ("trainings", AXES_OF_RUNS)
-    if config.x not in axes:
-        raise ConfigError(f"x of {what} must be one of {listing(axes)}, got '{config.x}'.")
+    check_choice(f"x of {what}", config.x, axes)
     if searches:
         _draw_searches(searches, config, console)
     else:

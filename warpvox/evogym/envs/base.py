@@ -15,8 +15,8 @@ import numpy as np
 from gymnasium import error, spaces
 from gymnasium.utils import seeding
 
-from warpvox.envs.adapters.base import WINDOWED, check_mode, metadata_here
-from warpvox.errors import did_you_mean, listing
+from warpvox.envs.adapters.base import WINDOWED, metadata_here
+from warpvox.errors import check_choice, did_you_mean, listing
 from warpvox.evogym import sim, simulator_cpp, utils, viewer, world
 from warpvox.evogym.envs.files import world_files
 from warpvox.evogym.sim import EvoSim
@@ -78,7 +78,7 @@ class EvoGymBase(gym.Env):
     def __init__(
         self, world: EvoWorld, render_mode: str | None = None, render_options: dict[str, Any] | None = None
     ) -> None:
-        check_mode(render_mode, self.metadata["render_modes"])
+        check_choice("render_mode", render_mode, [None, *self.metadata["render_modes"]])
         self._sim = EvoSim(world)
         self._default_viewer = EvoViewer(self._sim)
         self.render_mode = self._render_mode = render_mode
