@@ -112,7 +112,7 @@ class MapElites(SearchSettings):
 
 @dataclass
 class CustomSearch(SearchSettings):
-    """A search of your own; see docs/search.md."""
+    """A search of your own; see docs/own_search.md."""
 
     algorithm: str = key("custom", "which search", choices=("custom",))
 

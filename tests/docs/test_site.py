@@ -28,7 +28,7 @@ MEGABYTES = 5  # of which up to 3 are the animation of the zoo
 
 
 WORDS = 1500  # of a page at most, but for those of reference
-REFERENCE = {"commands", "figures", "results", "search"}
+REFERENCE = {"commands", "figures", "results"}
 
 
 def own_pages() -> list[Path]:

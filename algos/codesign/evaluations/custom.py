@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Custom(Evaluation):
-    """An evaluation of your own; see docs/search.md."""
+    """An evaluation of your own; see docs/own_search.md."""
 
     name: str = key("custom", "an evaluation of your own", choices=("custom",))
     make: str | None = key(

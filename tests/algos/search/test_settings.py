@@ -96,7 +96,7 @@ def test_settings_alone_load_no_library(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def examples(repository: Path) -> list[str]:
-    text = (repository / "docs" / "search.md").read_text(encoding="utf-8")
+    text = (repository / "docs" / "own_search.md").read_text(encoding="utf-8")
     return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
 
 
