@@ -16,7 +16,7 @@ from math import isfinite
 from numbers import Integral, Real
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from warpvox.devices.out_of_memory import shortage
 from warpvox.envs.about import About, about_of
@@ -37,6 +37,9 @@ ROBOT = "robot"
 
 MAKERS = {"observations": "observes", "rewards": "rewards", "terminations": "terminates"}
 
+Function: TypeAlias = "Callable[..., Tensor]"
+"""Of states, and of parameters by name."""
+
 ID = re.compile(r"[\w.+-]+")  # ids are also names of folders and, behind a slash, of gymnasium's environments
 
 
@@ -44,7 +47,7 @@ ID = re.compile(r"[\w.+-]+")  # ids are also names of folders and, behind a slas
 class Term:
     """A function on states with its parameters filled in."""
 
-    function: Callable[..., Tensor]
+    function: Function
     params: tuple[tuple[str, Any], ...] = ()
 
     kind: ClassVar[str] = "term"
@@ -122,7 +125,7 @@ class Memory:
         return _call(lambda: f"update of the memory '{self.name}'", self.update, state)
 
 
-def _call(what: Callable[[], str], function: Callable[..., Tensor], *args: Any, **params: Any) -> Tensor:
+def _call(what: Callable[[], str], function: Function, *args: Any, **params: Any) -> Tensor:
     """Call a function of a task; TaskError says what has failed."""
     try:
         return function(*args, **params)
@@ -148,17 +151,17 @@ def _told(error: Exception) -> str:
     return f"{type(error).__name__}: {text}{place}."
 
 
-def observes(function: Callable[..., Tensor], name: str = "robot", **params: Any) -> Observation:
+def observes(function: Function, name: str = "robot", **params: Any) -> Observation:
     """An observation of the object ``name``."""
     return Observation(function, (("name", name), *params.items()))
 
 
-def rewards(function: Callable[..., Tensor], name: str = "robot", weight: float = 1.0, **params: Any) -> Reward:
+def rewards(function: Function, name: str = "robot", weight: float = 1.0, **params: Any) -> Reward:
     """A reward for what the object ``name`` does."""
     return Reward(function, (("name", name), *params.items()), weight)
 
 
-def terminates(function: Callable[..., Tensor], name: str = "robot", bonus: float = 0.0, **params: Any) -> Termination:
+def terminates(function: Function, name: str = "robot", bonus: float = 0.0, **params: Any) -> Termination:
     """A termination of the episode, for what the object ``name`` does."""
     return Termination(function, (("name", name), *params.items()), bonus)
 
