@@ -4,23 +4,27 @@ A *term* is a small function on :class:`warpvox.envs.snapshot.Snapshot` together
 environment adds terms up, so that no task has code of its own.
 """
 
+# Users may give anything for a text.
+# pyright: reportUnnecessaryIsInstance=false
+
 from __future__ import annotations
 
 import re
 import traceback
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from math import isfinite
-from numbers import Integral, Real
+from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
+from warpvox.checks import check_choice, is_integer
 from warpvox.devices.out_of_memory import shortage
 from warpvox.envs.about import About, about_of
-from warpvox.errors import ConfigError, TaskError, WarpvoxError, did_you_mean, listing
+from warpvox.errors import TaskError, WarpvoxError, did_you_mean, listing
 from warpvox.world import WorldObject
 
 if TYPE_CHECKING:
@@ -201,9 +205,9 @@ class TaskSpec:
     terminations: tuple[Termination, ...] = ()
     memory: tuple[Memory, ...] = ()
     randomized: tuple[str, ...] = ()
-    partners: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    partners: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
     unstable_penalty: float = -3.0
-    paper: Mapping[str, Any] = field(default_factory=dict)
+    paper: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "paper", MappingProxyType(dict(self.paper)))
@@ -231,7 +235,7 @@ class TaskSpec:
         kinds = {"objects": WorldObject, "observations": Observation, "rewards": Reward}
         kinds |= {"terminations": Termination, "memory": Memory}
         for name, kind in kinds.items():
-            parts = getattr(self, name)
+            parts: Sequence[object] = getattr(self, name)
             if not isinstance(parts, tuple | list):
                 got = type(parts).__name__
                 raise TaskError(f"The {name} of the task '{self.id}' must be a tuple of {kind.__name__}, got {got}.")
@@ -255,7 +259,7 @@ class TaskSpec:
             if not isinstance(number, Real) or not isfinite(number):
                 raise TaskError(f"The {what} in the task '{self.id}' must be a finite number, got {number!r:.60}.")
         steps = self.max_episode_steps
-        if not isinstance(steps, Integral) or isinstance(steps, bool):
+        if not is_integer(steps):
             raise TaskError(f"max_episode_steps of the task '{self.id}' must be an integer, got {steps!r:.60}.")
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -292,6 +296,5 @@ class TaskSpec:
         Raises:
             ConfigError: unknown rules.
         """
-        if not isinstance(rules, str) or rules not in RULES:
-            raise ConfigError(f"rules must be one of {listing(RULES)}, got {rules!r:.80}.{did_you_mean(rules, RULES)}")
+        check_choice("rules", rules, RULES)
         return replace(self, paper={}, **self.paper) if rules == "paper" else self

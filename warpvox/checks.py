@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping, Sequence
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, TypeGuard
 
-from warpvox.errors import ConfigError
+import numpy as np
+
+from warpvox.errors import ConfigError, did_you_mean, listing
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -21,6 +24,23 @@ def is_integer(value: object) -> TypeIs[int]:
 def is_number(value: object) -> TypeGuard[float]:
     """Whether a value is a finite int or float of Python."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+def is_list(value: object) -> TypeGuard[Sequence[Any] | np.ndarray]:
+    """Whether a value is a sequence or an array."""
+    return isinstance(value, Sequence | np.ndarray)
+
+
+def is_mapping(value: object) -> TypeGuard[Mapping[str, Any]]:
+    """Whether a value is a mapping, which users make by name."""
+    return isinstance(value, Mapping)
+
+
+def check_choice(name: str, value: object, choices: Sequence[str], more: str = "") -> None:
+    """Raise ConfigError for a value that is none of the choices; ``more`` says what else is valid."""
+    if not isinstance(value, str) or value not in choices:
+        hint = did_you_mean(str(value), choices)
+        raise ConfigError(f"{name} must be one of {listing(choices)}{more}, got {value!r:.80}.{hint}")
 
 
 def check_integer(

@@ -42,7 +42,7 @@ def register_task(task: str | TaskSpec, namespace: str) -> str:
 
 
 def _register(namespace: str, name: str, task: str | TaskSpec) -> str:
-    gymnasium.register(
+    gymnasium.register(  # pyright: ignore[reportUnknownMemberType] # its types leave arguments open
         f"{namespace}/{name}",
         entry_point="warpvox.envs.adapters.gym:VoxelEnv",
         vector_entry_point="warpvox.envs.adapters.gym_vector:VoxelGymVectorEnv",
@@ -118,7 +118,7 @@ class VoxelEnv(Adapter, gymnasium.Env):
     @property
     def body(self) -> np.ndarray | dict[str, np.ndarray]:
         """int8 ``[rows, columns]``: the robot; of several robots all, by name."""
-        design = self.vec.designs[0]
+        design: np.ndarray | dict[str, np.ndarray] = self.vec.designs[0]
         if isinstance(design, dict):
             return {name: cells.copy() for name, cells in design.items()}
         return design.copy()

@@ -7,7 +7,6 @@ from warpvox.envs.terms.observations import shape
 from warpvox.envs.terms.rewards import grown, hull
 from warpvox.envs.worlds import heights
 
-
 # A robot that sees nothing but its shape, between two walls.
 _change = partial(
     TaskSpec,
