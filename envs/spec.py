@@ -42,7 +42,7 @@ ROBOT = "robot"
 MAKERS = {"observations": "observes", "rewards": "rewards", "terminations": "terminates"}
 
 Function: TypeAlias = "Callable[..., Tensor]"
-"""Of states, and of parameters by name."""
+"""A function of states, whose parameters are given by name."""
 
 ID = re.compile(r"[\w.+-]+")  # ids are also names of folders and, behind a slash, of gymnasium's environments
 

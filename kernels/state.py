@@ -32,10 +32,10 @@ REAL = "real"  # the precision of the springs, float32 or float64
 STATE = wp.float64
 
 # The sides of a voxel in clockwise order: side k runs from corner k to corner k + 1.
-TOP, RIGHT, BOTTOM, LEFT = (wp.constant(1 << k) for k in range(4))
+TOP, RIGHT, BOTTOM, LEFT = (1 << k for k in range(4))
 # How a control step of an environment ended (bits).
 UNSTABLE, DIVERGED, OVERFLOW = 1, 2, 4
-DISTANT = wp.constant(16)  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
+DISTANT = 16  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
 STALE = 1.0e9  # a drift that makes the next sub-step rebuild its candidates
 FASTEST = 1.0e4
 """Speed of a point, in units of inner time, beyond which a simulation has diverged.

@@ -32,7 +32,7 @@ def is_list(value: object) -> TypeGuard[Sequence[Any] | np.ndarray]:
 
 
 def is_mapping(value: object) -> TypeGuard[Mapping[str, Any]]:
-    """Whether a value is a mapping, which users make by name."""
+    """Whether a value is a mapping, by names."""
     return isinstance(value, Mapping)
 
 

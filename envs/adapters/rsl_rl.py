@@ -88,12 +88,12 @@ class RslRlVecEnv(VecEnv):
         return self.env.sim.physics.substeps * self.env.sim.physics.dt
 
     @property
-    def episode_length_buf(self) -> torch.Tensor:  # pyright: ignore[reportIncompatibleVariableOverride] # assignable
+    def episode_length_buf(self) -> torch.Tensor:
         """long ``[num_envs]``: control steps of the episode so far. rsl-rl assigns it to spread the ends."""
         return self.env.episode_length
 
-    @episode_length_buf.setter
-    def episode_length_buf(self, lengths: torch.Tensor) -> None:
+    @episode_length_buf.setter  # a variable in rsl-rl
+    def episode_length_buf(self, lengths: torch.Tensor) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
         self.env.episode_length = lengths.to(self.env.episode_length)
         self._obs = self.env.retimed(self._obs)
         self._shortened = torch.ones_like(self._shortened)

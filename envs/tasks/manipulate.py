@@ -15,8 +15,6 @@ _BETWEEN, _TURN = observes(separation, "package", other="robot"), observes(orien
 _RELEASED = (_ROBOT, _BETWEEN, _PACKAGE, observes(shape))
 # The paper has the velocities the other way round in all tasks that observe these four.
 _PRINTED = (_PACKAGE, _BETWEEN, _ROBOT, observes(shape))
-
-
 _task = partial(TaskSpec, robot_cell=(1, 1), max_episode_steps=1000)
 
 
