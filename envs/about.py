@@ -56,7 +56,7 @@ def about(formula: str, **details: Any) -> Callable[[Function], Function]:
     """Decorate a term's function with an :class:`About`."""
 
     def decorate(function: Function) -> Function:
-        function.about = About(formula, **details)
+        function.about = About(formula, **details)  # pyright: ignore[reportFunctionMemberAccess] # functions take any
         return function
 
     return decorate

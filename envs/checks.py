@@ -10,8 +10,10 @@ import warnings
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import torch
 
+from warpvox.checks import is_mapping
 from warpvox.envs.about import about_of
 from warpvox.envs.observations import ObservationLayout
 from warpvox.envs.random_stream import RandomStream
@@ -27,11 +29,9 @@ def check_memory(spec: TaskSpec, sim: Simulation, draws: RandomStream) -> None:
     for memory in spec.memory:
         what, value = f"The memory '{memory.name}' of the task '{spec.id}'", memory.begin(stream)
         expected = f"a tensor [{sim.num_envs}, ...] on {sim.device}, a row for each environment"
-        if memory.name == "offset" and spec.randomized:
+        if moves := memory.name == "offset" and bool(spec.randomized):
             expected = f"integers [{sim.num_envs}, 2] on {sim.device}: cells to the right and up"
-            if isinstance(value, torch.Tensor) and (value.dtype.is_floating_point or tuple(value.shape[1:]) != (2,)):
-                raise TaskError(f"{what} must begin with {expected}; got {_got(value)}.")
-        if not _has_rows(value, sim):
+        if not _has_rows(value, sim) or (moves and (value.is_floating_point() or tuple(value.shape[1:]) != (2,))):
             raise TaskError(f"{what} must begin with {expected}; got {_got(value)}.")
         _check_finite(what, value)
 
@@ -50,8 +50,7 @@ def check_terms(spec: TaskSpec, sim: Simulation, state: Snapshot) -> None:
         _check_column(_name(term, spec), term(state), "bool", sim)
     for memory in spec.memory:
         before, after = state.memory_values[memory.name], memory.advance(state)
-        kinds = [(each.shape, each.dtype, each.device) for each in (before, after) if isinstance(each, torch.Tensor)]
-        if kinds[1:] != kinds[:1]:
+        if _got(after) != _got(before):
             raise TaskError(
                 f"The update of the memory '{memory.name}' of the task '{spec.id}' must give what the memory began"
                 f" with, {_got(before)}; got {_got(after)}."
@@ -126,14 +125,14 @@ def check_fields(state: Any, like: Mapping[str, Any], inside: str = "") -> None:
 
     ``like``: nested mappings of tensors and None; ``torch.Tensor`` itself stands for any tensor.
     """
-    if not isinstance(state, Mapping):
+    if not is_mapping(state):
         raise SimulationError(f"{inside or 'A state'} must be a dictionary of {listing(like)}; got {state!r:.80}.")
     for name, expected in like.items():
         field = f"{inside}.{name}" if inside else str(name)
         if name not in state:
             raise SimulationError(f"The state lacks {field!r}; it has {listing(state) if state else 'nothing'}.")
         given = state[name]
-        if isinstance(expected, Mapping):
+        if is_mapping(expected):
             check_fields(given, expected, field)
         elif expected is None:
             if given is not None:
@@ -211,10 +210,10 @@ class FiniteGuard:
 
     def _counts(self) -> dict[str, int]:
         """In how many environments each term was not finite so far, all terms."""
-        found = dict(zip((f"reward {name}" for name in self._rewards), self._of_rewards.tolist(), strict=True))
+        found = dict(zip((f"reward {name}" for name in self._rewards), map(int, self._of_rewards.cpu()), strict=True))
         found |= {f"observation {name}": 0 for name in self._columns[0]}
         every = self._of_columns.cpu()
-        for row in every.any(1).nonzero()[:, 0].tolist():
+        for row in np.flatnonzero(every.any(1)).tolist():
             for name, place in self._columns[row].items():
                 found[f"observation {name}"] += int(every[row, place].max()) if place.stop > place.start else 0
         return {name: count + self._earlier.get(name, 0) for name, count in found.items()}

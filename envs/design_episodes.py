@@ -17,14 +17,14 @@ import numpy as np
 import torch
 
 from warpvox.batch.options import check_known
-from warpvox.checks import check_integer, check_mask, check_shape, is_number
+from warpvox.checks import check_choice, check_integer, check_mask, check_shape, is_number
 from warpvox.design import are_valid, as_grid, repair_design, sample_design
 from warpvox.envs.checks import check_fields
 from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import StepResult, VoxelVecEnv, make_vec
-from warpvox.errors import ActionError, ConfigError, DesignError, check_choice
+from warpvox.errors import ActionError, ConfigError, DesignError
 from warpvox.types import Cell
 
 NUM_TYPES = 5
@@ -84,7 +84,8 @@ class DesignLayout:
 
     def types(self, obs: torch.Tensor) -> torch.Tensor:
         """``[..., cells, 5]``: the types of the cells, one-hot, of observations ``[..., num_obs]``."""
-        return obs[..., self.task : self.task + self.cells * NUM_TYPES].unflatten(-1, (self.cells, NUM_TYPES))
+        types = obs[..., self.task : self.task + self.cells * NUM_TYPES]
+        return torch.unflatten(types, -1, (self.cells, NUM_TYPES))
 
     def cursor(self, obs: torch.Tensor) -> torch.Tensor:
         """``[..., cells]``: 1 for the cell that the next design step sets (``revise="one"``), else without entries."""
@@ -221,9 +222,12 @@ class DesignVecEnv:
         self._prices = torch.tensor(prices, dtype=torch.float64, device=self.device)
         self._starts = RandomStream(env.seed, self.num_envs, "cpu")
         self._whole = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        self.designing, self.terminated, self.truncated = self._whole, ~self._whole, ~self._whole
-        self._length, self._skipped = (torch.zeros_like(self._whole, dtype=torch.long) for _ in range(2))
-        self._returns = torch.zeros_like(self._whole, dtype=torch.float64)
+        self.designing = self._whole
+        self.terminated: torch.Tensor = ~self._whole
+        self.truncated: torch.Tensor = ~self._whole
+        self._length: torch.Tensor = torch.zeros_like(self._whole, dtype=torch.long)
+        self._skipped = torch.zeros_like(self._length)
+        self._returns: torch.Tensor = torch.zeros_like(self._whole, dtype=torch.float64)
         self.cells = torch.zeros(self.num_envs, layout.rows, layout.columns, dtype=torch.int8, device=self.device)
         self._task = torch.zeros(self.num_envs, layout.task, dtype=self.dtype, device=self.device)
         self._begin(self._whole)
@@ -294,13 +298,13 @@ class DesignVecEnv:
         # tensors are replaced, not written to: those made in inference mode could not be changed outside of it
         if self._start is None:
             self.cells = self.cells.clone()
-            for number in mask.nonzero()[:, 0].tolist():
+            for number in np.flatnonzero(mask.cpu()).tolist():
                 key, episode = (int(values[number]) for values in (self._starts.keys, self._starts.episode))
                 rng = np.random.default_rng([key % 2**64, episode])
                 body = sample_design((self.layout.rows, self.layout.columns), rng)
-                self.cells[number] = torch.from_numpy(body).to(self.device)
+                self.cells[number] = torch.as_tensor(body, device=self.device)
         else:
-            start = torch.from_numpy(self._start).to(self.device)
+            start = torch.as_tensor(self._start, device=self.device)
             self.cells = torch.where(mask[:, None, None], start, self.cells)
         self._starts.episode.add_(mask.cpu())
         self.designing = self.designing | mask
@@ -391,14 +395,14 @@ class DesignVecEnv:
         """int8 ``[num_envs, rows, columns]``: the cells after a design step with these actions everywhere."""
         layout = self.layout
         if layout.actions == "logits":
-            types = actions.unflatten(1, (layout.revised, NUM_TYPES)).argmax(-1)
+            types = torch.unflatten(actions, 1, (layout.revised, NUM_TYPES)).argmax(-1)
         else:
             types = actions.nan_to_num().round().clamp(0, NUM_TYPES - 1)
         types = types.to(torch.int8)
         if layout.revise == "one":
             place = ((self._length - 1).clamp(min=0) % layout.cells)[:, None]
             types = self.cells.flatten(1).scatter(1, place, types)
-        return types.unflatten(1, (layout.rows, layout.columns))
+        return torch.unflatten(types, 1, (layout.rows, layout.columns))
 
     def _complete(self, complete: torch.Tensor, task: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Begin the control stage where designs are complete.
@@ -445,8 +449,8 @@ class DesignVecEnv:
     def state(self) -> dict[str, Any]:
         """The full state, as tensors with a row for every environment, for :meth:`set_state`."""
         own = {name.strip("_"): getattr(self, name).clone() for name in self._STATE}
-        bodies = np.stack([self.env.designs[design] for design in self.env.design_index.tolist()])
-        bodies = torch.from_numpy(bodies).to(self.device)
+        bodies = np.stack([np.asarray(self.env.designs[int(number)]) for number in self.env.design_index.cpu()])
+        bodies = torch.as_tensor(bodies, device=self.device)
         return own | {"env": self.env.state(), "bodies": bodies, "episode": self._starts.episode.clone()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:

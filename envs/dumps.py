@@ -83,7 +83,7 @@ class DivergenceDump:
         self._count += 1
         if self._count % self.pause or not bool((self._at >= 0).any()):
             return []
-        found = (self._at >= 0).nonzero()[:, 0].tolist()
+        found = np.flatnonzero(self._at.cpu() >= 0).tolist()
         written = [path for env in found if (path := self._write(env)) is not None]
         self._at = torch.full_like(self._at, -1)
         return written

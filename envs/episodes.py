@@ -78,7 +78,7 @@ class Episodes:
             tensor.copy_(state[name])
 
 
-def state_rows(state: Any, rows: torch.Tensor) -> Any:
+def state_rows(state: torch.Tensor | dict[str, Any] | None, rows: torch.Tensor) -> Any:
     """Rows, in any order, of the state that an environment or an adapter of it has given.
 
     Args:

@@ -39,7 +39,7 @@ def capture_on_cuda(device: str) -> Capture:
             finally:
                 kept = wp.capture_end(stream=ours)  # keeps the kernels' modules loaded
 
-        def replay(keeps: tuple = (graph, kept, stream)) -> None:
+        def replay(keeps: tuple[Any, ...] = (graph, kept, stream)) -> None:
             graph.replay()
 
         return replay, results
@@ -96,7 +96,7 @@ class StepGraph:
         return tuple(self._recorded)
 
 
-def _cloned(value: Any) -> Any:
+def _cloned(value: torch.Tensor | dict[str, Any] | tuple[Any, ...]) -> Any:
     """A copy with fresh tensors of what a step returns: tuples and dictionaries of tensors."""
     if isinstance(value, torch.Tensor):
         return value.clone()

@@ -36,7 +36,7 @@ class ObservationLayout:
             robots = [dict(term.params).get("name") in sim.action_columns[0] for term in terms]
             bodies = torch.tensor(robots) & torch.tensor([value.ndim == 3 for value in self._values])
             least = torch.where(bodies, 2 * LEAST_POINTS, least)
-        starts, stops = (least.cumsum(0) - least).tolist(), most.cumsum(0).tolist()
+        starts, stops = map(int, least.cumsum(0) - least), map(int, most.cumsum(0))
         self.places = {term.name: slice(*at) for term, at in zip(terms, zip(starts, stops, strict=True), strict=True)}
         self.always = int(least.sum())
 
@@ -56,7 +56,7 @@ class ObservationLayout:
         # Where bodies may be exchanged, there is room for the largest.
         self.num_obs = int(totals.max()) if sim.grid is None else full.shape[1]
         self.mask = (torch.arange(self.num_obs) < totals[:, None]).to(sim.device)
-        stops = counts.cumsum(1).tolist()
+        stops: list[list[int]] = counts.cumsum(1).numpy().tolist()
         names = [term.name for term in terms]
         sizes = {tuple(row) for row in stops}  # designs of one size have one entry
         columns = {

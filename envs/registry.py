@@ -1,5 +1,8 @@
 """Tasks by name, and the returns that others have published."""
 
+# Users may give anything for a text.
+# pyright: reportUnnecessaryIsInstance=false
+
 import csv
 from dataclasses import dataclass
 from functools import cache

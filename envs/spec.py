@@ -4,23 +4,27 @@ A *term* is a small function on :class:`warpvox.envs.snapshot.Snapshot` together
 environment adds terms up, so that no task has code of its own.
 """
 
+# Users may give anything for a text.
+# pyright: reportUnnecessaryIsInstance=false
+
 from __future__ import annotations
 
 import re
 import traceback
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from math import isfinite
-from numbers import Integral, Real
+from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
+from warpvox.checks import check_choice, is_integer
 from warpvox.devices.out_of_memory import shortage
 from warpvox.envs.about import About, about_of
-from warpvox.errors import TaskError, WarpvoxError, check_choice, did_you_mean, listing
+from warpvox.errors import TaskError, WarpvoxError, did_you_mean, listing
 from warpvox.world import WorldObject
 
 if TYPE_CHECKING:
@@ -37,6 +41,9 @@ ROBOT = "robot"
 
 MAKERS = {"observations": "observes", "rewards": "rewards", "terminations": "terminates"}
 
+Function: TypeAlias = "Callable[..., Tensor]"
+"""A function of states, whose parameters are given by name."""
+
 ID = re.compile(r"[\w.+-]+")  # ids are also names of folders and, behind a slash, of gymnasium's environments
 
 
@@ -44,7 +51,7 @@ ID = re.compile(r"[\w.+-]+")  # ids are also names of folders and, behind a slas
 class Term:
     """A function on states with its parameters filled in."""
 
-    function: Callable[..., Tensor]
+    function: Function
     params: tuple[tuple[str, Any], ...] = ()
 
     kind: ClassVar[str] = "term"
@@ -122,7 +129,7 @@ class Memory:
         return _call(lambda: f"update of the memory '{self.name}'", self.update, state)
 
 
-def _call(what: Callable[[], str], function: Callable[..., Tensor], *args: Any, **params: Any) -> Tensor:
+def _call(what: Callable[[], str], function: Function, *args: Any, **params: Any) -> Tensor:
     """Call a function of a task; TaskError says what has failed."""
     try:
         return function(*args, **params)
@@ -148,17 +155,17 @@ def _told(error: Exception) -> str:
     return f"{type(error).__name__}: {text}{place}."
 
 
-def observes(function: Callable[..., Tensor], name: str = "robot", **params: Any) -> Observation:
+def observes(function: Function, name: str = "robot", **params: Any) -> Observation:
     """An observation of the object ``name``."""
     return Observation(function, (("name", name), *params.items()))
 
 
-def rewards(function: Callable[..., Tensor], name: str = "robot", weight: float = 1.0, **params: Any) -> Reward:
+def rewards(function: Function, name: str = "robot", weight: float = 1.0, **params: Any) -> Reward:
     """A reward for what the object ``name`` does."""
     return Reward(function, (("name", name), *params.items()), weight)
 
 
-def terminates(function: Callable[..., Tensor], name: str = "robot", bonus: float = 0.0, **params: Any) -> Termination:
+def terminates(function: Function, name: str = "robot", bonus: float = 0.0, **params: Any) -> Termination:
     """A termination of the episode, for what the object ``name`` does."""
     return Termination(function, (("name", name), *params.items()), bonus)
 
@@ -198,9 +205,9 @@ class TaskSpec:
     terminations: tuple[Termination, ...] = ()
     memory: tuple[Memory, ...] = ()
     randomized: tuple[str, ...] = ()
-    partners: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    partners: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
     unstable_penalty: float = -3.0
-    paper: Mapping[str, Any] = field(default_factory=dict)
+    paper: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "paper", MappingProxyType(dict(self.paper)))
@@ -228,7 +235,7 @@ class TaskSpec:
         kinds = {"objects": WorldObject, "observations": Observation, "rewards": Reward}
         kinds |= {"terminations": Termination, "memory": Memory}
         for name, kind in kinds.items():
-            parts = getattr(self, name)
+            parts: Sequence[object] = getattr(self, name)
             if not isinstance(parts, tuple | list):
                 got = type(parts).__name__
                 raise TaskError(f"The {name} of the task '{self.id}' must be a tuple of {kind.__name__}, got {got}.")
@@ -252,7 +259,7 @@ class TaskSpec:
             if not isinstance(number, Real) or not isfinite(number):
                 raise TaskError(f"The {what} in the task '{self.id}' must be a finite number, got {number!r:.60}.")
         steps = self.max_episode_steps
-        if not isinstance(steps, Integral) or isinstance(steps, bool):
+        if not is_integer(steps):
             raise TaskError(f"max_episode_steps of the task '{self.id}' must be an integer, got {steps!r:.60}.")
 
     def __reduce__(self) -> tuple[Any, ...]:

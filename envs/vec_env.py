@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from warpvox.batch.options import SimKeywords, SimOptions
-from warpvox.checks import check_integer, check_mask
+from warpvox.checks import check_choice, check_integer, check_mask, is_mapping
 from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory, fewer
 from warpvox.envs.checks import FiniteGuard, all_finite, check_fields, check_memory, check_terms
@@ -26,7 +26,7 @@ from warpvox.envs.spec import ROBOT, Observation, TaskSpec
 from warpvox.envs.terms.observations import NAME as TIME, ElapsedSteps, is_timed
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import load_worlds, one_body
-from warpvox.errors import ConfigError, DesignError, SimulationError, check_choice, did_you_mean, listing
+from warpvox.errors import ConfigError, DesignError, SimulationError, did_you_mean, listing
 from warpvox.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -184,8 +184,9 @@ class VoxelVecEnv:
         """Sizes of the designs, from the simulation's world of each."""
         self.obs_mask = self.layout.mask[worlds]
         self.action_mask = self.sim.action_mask[worlds]
-        self.obs_columns = [self.layout.columns[d] for d in worlds.tolist()]
-        self.action_columns = [self.sim.action_columns[d] for d in worlds.tolist()]
+        numbers: list[int] = worlds.cpu().numpy().tolist()
+        self.obs_columns = [self.layout.columns[number] for number in numbers]
+        self.action_columns = [self.sim.action_columns[number] for number in numbers]
 
     @property
     def num_designs(self) -> int:
@@ -315,8 +316,8 @@ class VoxelVecEnv:
 
     def _given(self, memory: Mapping[str, Any] | None) -> dict[str, torch.Tensor]:
         """Values for memories from outside, padded with 0 to the shapes of those that would be drawn."""
-        drawn, given = self.episodes.memory, {}
-        if not isinstance(memory or {}, Mapping):
+        drawn, given = self.episodes.memory, dict[str, torch.Tensor]()
+        if not is_mapping(memory or {}):
             raise ConfigError(f"memory must be values by name, got {memory!r:.60}.")
         for name, values in (memory or {}).items():
             if name not in drawn:
@@ -533,7 +534,7 @@ class VoxelVecEnv:
                 the message names it, and nothing has changed.
         """
         like = self.state()
-        if isinstance(state, Mapping) and getattr(state.get("actions"), "ndim", 0) == 2:
+        if is_mapping(state) and getattr(state.get("actions"), "ndim", 0) == 2:
             # how far actions are padded depends on the other bodies; the precision may be another one, as in `sim`
             padding = self.num_actions - state["actions"].shape[1]
             actions = state["actions"]

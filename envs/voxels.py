@@ -51,7 +51,7 @@ class VoxelLayout:
 
     def cells(self, obs: torch.Tensor) -> torch.Tensor:
         """``[..., rows * columns, 25]``: the features of every cell, row by row from the top left."""
-        return obs[..., self.place].unflatten(-1, (self.rows * self.columns, NUM_FEATURES))
+        return torch.unflatten(obs[..., self.place], -1, (self.rows * self.columns, NUM_FEATURES))
 
     def actions(self, values: torch.Tensor) -> torch.Tensor:
         """Actions ``[num_envs, num_actions]`` from a value for every cell ``[num_envs, rows * columns]``.
@@ -116,8 +116,9 @@ class VoxelGrid:
     def __call__(self, state: Snapshot, name: str) -> torch.Tensor:
         """``[num_envs, cells * 25]``."""
         places = state.relative_positions(name).transpose(1, 2)
+        at = self._corners[..., None].expand(-1, -1, 2)
         parts = [
-            points.gather(1, self._corners[..., None].expand(-1, -1, 2)).unflatten(1, (-1, 4)).flatten(2) * self._filled
+            torch.unflatten(points.gather(1, at), 1, (-1, 4)).flatten(2) * self._filled
             for points in (places, state.velocities(name))
         ]
         return torch.cat([*parts, self._known], dim=2).flatten(1)
@@ -152,8 +153,8 @@ def voxel_observations(
 
 def voxel_layouts(terms: tuple[Observation, ...], places: dict[str, slice]) -> dict[str, VoxelLayout]:
     """The layout of every grid among observations that lie at ``places``, by the name of the robot."""
-    grids = {dict(term.params)["name"]: term for term in terms if isinstance(term.function, VoxelGrid)}
     return {
-        name: VoxelLayout(term.function.rows, term.function.columns, places[term.name], term.function.action_cell)
-        for name, term in grids.items()
+        dict(term.params)["name"]: VoxelLayout(grid.rows, grid.columns, places[term.name], grid.action_cell)
+        for term in terms
+        if isinstance(grid := term.function, VoxelGrid)
     }

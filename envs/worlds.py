@@ -5,12 +5,13 @@ list of runs: ``"20. 10F"`` is twenty empty cells and ten fixed ones, a run of o
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 
+from warpvox.checks import is_list, is_mapping
 from warpvox.design import Design, load_design
 from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.errors import ConfigError, DesignError, WorldError, did_you_mean, listing
@@ -39,7 +40,7 @@ def columns(name: str, *lines: str, x: int = 0, y: int = 0) -> WorldObject:
 
 def heights(name: str, profile: str, cell: str = "F", x: int = 0, y: int = 0) -> WorldObject:
     """Solid columns from y upward whose heights are runs ``HEIGHTxCOUNT``: ``"1x22 2 1x5"``."""
-    lines = []
+    lines: list[str] = []
     for run in profile.split():
         height, _, count = run.partition("x")
         lines += [f"{height}{cell}"] * int(count or 1)
@@ -55,7 +56,7 @@ def task_team(task: TaskSpec, design: object) -> dict[str, object]:
     Raises:
         DesignError: the mapping lacks a robot of the task, or names one that it has not.
     """
-    if not isinstance(design, Mapping):
+    if not is_mapping(design):
         return dict.fromkeys(task.robots, design)
     for name in design:
         if name not in task.robots:
@@ -81,7 +82,7 @@ def task_world(task: TaskSpec, body: object, connections: object = None) -> Worl
     world = World()
     for obj in task.objects:
         world.add_object(obj)
-    links = connections if isinstance(connections, Mapping) else {ROBOT: connections}
+    links = connections if is_mapping(connections) else {ROBOT: connections}
     for name, cells in task_team(task, body).items():
         try:
             world.add_from_array(name, cells, *task.robots[name], connections=links.get(name))
@@ -93,7 +94,7 @@ def task_world(task: TaskSpec, body: object, connections: object = None) -> Worl
 
 def _stack(lines: Sequence[str]) -> np.ndarray:
     """Lines as int8 ``[lines, cells]``, padded with empty cells."""
-    parsed = []
+    parsed: list[list[int]] = []
     for line in lines:
         packed = line.replace(" ", "")
         if _RUN.sub("", packed):
@@ -122,13 +123,14 @@ def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[De
     """
     if designs is None:
         designs = [DEFAULT_DESIGN]
-    single = isinstance(designs, str | Mapping) or (isinstance(designs, np.ndarray) and designs.ndim in (0, 2))
-    if not single and not isinstance(designs, Sequence | np.ndarray):
+    array = is_list(designs) and getattr(designs, "ndim", 1) in (0, 2)
+    single = array or isinstance(designs, str) or is_mapping(designs)
+    if not single and not is_list(designs):
         raise DesignError(f"designs must be a list of bodies, got {type(designs).__name__}.")
-    bodies = [designs] if single else list(designs)
+    bodies: list[object] = [designs] if single else list(designs)
     if not bodies:
         raise DesignError("The list of designs is empty: at least one body is needed.")
-    loaded = []
+    loaded: list[Design | dict[str, Design]] = []
     for number, body in enumerate(bodies):
         try:
             body = example_for(spec.id) if isinstance(body, str) and body == AUTO else body
@@ -137,7 +139,7 @@ def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[De
             raise DesignError(f"Design {number}: {error}" if len(bodies) > 1 else str(error)) from None
         loaded.append(team if spec.partners else team[ROBOT])
     links = [None] * len(loaded) if connections is None else connections
-    if not isinstance(links, Sequence | np.ndarray) or len(links) != len(loaded):
-        got = len(links) if isinstance(links, Sequence | np.ndarray) else type(links).__name__
+    if not is_list(links) or len(links) != len(loaded):
+        got = len(links) if is_list(links) else type(links).__name__
         raise ConfigError(f"connections must be a list with one entry a design ({len(loaded)}), got {got}.")
     return loaded, [task_world(spec, body, link) for body, link in zip(loaded, links, strict=True)]

@@ -21,6 +21,7 @@ the sub-step's start: ``disp`` is the position, ``stages`` holds velocities and 
 import functools
 import math
 from types import SimpleNamespace
+from typing import Any
 
 import warp as wp
 
@@ -31,10 +32,10 @@ REAL = "real"  # the precision of the springs, float32 or float64
 STATE = wp.float64
 
 # The sides of a voxel in clockwise order: side k runs from corner k to corner k + 1.
-TOP, RIGHT, BOTTOM, LEFT = (wp.constant(1 << k) for k in range(4))
+TOP, RIGHT, BOTTOM, LEFT = (1 << k for k in range(4))
 # How a control step of an environment ended (bits).
-UNSTABLE, DIVERGED, OVERFLOW = wp.constant(1), wp.constant(2), wp.constant(4)
-DISTANT = wp.constant(16)  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
+UNSTABLE, DIVERGED, OVERFLOW = 1, 2, 4
+DISTANT = 16  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
 STALE = 1.0e9  # a drift that makes the next sub-step rebuild its candidates
 FASTEST = 1.0e4
 """Speed of a point, in units of inner time, beyond which a simulation has diverged.
@@ -55,7 +56,10 @@ CPP_CONSTANTS = {
 }  # fmt: skip
 """The constants as the C++ has them."""
 
-MODEL = {
+Table = dict[str, tuple[Any, str, str]]
+"""Type, shape and meaning of arrays by name."""
+
+MODEL: Table = {
     "pack_mesh": (int, "pack", "the tables of a pack: those with the dimension ``mesh``"),
     "frame": (int, "mesh", "its terrain"),
     "points": (int, "mesh", "points in use"),
@@ -133,7 +137,7 @@ CONSTANTS = dict.fromkeys(
 # A struct of its own: the contact function is too large to be inlined and is called with as little as it needs.
 CONTACT = dict.fromkeys(("stiffness", "depth", "damping", "friction", "friction_multiplier"), STATE)
 
-DATA = {
+DATA: Table = {
     "pos": (STATE, "pack 2*point lane", "position"),
     "vel": (STATE, "pack 2*point lane", "velocity of the integrator"),
     "true_vel": (
@@ -244,7 +248,7 @@ def structs(precision: str) -> SimpleNamespace:
     return SimpleNamespace(Model=model, Data=struct("Data", DATA, {}), Tape=tape, Contact=contact)
 
 
-def bytes_of(table, sizes, precision) -> int:
+def bytes_of(table: Table, sizes: dict[str, int], precision: str) -> int:
     """Bytes of the arrays of a table."""
     real = REALS[precision]
     return sum(

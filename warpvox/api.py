@@ -8,7 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warpvox.errors import ConfigError, check_choice, did_you_mean, listing
+from warpvox.checks import check_choice
+from warpvox.errors import ConfigError, did_you_mean, listing
 
 if TYPE_CHECKING:
     from warpvox.algos.training.loading import TrainedRun

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, TypeGuard
 
-from warpvox.errors import ConfigError
+import numpy as np
+
+from warpvox.errors import ConfigError, WarpvoxError, did_you_mean, listing
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -21,6 +24,24 @@ def is_integer(value: object) -> TypeIs[int]:
 def is_number(value: object) -> TypeGuard[float]:
     """Whether a value is a finite int or float of Python."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+def is_list(value: object) -> TypeGuard[Sequence[Any] | np.ndarray]:
+    """Whether a value is a sequence or an array."""
+    return isinstance(value, Sequence | np.ndarray)
+
+
+def is_mapping(value: object) -> TypeGuard[Mapping[str, Any]]:
+    """Whether a value is a mapping, by names."""
+    return isinstance(value, Mapping)
+
+
+def check_choice(name: str, value: object, choices: Iterable[object], error: type[WarpvoxError] = ConfigError) -> None:
+    """Raise ``error`` if ``value`` is none of ``choices``; True is not 1."""
+    options = list(choices)
+    if isinstance(value, bool) or not any(isinstance(value, type(one)) and value == one for one in options):
+        hint = did_you_mean(value, options)
+        raise error(f"{name} must be one of {listing(options)}, got {value!r:.80}.{hint}")
 
 
 def check_integer(

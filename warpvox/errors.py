@@ -1,4 +1,4 @@
-"""Exception tree and the helpers that make error sentences useful.
+"""Exception tree and the two helpers that make error sentences useful.
 
 Every error that a user can cause derives from :class:`WarpvoxError`, so that the command line can turn it
 into one clear line and exit code 2, while anything else stays a traceback (a defect of ours). Each class also
@@ -92,14 +92,6 @@ def did_you_mean(name: object, options: Iterable[object]) -> str:
     by_folded = {str(option).casefold(): str(option) for option in options}
     near = difflib.get_close_matches(str(name).casefold(), by_folded, n=1, cutoff=0.6)
     return f" Did you mean '{by_folded[near[0]]}'?" if near else ""
-
-
-def check_choice(name: str, value: object, choices: Iterable[object], error: type[WarpvoxError] = ConfigError) -> None:
-    """Raise ``error`` if ``value`` is none of ``choices``; True is not 1."""
-    options = list(choices)
-    if isinstance(value, bool) or not any(isinstance(value, type(one)) and value == one for one in options):
-        hint = did_you_mean(value, options)
-        raise error(f"{name} must be one of {listing(options)}, got {value!r:.80}.{hint}")
 
 
 def listing(options: Iterable[object], limit: int = 12) -> str:

@@ -9,7 +9,8 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from warpvox.errors import ConfigError, check_choice, did_you_mean
+from warpvox.checks import check_choice
+from warpvox.errors import ConfigError, did_you_mean
 
 MISSING: Any = "???"
 """A key without a value of its own: one of the group's YAML files must set it."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import torch
 import warp as wp
@@ -32,7 +33,7 @@ class Sensing:
         self._centres_are_new = False
 
     @contextmanager
-    def sensing_anew(self) -> Iterator[dict[tuple, tuple[Recorded, list[torch.Tensor]]]]:
+    def sensing_anew(self) -> Iterator[dict[tuple[Any, ...], tuple[Recorded, list[torch.Tensor]]]]:
         """Within, what is sensed has launches and buffers of its own; gives them: launch and buffers, by what it is."""
         kept, self._sensors, self._centres_are_new = self._sensors, {}, False
         try:

@@ -135,7 +135,7 @@ class Simulation(Sensing):
         self.take(actions)
         self.advance()
 
-    def take(self, actions) -> None:
+    def take(self, actions: object) -> None:
         """The first half of :meth:`step`: check the actions and keep them for :meth:`advance`."""
         try:
             actions = torch.as_tensor(actions)

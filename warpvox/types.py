@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 
-from warpvox.checks import is_number
-from warpvox.errors import ConfigError, check_choice, did_you_mean
+from warpvox.checks import check_choice, is_number
+from warpvox.errors import ConfigError, did_you_mean
 
 VOXEL = 0.1
 """Side of a voxel in simulator units."""

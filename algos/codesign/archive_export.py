@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.algos.codesign.archive import Archive, Record, body_text
+from warpvox.checks import check_choice
 from warpvox.design import save_design
-from warpvox.errors import RunError, check_choice
+from warpvox.errors import RunError
 from warpvox.io.writing import atomic_path, write_table, write_text
 
 COLUMNS = {

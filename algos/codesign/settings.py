@@ -14,7 +14,8 @@ from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.search.settings import GA, SearchSettings, settings_from
 from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, physics_of, sim_of
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY, arithmetic_key
-from warpvox.errors import ConfigError, check_choice, did_you_mean
+from warpvox.checks import check_choice
+from warpvox.errors import ConfigError, did_you_mean
 from warpvox.keys import check_values, convert, key, plain
 
 if TYPE_CHECKING:

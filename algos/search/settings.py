@@ -10,7 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from warpvox.errors import ConfigError, check_choice, did_you_mean, listing
+from warpvox.checks import check_choice
+from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import check_values, convert, key
 
 DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", "height", "width", "symmetry")

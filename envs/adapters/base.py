@@ -69,7 +69,7 @@ def spaces_of(env: Any) -> tuple[Box, Box]:
     Both have the precision of the environment.
     """
     dtype = np.dtype(str(env.dtype).removeprefix("torch."))
-    padding = np.arange(env.num_obs) >= env.layout.always  # is 0
+    padding = np.arange(int(env.num_obs)) >= env.layout.always  # is 0
     low, high = np.where(padding, 0.0, np.inf), np.where(padding, 0.0, -np.inf)
     for term in env.spec.observations:
         at = env.layout.places[term.name]

@@ -7,10 +7,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from warpvox.checks import check_choice
 from warpvox.envs.adapters.base import Adapter, metadata_here, spaces_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ActionError, ConfigError, DisplayError, check_choice
+from warpvox.errors import ActionError, ConfigError, DisplayError
 from warpvox.types import FRAME_SECONDS
 from warpvox.view import window
 
@@ -42,7 +43,7 @@ def register_task(task: str | TaskSpec, namespace: str) -> str:
 
 
 def _register(namespace: str, name: str, task: str | TaskSpec) -> str:
-    gymnasium.register(
+    gymnasium.register(  # pyright: ignore[reportUnknownMemberType] # its types leave arguments open
         f"{namespace}/{name}",
         entry_point="warpvox.envs.adapters.gym:VoxelEnv",
         vector_entry_point="warpvox.envs.adapters.gym_vector:VoxelGymVectorEnv",
@@ -118,7 +119,7 @@ class VoxelEnv(Adapter, gymnasium.Env):
     @property
     def body(self) -> np.ndarray | dict[str, np.ndarray]:
         """int8 ``[rows, columns]``: the robot; of several robots all, by name."""
-        design = self.vec.designs[0]
+        design: np.ndarray | dict[str, np.ndarray] = self.vec.designs[0]
         if isinstance(design, dict):
             return {name: cells.copy() for name, cells in design.items()}
         return design.copy()

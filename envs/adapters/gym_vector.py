@@ -1,6 +1,6 @@
 """Many environments as gymnasium has them: ``gymnasium.make_vec("warpvox/Walker-v0", num_envs=8, body=...)``."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -8,10 +8,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from warpvox.checks import check_choice
 from warpvox.envs.adapters.base import Adapter, spaces_of
 from warpvox.envs.adapters.gym import FPS, NAMESPACE
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ConfigError, SimulationError, check_choice, did_you_mean, listing
+from warpvox.errors import ConfigError, SimulationError, did_you_mean, listing
 
 
 class VoxelGymVectorEnv(Adapter, VectorEnv):
@@ -68,7 +69,7 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
         self.single_observation_space, self.single_action_space = spaces_of(self.vec)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._obs = np.zeros((self.num_envs, self.vec.num_obs), self.observation_space.dtype)
+        self._obs = np.zeros((self.num_envs, self.vec.num_obs), self.single_observation_space.dtype)
         self._ended = np.zeros(self.num_envs, dtype=bool)  # by the last step, and not reset since
 
     def reset(
@@ -88,7 +89,7 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
         if seed is not None and len(seed) != self.num_envs:
             raise ConfigError(f"seed must be one number, or one for each of {self.num_envs} environments; got {seed}.")
         super().reset(seed=None if seed is None else seed[0])
-        mask = (options or {}).get("reset_mask")
+        mask: np.ndarray | Sequence[bool] | None = (options or {}).get("reset_mask")
         if mask is None:
             mask = np.ones(self.num_envs, dtype=bool)
             self._obs = self.vec.reset(seed)[0].cpu().numpy()
@@ -174,7 +175,7 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
     raise ConfigError(f"autoreset_mode must be one of {listing(names)}, got {mode!r:.80}.{did_you_mean(mode, names)}")
 
 
-def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
+def _masked(values: Mapping[str, np.ndarray | dict[str, Any]], mask: np.ndarray) -> dict[str, Any]:
     """Values in gymnasium's form: 0 where the mask is False, and the mask itself under ``_name``."""
     out: dict[str, Any] = {}
     for name, value in values.items():

@@ -7,7 +7,7 @@ from math import nan
 from typing import Any
 
 import torch
-from rsl_rl.env import VecEnv
+from rsl_rl.env import VecEnv  # pyright: ignore[reportMissingTypeStubs] # not marked as typed
 from tensordict import TensorDict
 
 from warpvox.envs.checks import check_fields
@@ -92,8 +92,8 @@ class RslRlVecEnv(VecEnv):
         """long ``[num_envs]``: control steps of the episode so far. rsl-rl assigns it to spread the ends."""
         return self.env.episode_length
 
-    @episode_length_buf.setter
-    def episode_length_buf(self, lengths: torch.Tensor) -> None:
+    @episode_length_buf.setter  # a variable in rsl-rl
+    def episode_length_buf(self, lengths: torch.Tensor) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
         self.env.episode_length = lengths.to(self.env.episode_length)
         self._obs = self.env.retimed(self._obs)
         self._shortened = torch.ones_like(self._shortened)
@@ -154,7 +154,7 @@ class RslRlVecEnv(VecEnv):
         in ``unstable`` and ``diverged``: how many ended by a step that was stopped, and by divergence among them.
         """
         self.env.not_finite()  # warns of non-finite terms; the device is read below anyway
-        count, total, length, *ends = self._sums.tolist()
+        count, total, length, *ends = map(float, self._sums.cpu())
         self._clear_episodes()
         means = (total / count, length / count) if count else (nan, nan)
         names = ("episodes", "return", "length", *STOP_CAUSES)

@@ -7,14 +7,15 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box
 
+from warpvox.checks import check_choice
 from warpvox.envs.adapters.base import Adapter, spaces_of
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ConfigError, check_choice, listing
+from warpvox.errors import ConfigError, listing
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
-    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 except ImportError as error:
     raise ConfigError("This needs the package stable-baselines3: pip install 'warpvox[sb3]'") from error
 
@@ -59,7 +60,8 @@ class VoxelSB3VecEnv(Adapter, VecEnv):
         observations, actions = spaces_of(self.vec)
         observations = Box(observations.low, observations.high, dtype=np.float32)
         low, high = (-1.0, 1.0) if normalize_actions else (ACTION_LOW, ACTION_HIGH)
-        super().__init__(self.vec.num_envs, observations, Box(low, high, actions.shape, np.float32))
+        actions = Box(low, high, actions.shape, np.float32)
+        super().__init__(self.vec.num_envs, observations, actions)  # pyright: ignore[reportUnknownMemberType] # bare Space
 
     def reset(self) -> np.ndarray:
         """Begin an episode everywhere; seeds that :meth:`seed` has set apply."""
@@ -72,7 +74,7 @@ class VoxelSB3VecEnv(Adapter, VecEnv):
         """Keep ``actions`` ``[num_envs, num_actions]`` for :meth:`step_wait`."""
         self._actions = np.asarray(actions)
 
-    def step_wait(self) -> VecEnvStepReturn:
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """One control step everywhere: observations, rewards, dones and infos.
 
         Raises:

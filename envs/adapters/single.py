@@ -38,17 +38,17 @@ class Sensors:
 
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim
-        self._senses: dict[tuple, Callable[[], np.ndarray]] = {}
+        self._senses: dict[tuple[Any, ...], Callable[[], np.ndarray]] = {}
         self._points: dict[str, np.ndarray | None] = {}
         self._centres: Any = None  # launch, positions and velocities by name
         self.moved = True
         """Whether something has moved since the centres were sensed."""
 
-    def _record(self, method: str, args: tuple) -> tuple[torch.Tensor, Any, list[torch.Tensor]]:
+    def _record(self, method: str, args: tuple[Any, ...]) -> tuple[torch.Tensor, Any, list[torch.Tensor]]:
         """The result of a method of the simulation, its kernel launch (None: none), and the launch's buffers."""
         with self._sim.sensing_anew() as launches:
             value = getattr(self._sim, method)(*args)
-        command, buffers = next(iter(launches.values()), (None, []))
+        command, buffers = next(iter(launches.values()), (None, list[torch.Tensor]()))
         return value, command, buffers
 
     def _centre(self, name: str, which: int) -> np.ndarray:
@@ -105,7 +105,7 @@ class Sensors:
         setattr(self, method, ask)
         return ask
 
-    def _sense(self, method: str, args: tuple) -> Callable[[], np.ndarray]:
+    def _sense(self, method: str, args: tuple[Any, ...]) -> Callable[[], np.ndarray]:
         value, command, buffers = self._record(method, args)
         if command is None:  # what never moves
             fixed = value.numpy()

@@ -1,6 +1,6 @@
 """Climbing (paper section B.4)."""
 
-from warpvox.envs.spec import TaskSpec, observes, rewards, terminates
+from warpvox.envs.spec import Function, Observation, TaskSpec, observes, rewards, terminates
 from warpvox.envs.terms.observations import ceiling, orientation, overhang, shape, velocity
 from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.terms.terminations import beyond
@@ -48,7 +48,7 @@ BENT_PIPE = columns(
 )
 
 
-def _sees(terrain):
+def _sees(terrain: Function) -> tuple[Observation, ...]:
     above = observes(terrain, reach=3, objects=("pipe",))
     return (observes(velocity), observes(orientation), observes(shape), above)
 

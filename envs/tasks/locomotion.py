@@ -39,7 +39,7 @@ BRIDGE_WALKER = TaskSpec(
 )
 
 
-def _goals(way):
+def _goals(way: int | None) -> tuple[Memory, ...]:
     """Goals between 20 and 49 voxels, the first way from 35, and the number of the present one."""
     start = partial(draw_goals, low=20, high=50, start=35, way=way)
     # As released: the observation still shows the goal that the step has reached, the reward the next one.

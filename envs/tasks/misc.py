@@ -1,6 +1,6 @@
 """Flipping, jumping and balancing (paper section B.7)."""
 
-from warpvox.envs.spec import TaskSpec, observes, rewards, terminates
+from warpvox.envs.spec import Function, Observation, Reward, TaskSpec, observes, rewards, terminates
 from warpvox.envs.terms.observations import elevation, floor, orientation, shape, short_of, velocity
 from warpvox.envs.terms.rewards import displacement, distance, motion, turned
 from warpvox.envs.terms.terminations import short
@@ -23,7 +23,7 @@ FLIPPER = TaskSpec(
 )
 
 
-def _sees(terrain):
+def _sees(terrain: Function) -> tuple[Observation, ...]:
     return (observes(velocity), observes(shape), observes(terrain, reach=2, objects=("ground",)))
 
 
@@ -41,7 +41,7 @@ JUMPER = TaskSpec(
 )
 
 
-def _stays(x, y):
+def _stays(x: float, y: float) -> tuple[Reward, ...]:
     return tuple(rewards(distance, weight=-1.0, axis=axis, goal=goal) for axis, goal in (("x", x), ("y", y)))
 
 

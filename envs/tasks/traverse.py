@@ -1,26 +1,32 @@
 """Forward locomotion over difficult terrain (paper section B.5)."""
 
 from math import radians
+from typing import Any
 
-from warpvox.envs.spec import TaskSpec, observes, rewards, terminates
+from warpvox.envs.spec import Function, Observation, TaskSpec, Termination, observes, rewards, terminates
 from warpvox.envs.terms.observations import ceiling, elevation, floor, orientation, overhang, shape, velocity
 from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.terms.terminations import beyond, fallen_or_tilted, reaches, short, tilted
 from warpvox.envs.worlds import block, heights, rows
+from warpvox.world import WorldObject
 
 
-def _course(id, section, summary, difficulty, *objects, cell, steps=1000, ends, **paper):
+def _course(
+    about: tuple[str, str, str, str],
+    *objects: WorldObject,
+    cell: tuple[int, int],
+    steps: int = 1000,
+    ends: tuple[Termination, ...],
+    **paper: Any,
+) -> TaskSpec:
     """A way to the right over ``objects``, which the robot sees below it."""
 
-    def sees(terrain):
+    def sees(terrain: Function) -> tuple[Observation, ...]:
         below = observes(terrain, reach=5, objects=tuple(obj.name for obj in objects))
         return (observes(velocity), observes(orientation), observes(shape), below)
 
     return TaskSpec(
-        id=id,
-        section=section,
-        summary=summary,
-        difficulty=difficulty,
+        *about,
         objects=objects,
         robot_cell=cell,
         max_episode_steps=steps,
@@ -31,17 +37,17 @@ def _course(id, section, summary, difficulty, *objects, cell, steps=1000, ends, 
     )
 
 
-def _passes(limit, bonus=2.0):
+def _passes(limit: float, bonus: float = 2.0) -> Termination:
     """The end of a terrain: the centre of mass has passed ``limit``."""
     return terminates(beyond, axis="x", limit=limit, bonus=bonus)
 
 
-def _tilts(degrees):
+def _tilts(degrees: float) -> Termination:
     """The penalty for turning further than this to either side."""
     return terminates(tilted, low=radians(degrees), high=radians(360 - degrees), bonus=-3.0)
 
 
-def _arrives(limit, bonus):
+def _arrives(limit: float, bonus: float) -> tuple[Termination, ...]:
     """The end of a terrain that a wall closes a voxel beyond ``limit``: the front of the robot has passed it.
 
     Reading of the paper's "end of the terrain", whose line lies a voxel before the edge of open terrain, too.
@@ -68,7 +74,7 @@ ROUGH = heights(
 HURDLES = heights("ground", "1x12 2 1x7 3 1x7 2 1x7 3x2 1x7 2 1x6 3 1x5 3 1x10 6")
 
 
-def _platforms(*places):
+def _platforms(*places: tuple[int, int, int]) -> tuple[WorldObject, ...]:
     """Platforms of these widths at these cells, named from platform_1 on."""
     return tuple(block(f"platform_{k}", width, 1, x=x, y=y) for k, (width, x, y) in enumerate(places, 1))
 
@@ -93,34 +99,34 @@ CAVE = rows(
 )
 
 
-def _sees_both(below, above):
+def _sees_both(below: Function, above: Function) -> tuple[Observation, ...]:
     terrain = [observes(term, reach=5, objects=("terrain",)) for term in (below, above)]
     return (observes(velocity), observes(shape), *terrain)
 
 
 TASKS = (
     _course(
-        *("UpStepper-v0", "B.5.1", "Climb up stairs of varying lengths.", "medium"),
+        ("UpStepper-v0", "B.5.1", "Climb up stairs of varying lengths.", "medium"),
         STAIRS_UP,
         cell=(1, 1),
         steps=600,
         ends=(_passes(6.9), _tilts(75)),
     ),
     _course(
-        *("DownStepper-v0", "B.5.2", "Climb down stairs of varying lengths.", "easy"),
+        ("DownStepper-v0", "B.5.2", "Climb down stairs of varying lengths.", "easy"),
         STAIRS_DOWN,
         cell=(1, 11),  # as released: one voxel above the top stair
         steps=500,
         ends=(_passes(7.4), _tilts(90)),
     ),
     _course(
-        *("ObstacleTraverser-v0", "B.5.3", "Walk across terrain that gets more and more bumpy.", "medium"),
+        ("ObstacleTraverser-v0", "B.5.3", "Walk across terrain that gets more and more bumpy.", "medium"),
         BUMPS,
         cell=(2, 1),
         ends=(_passes(7.9), _tilts(90)),
     ),
     _course(
-        *("ObstacleTraverser-v1", "B.5.4", "Walk through very bumpy terrain.", "hard"),
+        ("ObstacleTraverser-v1", "B.5.4", "Walk through very bumpy terrain.", "hard"),
         ROUGH,
         cell=(2, 4),
         # As released: the line lies inside the wall that closes the terrain, so that no robot gets the bonus.
@@ -128,13 +134,13 @@ TASKS = (
         terminations=_arrives(limit=5.7, bonus=2.0),
     ),
     _course(
-        *("Hurdler-v0", "B.5.5", "Walk across terrain with tall obstacles.", "hard"),
+        ("Hurdler-v0", "B.5.5", "Walk across terrain with tall obstacles.", "hard"),
         HURDLES,
         cell=(2, 4),  # as released: three voxels above the ground
         ends=(_tilts(90),),
     ),
     _course(
-        *("PlatformJumper-v0", "B.5.6", "Cross floating platforms at different heights.", "hard"),
+        ("PlatformJumper-v0", "B.5.6", "Cross floating platforms at different heights.", "hard"),
         *PLATFORMS,
         cell=(1, 6),
         # As released: a robot that falls and tilts pays twice. The top of the last platform lies at 0.4.
@@ -142,13 +148,13 @@ TASKS = (
         terminations=(terminates(fallen_or_tilted, limit=0.4, low=radians(90), high=radians(270), bonus=-3.0),),
     ),
     _course(
-        *("GapJumper-v0", "B.5.7", "Cross floating platforms of one height with gaps between them.", "hard"),
+        ("GapJumper-v0", "B.5.7", "Cross floating platforms of one height with gaps between them.", "hard"),
         *GAPS,
         cell=(1, 6),
         ends=(_FALLS,),
     ),
     _course(
-        *("Traverser-v0", "B.5.8", "Cross a pit of loose rigid blocks without sinking into it.", "hard"),
+        ("Traverser-v0", "B.5.8", "Cross a pit of loose rigid blocks without sinking into it.", "hard"),
         *(PIT, *BLOCKS),  # the pit first: the blocks lie within its bounding box, and are terrain, too
         cell=(1, 9),
         steps=600,

@@ -9,9 +9,9 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from warpvox.checks import check_shape
+from warpvox.checks import check_choice, check_shape
 from warpvox.devices.names import resolve_device
-from warpvox.errors import ConfigError, SimulationError, check_choice, did_you_mean, listing
+from warpvox.errors import ConfigError, SimulationError, did_you_mean, listing
 from warpvox.kernels.device import on_cuda
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.step import STAGES

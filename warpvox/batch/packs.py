@@ -98,13 +98,12 @@ class Batch:
         return rank
 
     def _compile(self) -> None:
+        self.frames: list[Frame] = []
         if self.arithmetic == "exact":
             self.compiled = [compile_world(world, self.physics, self.loose) for world in self.worlds]
-            self.frames = []
             self.local = np.arange(len(self.worlds))
         else:
             self.local = np.zeros(len(self.worlds), int)
-            self.frames = []
             for number in range(max(self.group_of) + 1):
                 members = [k for k, group in enumerate(self.group_of) if group == number]
                 self.local[members] = np.arange(len(members))

@@ -10,7 +10,7 @@ from typing import Any
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.suite.members import Member
 from warpvox.algos.training.pretrained import find_pretrained, kept_name
-from warpvox.checks import check_integer, check_shape, is_integer
+from warpvox.checks import check_choice, check_integer, check_shape, is_integer
 from warpvox.cli.config import load
 from warpvox.cli.help import options_of
 from warpvox.cli.overrides import key_and_value, key_and_word
@@ -19,7 +19,7 @@ from warpvox.configs.codesign import SuiteConfig
 from warpvox.configs.composition import quoted, shape_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ConfigError, check_choice, did_you_mean, listing
+from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.trust import COPIES, STORED, allowed
 
 BENCHMARK10 = (

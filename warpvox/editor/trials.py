@@ -6,9 +6,9 @@ import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from warpvox.checks import check_integer, is_number
+from warpvox.checks import check_choice, check_integer, is_number
 from warpvox.editor.documents import design_of, world_of
-from warpvox.errors import ConfigError, TaskError, WorldError, check_choice, did_you_mean
+from warpvox.errors import ConfigError, TaskError, WorldError, did_you_mean
 from warpvox.types import FRAME_SECONDS
 from warpvox.view.rollout import AGENTS, Rollout, record
 
@@ -25,7 +25,7 @@ TIME_LIMIT = 60.0
 
 def try_out(
     document: Mapping[str, Any],
-    agent: object,
+    agent: str,
     seconds: object,
     seed: object,
     task: object,

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.errors import RunError, check_choice
+from warpvox.checks import check_choice
+from warpvox.errors import RunError
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 STEP = 2.0**-16

@@ -37,8 +37,8 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.checks import check_integer, is_integer
-from warpvox.errors import ActionError, ConfigError, RolloutError, check_choice
+from warpvox.checks import check_choice, check_integer, is_integer
+from warpvox.errors import ActionError, ConfigError, RolloutError
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
 from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, VOXEL

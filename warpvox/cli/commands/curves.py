@@ -18,10 +18,11 @@ from warpvox.algos.report.learning_curves import (
 )
 from warpvox.algos.report.members import read_members
 from warpvox.algos.statistics import LEVEL, mean_interval
+from warpvox.checks import check_choice
 from warpvox.cli.application import run_command
 from warpvox.cli.run_groups import group_runs
 from warpvox.configs.show import CurvesConfig
-from warpvox.errors import RunError, check_choice, listing
+from warpvox.errors import RunError, listing
 from warpvox.io.console import echo, literal
 from warpvox.runs import Run, find_runs, find_searches
 

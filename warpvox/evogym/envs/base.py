@@ -15,8 +15,9 @@ import numpy as np
 from gymnasium import error, spaces
 from gymnasium.utils import seeding
 
+from warpvox.checks import check_choice
 from warpvox.envs.adapters.base import WINDOWED, metadata_here
-from warpvox.errors import check_choice, did_you_mean, listing
+from warpvox.errors import did_you_mean, listing
 from warpvox.evogym import sim, simulator_cpp, utils, viewer, world
 from warpvox.evogym.envs.files import world_files
 from warpvox.evogym.sim import EvoSim
