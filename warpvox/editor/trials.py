@@ -25,7 +25,7 @@ TIME_LIMIT = 60.0
 
 def try_out(
     document: Mapping[str, Any],
-    agent: str,
+    agent: Any,
     seconds: object,
     seed: object,
     task: object,
