@@ -37,7 +37,7 @@ class ZooConfig:
     add: list[str] = key(
         [],
         "make entries from these: folders of design searches or runs, checkpoints, or patterns; an entry is"
-        " replaced only by one with a higher mean return under noise",
+        " replaced only by a better one under noise",
         path="read",
     )
     top: int = key(10, "number of best designs of a search that add evaluates", low=1)

@@ -23,7 +23,6 @@ from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 from warpvox.robots.entry import Robot
-from warpvox.robots.gait import Gait
 from warpvox.robots.replay import SEEDS, robot_env, torch_policy
 from warpvox.runs import CONFIG, Run, find_run
 from warpvox.trust import STORED, allowed
@@ -145,7 +144,7 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
     if isinstance(config.task, Code) and task not in task_ids():  # an entry for a task of the user's own has its id
         task = config.task
     robot = dataclasses.replace(robot, task=task)
-    parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=not isinstance(robot.policy, Gait))
+    parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=robot.has_feedback)
     alike = parts == (NOMINAL,) and not get_task(robot.task).is_random
     count = 1 if alike else config.num_envs
     options = {name: value for name in ("dtype", "arithmetic", "seed") if (value := getattr(config, name)) is not None}

@@ -15,7 +15,7 @@ from warpvox.configs.schema import PRESET
 from warpvox.envs.registry import get_task
 from warpvox.errors import RunError
 from warpvox.robots.entry import Robot, read_robot, save_robot
-from warpvox.robots.returns import recorded
+from warpvox.robots.returns import is_better, recorded
 from warpvox.runs import as_name
 from warpvox.trust import allowed
 
@@ -40,10 +40,10 @@ def find_sources(texts: Sequence[str]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
-def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[Robot, float | None, Path | None]:
-    """Evaluate the best robot of ``source`` in exact arithmetic; write its entry if its mean under noise is higher.
+def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[Robot, Robot | None, Path | None]:
+    """Evaluate the best robot of ``source`` in exact arithmetic; write its entry if it is better than that there is.
 
-    Returns the robot, the return under noise of the entry that was there before, if any, and the file if written.
+    Returns the robot, the entry that was there before, if any, and the file if written.
 
     Args:
         source: as for :func:`robots_of`.
@@ -65,10 +65,8 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[
     )
     best = dataclasses.replace(best, task=get_task(best.task).id)
     path = folder / f"{as_name(best.task)}.npz"
-    before = read_robot(path).robust_return if path.is_file() else None
-    if before is not None and best.robust_return <= before:
-        return best, before, None
-    return best, before, save_robot(path, best)
+    before = read_robot(path) if path.is_file() else None
+    return best, before, None if before is not None and not is_better(best, before) else save_robot(path, best)
 
 
 def _command(about: Mapping[str, Any]) -> str:

@@ -80,9 +80,14 @@ class Robot:
         return float(self.about.get("noise", {}).get("return", "nan"))
 
     @property
+    def has_feedback(self) -> bool:
+        """Whether its actions depend on what happens, not on the time alone."""
+        return not isinstance(self.policy, Gait)
+
+    @property
     def obs(self) -> str:
         """The observations of its policy, as ``make_vec`` names them: ``timed`` for a gait, else ``task``."""
-        return "timed" if isinstance(self.policy, Gait) else "task"
+        return "task" if self.has_feedback else "timed"
 
     @property
     def fully_connected(self) -> bool:

@@ -8,15 +8,17 @@ from typing import Any, cast
 from warpvox.algos.disturbance import Disturbed
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.protocols import ROBUST, parts_of
+from warpvox.algos.statistics import difference
 from warpvox.envs.adapters.gym import VoxelEnv
 from warpvox.envs.registry import get_task
 from warpvox.errors import RunError
 from warpvox.robots.entry import DIGITS, Robot
-from warpvox.robots.gait import Gait
 from warpvox.robots.replay import SEEDS, check_sizes, robot_env
 
 EPISODES = 32
 """Disturbed episodes of a robot."""
+EQUAL = 1e-3
+"""Share of a mean under noise by which a policy with feedback may be below that of a gait and still be preferred."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ def judge_robust(robot: Robot, protocol: str = ROBUST, episodes: int = EPISODES)
     Raises:
         RunError: a policy for other environments. ConfigError: no disturbance of ``protocol`` concerns its policy.
     """
-    parts = parts_of(protocol, feedback=not isinstance(robot.policy, Gait))
+    parts = parts_of(protocol, feedback=robot.has_feedback)
     env = robot_env(robot, [SEEDS[0] + number for number in range(episodes)] * len(parts))
     found = evaluate(env, Disturbed(cast(Any, robot.policy), env, parts, SEEDS[0])).returns
     return {
@@ -78,6 +80,20 @@ def _episode(env: VoxelEnv, robot: Robot, seed: int) -> tuple[float, int]:
         obs, reward, terminated, _, _ = env.step(cast(Any, robot.policy)(obs))
         rewards.append(reward)
     return round(sum(rewards), DIGITS), len(rewards)
+
+
+def is_better(robot: Robot, entry: Robot) -> bool:
+    """Whether the zoo takes ``robot`` in place of ``entry``.
+
+    Its mean under noise is higher. Between feedback and a gait the gait has to be better by more than :data:`EQUAL`, as
+    far as the 95 % interval of the difference can tell: other disturbances throw it off its course for good.
+    """
+    if robot.has_feedback != entry.has_feedback:
+        seeing, gait = (robot, entry) if robot.has_feedback else (entry, robot)
+        one, other = (each.about.get("noise", {}).get("returns") for each in (seeing, gait))
+        if one and other and difference(one, other).low >= -EQUAL * abs(gait.robust_return):
+            return robot.has_feedback
+    return not robot.robust_return <= entry.robust_return  # nor is a NaN better
 
 
 def recorded(robot: Robot, about: dict[str, Any]) -> Robot:

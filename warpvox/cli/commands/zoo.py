@@ -60,7 +60,7 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
         about, lengths = robot.about, robot.about.get("lengths") or []
         mean = f"{sum(lengths) / len(lengths):.0f}" if lengths else "-"
         spent = about.get("control_steps")
-        mark = "○" if isinstance(robot.policy, Gait) else ""
+        mark = "" if robot.has_feedback else "○"
         trained = "-" if spent is None else f"{spent:,}"
         body = "/".join("".join(map(str, row)) for row in robot.body.tolist())
         returns = figure(robot.robust_return), figure(robot.mean_return)
@@ -143,7 +143,7 @@ def _add(config: ZooConfig, folder: Path, console: Console) -> None:
             failed.append(error)
             echo(console, f"{source}: {error}")
             continue
-        known = "no entry before" if before is None else f"the entry has {before:.6f}"
+        known = "no entry before" if before is None else f"the entry has {before.robust_return:.6f}"
         done = "kept as it is" if written is None else f"written to {written}"
         figures = f"{robot.robust_return:.6f} under noise ({robot.mean_return:.6f} nominal)"
         echo(console, f"{robot.task}: {figures}, {known}; {done}")
