@@ -96,12 +96,12 @@ def test_the_nominal_rows_of_all_protocols_are_the_same() -> None:
 
 
 def test_a_gait_has_no_sensors() -> None:
-    rows = wv.evaluate("zoo:Walker-v0", episodes=2, protocol="robust")
+    rows = wv.evaluate("zoo:Jumper-v0", episodes=2, protocol="robust")
     assert [row.disturbance for row in rows] == ["nominal", "noise", "sticky", "start"]
     with pytest.raises(ConfigError, match="policy with feedback"):
-        wv.evaluate("zoo:Walker-v0", protocol="sensors")
+        wv.evaluate("zoo:Jumper-v0", protocol="sensors")
     with pytest.raises(ConfigError, match="Did you mean 'sticky'"):
-        wv.evaluate("zoo:Walker-v0", protocol="stiky")
+        wv.evaluate("zoo:Jumper-v0", protocol="stiky")
 
 
 @pytest.mark.usefixtures("narrow_packs")
