@@ -102,8 +102,6 @@ class Policy(nn.Module):
 class ModelPolicy(Policy):
     """A policy that runs the very model of its checkpoint."""
 
-    model: nn.Module
-
     def _build(self) -> None:
         self.model = build_actor(self.spec)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from rsl_rl.models import MLPModel
@@ -14,9 +14,6 @@ from torch import nn
 from torch.autograd.function import once_differentiable
 
 from warpvox.algos.policies.network import HALF_LOG_2PI, observations
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 MOMENTS = ("_mean", "_var", "_std")
 
@@ -82,8 +79,8 @@ class StackedGaussian(nn.Module):
 
     def part(self, share: slice) -> StackedGaussian:
         """Some neighbouring designs, see :meth:`PopulationModel.part`."""
-        part = copy.copy(self)
-        part._parameters, part._buffers = {"log_std_param": _cut(self.log_std_param, share)}, {"mask": self.mask[share]}
+        part, log_std = copy.copy(self), nn.Parameter(self.log_std_param.data[share])
+        part._parameters, part._buffers = {"log_std_param": log_std}, {"mask": self.mask[share]}
         return part
 
     def keep(self, rows: Sequence[int], outputs: int) -> None:
@@ -173,8 +170,7 @@ class PopulationModel(nn.Module):
             self.weights.append(nn.Parameter(_padded([layer.weight.T for layer in column])))
             self.biases.append(nn.Parameter(_padded([layer.bias[None] for layer in column])))
         self.obs_normalizer: nn.Module = nn.Identity()
-        normalizers = (model.obs_normalizer for model in models)
-        if sources := [one for one in normalizers if isinstance(one, EmpiricalNormalization)]:
+        if sources := [one for model in models if isinstance(one := model.obs_normalizer, EmpiricalNormalization)]:
             self.obs_normalizer = Normalizer(1, sources[0].eps)
             for name in MOMENTS:
                 padding = 0.0 if name == "_mean" else 1.0
@@ -226,16 +222,18 @@ class PopulationModel(nn.Module):
             state[f"mlp.{2 * k}.bias"] = bias[design, 0, columns]
         return {k: v.detach().cpu().clone(memory_format=torch.contiguous_format) for k, v in state.items()}
 
-    def part(self, share: slice) -> Self:
-        """Some neighbouring designs as a model that shares this one's memory."""
+    def part(self, share: slice) -> PopulationModel:
+        """The networks of some neighbouring designs as a model that shares this one's memory."""
         part = copy.copy(self)
         part.inputs, part.outputs = self.inputs[share], self.outputs[share]
-        part._modules = self._modules | {
-            "weights": nn.ParameterList(_cut(values, share) for values in self.weights),
-            "biases": nn.ParameterList(_cut(values, share) for values in self.biases),
+        # `.data` and not `.detach()`: what other threads write to their share must not look like a change of this one
+        part._modules = {
+            "activation": self.activation,
+            "weights": nn.ParameterList(nn.Parameter(values.data[share]) for values in self.weights),
+            "biases": nn.ParameterList(nn.Parameter(values.data[share]) for values in self.biases),
         }
+        part.obs_normalizer = copy.copy(self.obs_normalizer)
         if isinstance(self.obs_normalizer, Normalizer):
-            part.obs_normalizer = copy.copy(self.obs_normalizer)
             part.obs_normalizer._buffers = {name: value[share] for name, value in self.obs_normalizer.named_buffers()}
         return part
 
@@ -259,8 +257,7 @@ class PopulationActor(PopulationModel):
 
     def __init__(self, models: Sequence[MLPModel]) -> None:
         super().__init__(models)
-        distributions = (model.distribution for model in models)
-        gaussians = [one for one in distributions if isinstance(one, GaussianDistribution)]
+        gaussians = [one for model in models if isinstance(one := model.distribution, GaussianDistribution)]
         log_std = [one.log_std_param[None] for one in gaussians]
         mask = _padded([torch.ones_like(one) for one in log_std])
         self.distribution = StackedGaussian(_padded(log_std), mask, gaussians[0].log_std_range)
@@ -269,19 +266,9 @@ class PopulationActor(PopulationModel):
         own = self.distribution.log_std_param[design, 0, : self.outputs[design]]
         return super().member(design) | {"distribution.log_std_param": own.detach().cpu().clone()}
 
-    def part(self, share: slice) -> Self:
-        part = super().part(share)
-        part.distribution = self.distribution.part(share)
-        return part
-
     def keep(self, index: Sequence[int]) -> None:
         super().keep(index)
         self.distribution.keep(list(index), max(self.outputs))
-
-
-def _cut(values: torch.Tensor, share: slice) -> nn.Parameter:
-    # `.data` and not `.detach()`: what other threads write to their share must not look like a change of this one
-    return nn.Parameter(values.data[share])
 
 
 def _padded(parts: Sequence[torch.Tensor], padding: float = 0.0) -> torch.Tensor:

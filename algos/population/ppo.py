@@ -178,11 +178,10 @@ class PopulationPPO(PPO):
         """All epochs of some designs; returns the mean value loss, surrogate loss and entropy ``[3, designs]``."""
         actor, critic = self.actor.part(block), self.critic.part(block)
         size, times = data.returns.shape[1] // self.num_mini_batches, self.num_learning_epochs * self.num_mini_batches
-        policy, rate = actor.distribution, self.rates[block]
+        policy, rate = self.actor.distribution.part(block), self.rates[block]
         layers = [*actor.weights, *actor.biases], [*critic.weights, *critic.biases]
         policy.update(data.mean[block])
-        old_std = policy.std.detach()
-        sums = old_std.new_zeros(3, len(old_std))
+        old_std, sums = policy.std.detach(), data.mean.new_zeros(3, len(rate))
         for k in range(times):
             first = k % self.num_mini_batches * size
             part = Samples(*(values[block, first : first + size] for values in data))
