@@ -15,6 +15,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -88,6 +89,7 @@ def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
             dynamo=True,
             verbose=False,
         )
+        assert program is not None  # as of torch's earlier exporter
         model = program.model_proto
         onnx.helper.set_model_props(model, {CARD: policy_text(policy)})
         onnx.checker.check_model(model)
@@ -144,15 +146,16 @@ def _card_of_script(path: Path) -> str | None:
 
 def _onnx_runner(path: Path) -> tuple[str, Runner]:
     """The library that runs ONNX files here, by its name."""
+    run: Callable[..., Any]
     if find_spec("onnxruntime") is not None:
         import onnxruntime
 
-        session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-        return "ONNX Runtime", lambda obs: session.run(None, {"obs": obs})[0]
-    from onnx.reference import ReferenceEvaluator
+        name, run = "ONNX Runtime", onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"]).run
+    else:
+        from onnx.reference import ReferenceEvaluator
 
-    evaluator = ReferenceEvaluator(str(path))
-    return "onnx's reference evaluator", lambda obs: evaluator.run(None, {"obs": obs})[0]
+        name, run = "onnx's reference evaluator", ReferenceEvaluator(str(path)).run
+    return name, lambda obs: run(None, {"obs": obs})[0]
 
 
 def _compare(policy: Policy, run: Runner, path: object) -> float:

@@ -62,7 +62,7 @@ class Controller:
     else is in their batches. It is evaluated where the observations are, with copies of the weights of now.
     """
 
-    def __init__(self, actor: MLPModel, spec: PolicySpec) -> None:
+    def __init__(self, actor: MLPModel | GaitModel, spec: PolicySpec) -> None:
         self.actor, self.spec = actor, spec
         self.reset()
         parts = {**dict(actor.named_parameters()), **dict(actor.named_buffers())}  # tables that are not saved, too
@@ -82,7 +82,7 @@ class Controller:
         if next(iter(self._state.values())).device != obs.device:
             self._state = {name: value.to(obs.device) for name, value in self._state.items()}
         group = TensorDict({OBS_GROUP: obs.double()}, batch_size=[len(obs)])
-        if self.spec.rnn is None:
+        if not isinstance(self.actor, RNNModel):
             return functional_call(self.actor, self._state, (group,)).float()
         in_training = self.actor.get_hidden_state()
         self.actor.reset(hidden_state=self._hidden)
@@ -218,12 +218,12 @@ def check_spec(spec: PolicySpec, weights: object, model: nn.Module | None = None
 
 def checked_weights(weights: object) -> dict[str, torch.Tensor]:
     """``weights`` of a network, if that is what they are; otherwise ValueError says why not."""
-    values = list(weights.values()) if isinstance(weights, dict) else [None]
-    if not all(isinstance(value, torch.Tensor) and not value.is_meta and not value.is_quantized for value in values):
+    is_plain = lambda one: isinstance(one, torch.Tensor) and not one.is_meta and not one.is_quantized  # noqa: E731
+    if not isinstance(weights, dict) or not all(map(is_plain, weights.values())):
         raise ValueError("the weights are no tensors")
-    if not all(value.layout == torch.strided and value.is_contiguous() for value in values):
+    if not all(value.layout == torch.strided and value.is_contiguous() for value in weights.values()):
         raise ValueError("the weights are views of other tensors")  # one number can pose as a million
-    if not all(bool(torch.isfinite(value).all()) for value in values):
+    if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
         raise ValueError("the weights are not finite numbers")
     return weights
 

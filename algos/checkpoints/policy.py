@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from rsl_rl.modules import MLP
+from rsl_rl.models import MLPModel
+from rsl_rl.modules import MLP, EmpiricalNormalization
 from torch import nn
 from torch.nn import functional
 
@@ -24,6 +25,8 @@ from warpvox.algos.checkpoints.files import (
     spec_of,
     with_code,
 )
+from warpvox.algos.policies.gait import GaitModel
+from warpvox.algos.policies.model import VoxelModel
 from warpvox.envs.adapters.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
 from warpvox.errors import ConfigError, RunError
@@ -51,6 +54,9 @@ class Policy(nn.Module):
         metadata: for instance ``task``, ``rules``, ``obs`` and ``design`` of the run.
     """
 
+    mean: torch.Tensor
+    deviation: torch.Tensor
+
     def __init__(self, spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> None:
         super().__init__()
         self.spec, self.metadata = spec, dict(metadata or {})
@@ -72,7 +78,8 @@ class Policy(nn.Module):
         Raises:
             ConfigError: observations of another width.
         """
-        if not torch.jit.is_tracing() and obs.shape[-1:] != (self.num_obs,):
+        traced = torch.jit.is_tracing()  # pyright: ignore[reportPrivateImportUsage]  # documented, but not in __all__
+        if not traced and obs.shape[-1:] != (self.num_obs,):
             raise ConfigError(f"The policy takes observations [..., {self.num_obs}], got shape {list(obs.shape)}.")
         return self.act(obs) if isinstance(obs, np.ndarray) else super().__call__(obs, *more)
 
@@ -102,10 +109,12 @@ class ModelPolicy(Policy):
 class VoxelPolicy(ModelPolicy):
     """A policy for voxels: as :class:`Policy`, for bodies of any shape that fits its grid."""
 
+    model: VoxelModel
+
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""
         rows = obs.to(torch.float32).reshape(-1, self.num_obs)
-        out = self.model.run(self.model.get_latent({OBS_GROUP: rows})).reshape((*obs.shape[:-1], self.num_actions))
+        out = self.model.run(self.model.scaled(rows)).reshape((*obs.shape[:-1], self.num_actions))
         return (self.center + self.scale * out).clamp(self.low, self.high)
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
@@ -123,6 +132,8 @@ class VoxelPolicy(ModelPolicy):
 class GaitPolicy(ModelPolicy):
     """An open-loop gait: as :class:`Policy`, of observations whose last number is the time (``obs=timed``)."""
 
+    model: GaitModel
+
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""
         return (self.center + self.scale * self.model.outputs(obs).float()).clamp(self.low, self.high)
@@ -134,6 +145,8 @@ class GaitPolicy(ModelPolicy):
 
 class RecurrentPolicy(ModelPolicy):
     """A policy with recurrent layers: as :class:`Policy`, for observations ``[n, num_obs]`` one step after another."""
+
+    model: MLPModel
 
     def reset(self, done: torch.Tensor | None = None) -> None:
         """New episodes begin, where ``done`` (bool ``[n]``) says so or everywhere."""
@@ -156,17 +169,16 @@ def make_policy(spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> 
 
 def policy_of(controller: Controller, metadata: Mapping[str, Any] | None = None) -> Policy:
     """The policy of a checkpoint's controller; its numbers are copies."""
-    policy = make_policy(controller.spec, metadata)
+    policy, state = make_policy(controller.spec, metadata), controller.actor.state_dict()
     if isinstance(policy, ModelPolicy):
-        state = controller.actor.state_dict()
         policy.model.load_state_dict(state)
-        return policy.to(next(iter(state.values())).device)
-    weights = {f"mlp.{name}": value for name, value in controller.actor.mlp.state_dict().items()}
-    if controller.spec.normalize_obs:
+    else:
+        weights = {name: value for name, value in state.items() if name.startswith("mlp.")}
         normalizer = controller.actor.obs_normalizer
-        weights |= {"mean": normalizer.mean, "deviation": normalizer.std + normalizer.eps}
-    policy.load_state_dict(policy.state_dict() | weights)
-    return policy.to(next(controller.actor.parameters()).device)
+        if isinstance(normalizer, EmpiricalNormalization):
+            weights |= {"mean": normalizer.mean, "deviation": normalizer.std + normalizer.eps}
+        policy.load_state_dict(policy.state_dict() | weights)
+    return policy.to(next(iter(state.values())).device)
 
 
 def read_policy(

@@ -41,6 +41,7 @@ class CpgNetwork(nn.Module):
     """Of the clock, in control steps."""
     moved = (0.035, 0.016)
     """By how many voxels random bodies' voxels move in a random wave of amplitude 0.4, for each period."""
+    typical: torch.Tensor
 
     def __init__(self, layout: VoxelLayout, critic: bool, width: int = 64, heads: int = 4, layers: int = 3) -> None:
         super().__init__()
@@ -70,9 +71,9 @@ class CpgNetwork(nn.Module):
         self.wanted = nn.ModuleList(nn.Linear(width, swing) for _ in range(layers))
         self.own = nn.ModuleList(nn.Linear(width, 2 * self.oscillations) for _ in range(layers))
         self.rest = nn.Linear(width, 1)
-        for last in (*self.wanted, *self.own, self.rest):
-            nn.init.zeros_(last.weight)
-            nn.init.zeros_(last.bias)
+        for last in (self.wanted, self.own, self.rest):
+            for parameter in last.parameters():
+                nn.init.zeros_(parameter)
         cell = torch.arange(layout.cells)
         ahead = WAVE[0] * (cell % layout.columns) + WAVE[1] * (cell // layout.columns)
         phases = torch.stack([ahead, ahead + WAVE[2]], dim=1)
@@ -129,7 +130,8 @@ class CpgNetwork(nn.Module):
 
 
 def _becomes_a_file() -> bool:
-    return torch.compiler.is_exporting() or torch.jit.is_tracing()
+    # torch documents is_tracing, but does not list it in __all__
+    return torch.compiler.is_exporting() or torch.jit.is_tracing()  # pyright: ignore[reportPrivateImportUsage]
 
 
 def _moved(response: torch.Tensor, swing: torch.Tensor) -> torch.Tensor:

@@ -57,18 +57,18 @@ class Automaton(nn.Module):
     done; and whether it is the one to be set.
     """
 
+    places: torch.Tensor
+
     def __init__(self, layout: DesignLayout, outputs: int, channels: int) -> None:
         super().__init__()
         self.layout = layout
-        self.layers = nn.Sequential(
-            nn.Conv2d(NUM_TYPES + 5, channels, 3, padding=1),
-            nn.Tanh(),
-            nn.Conv2d(channels, channels, 3, padding=1),
-            nn.Tanh(),
-            nn.Conv2d(channels, outputs, 1),
-        )
-        nn.init.orthogonal_(self.layers[-1].weight, 0.1)
-        nn.init.zeros_(self.layers[-1].bias)
+        first = nn.Conv2d(NUM_TYPES + 5, channels, 3, padding=1)
+        second = nn.Conv2d(channels, channels, 3, padding=1)
+        last = nn.Conv2d(channels, outputs, 1)
+        weight, bias = last.parameters()
+        nn.init.orthogonal_(weight, 0.1)
+        nn.init.zeros_(bias)
+        self.layers = nn.Sequential(first, nn.Tanh(), second, nn.Tanh(), last)
         lines = [2 * (torch.arange(count) + 0.5) / count - 1 for count in (layout.rows, layout.columns)]
         places = torch.stack([torch.ones(layout.rows, layout.columns), *torch.meshgrid(*lines, indexing="ij")])
         self.register_buffer("places", places, persistent=False)
@@ -175,7 +175,7 @@ class DesignModel(MLPModel):
     def __init__(
         self,
         obs: TensorDict,
-        obs_groups: Mapping[str, list[str]],
+        obs_groups: dict[str, list[str]],
         obs_set: str,
         output_dim: int,
         layout: Mapping[str, Any],
@@ -204,7 +204,8 @@ class DesignModel(MLPModel):
         )
         self.automaton = Automaton(plan, NUM_TYPES if actor else channels, channels)
         self.value = None if actor else nn.Linear(channels, 1)
-        self.distribution = DesignDistribution(plan, self.control.distribution) if actor else None
+        gaussian = self.control.distribution
+        self.distribution: DesignDistribution | None = None if gaussian is None else DesignDistribution(plan, gaussian)
 
     def _task(self, obs: torch.Tensor) -> TensorDict:
         """The observations of the control stage, as its model takes them."""

@@ -19,6 +19,13 @@ class GaitModel(nn.Module):
     row, in the order of actions.
     """
 
+    begin: torch.Tensor
+    period: torch.Tensor
+    amplitude: torch.Tensor
+    phase: torch.Tensor
+    rest: torch.Tensor
+    cells: torch.Tensor
+
     def __init__(self, actuators: int, stages: int, rows: int, columns: int) -> None:
         super().__init__()
         self.register_buffer("begin", torch.zeros(stages, dtype=torch.float64))

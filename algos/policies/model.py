@@ -29,6 +29,10 @@ class VoxelNormalizer(nn.Module):
         learns: whether :meth:`update` learns; otherwise inputs stay as they are.
     """
 
+    mean: torch.Tensor
+    var: torch.Tensor
+    count: torch.Tensor
+
     def __init__(self, layout: VoxelLayout, learns: bool = True) -> None:
         super().__init__()
         self.layout, self.learns, self.inputs = layout, learns, VoxelInputs(layout)
@@ -55,7 +59,7 @@ class VoxelNormalizer(nn.Module):
         """Learn from observations ``[rows, num_obs]``; processes that train together learn from all of theirs."""
         if not self.learns:
             return
-        sums = sum(self._sums(rows) for rows in obs.split(BLOCK))
+        sums = sum((self._sums(rows) for rows in obs.split(BLOCK)), torch.zeros(()))
         if torch.distributed.is_initialized():
             torch.distributed.all_reduce(sums)
         first, second, (voxels, rows) = *sums[:-2].chunk(2), sums[-2:]
@@ -88,10 +92,10 @@ class VoxelModel(Network):
     def __init__(
         self,
         obs: TensorDict,
-        obs_groups: Mapping[str, list[str]],
+        obs_groups: dict[str, list[str]],
         obs_set: str,
         output_dim: int,
-        layout: Mapping[str, int],
+        layout: Mapping[str, Any],
         network: str,
         settings: Mapping[str, Any] | None = None,
         obs_normalization: bool = True,
@@ -100,7 +104,7 @@ class VoxelModel(Network):
         nn.Module.__init__(self)
         self.obs_groups, self.obs_dim = self._get_obs_dim(obs, obs_groups, obs_set)
         self.layout, self.obs_normalization = VoxelLayout(**layout), obs_normalization
-        self.distribution = None
+        self.distribution: VoxelGaussian | None = None
         if distribution_cfg is not None:
             given = {name: value for name, value in distribution_cfg.items() if name != "class_name"}
             self.distribution = VoxelGaussian(output_dim, **given)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from rsl_rl.models import MLPModel
-from rsl_rl.modules import EmpiricalNormalization
+from rsl_rl.modules import EmpiricalNormalization, GaussianDistribution
 from tensordict import TensorDict
 from torch import nn
 from torch.autograd.function import once_differentiable
@@ -77,9 +77,9 @@ class StackedGaussian(nn.Module):
         self.log_std_param, self.limits = nn.Parameter(log_std), limits
         self.register_buffer("mask", mask, persistent=False)
 
-    def part(self, log_std: nn.Parameter, share: slice) -> StackedGaussian:
-        """Some neighbouring designs; ``log_std`` is theirs."""
-        part = copy.copy(self)
+    def part(self, share: slice) -> StackedGaussian:
+        """Some neighbouring designs, see :meth:`PopulationModel.part`."""
+        part, log_std = copy.copy(self), nn.Parameter(self.log_std_param.data[share])
         part._parameters, part._buffers = {"log_std_param": log_std}, {"mask": self.mask[share]}
         return part
 
@@ -131,6 +131,8 @@ class StackedGaussian(nn.Module):
 class Normalizer(EmpiricalNormalization):
     """rsl-rl's normaliser of observations, for many designs."""
 
+    count: torch.Tensor
+
     def update(self, x: torch.Tensor) -> None:
         """Learn from observations ``[designs, rows, entries]``."""
         mean = x.mean(-2, keepdim=True)
@@ -151,18 +153,14 @@ class PopulationModel(nn.Module):
 
     Args:
         models: one for each design; sizes of inputs and outputs may differ.
-        noise: gives standard normal numbers ``[designs, rows, actions]`` for a number of rows; 0 where padded.
-
-    Attributes:
-        distribution: of the actions; None: these are value functions.
     """
 
     is_recurrent = False
 
-    def __init__(self, models: Sequence[MLPModel], noise: Callable[[int], torch.Tensor] | None = None) -> None:
+    def __init__(self, models: Sequence[MLPModel]) -> None:
         super().__init__()
         first = models[0]
-        self.obs_groups, self.noise, self.distribution = first.obs_groups, noise, None
+        self.obs_groups = first.obs_groups
         layers = [[layer for layer in model.mlp if isinstance(layer, nn.Linear)] for model in models]
         self.inputs = [row[0].in_features for row in layers]
         self.outputs = [row[-1].out_features for row in layers]
@@ -171,18 +169,13 @@ class PopulationModel(nn.Module):
         for column in zip(*layers, strict=True):
             self.weights.append(nn.Parameter(_padded([layer.weight.T for layer in column])))
             self.biases.append(nn.Parameter(_padded([layer.bias[None] for layer in column])))
-        if first.distribution is not None:
-            log_std = [model.distribution.log_std_param[None] for model in models]
-            mask = _padded([torch.ones_like(one) for one in log_std])
-            self.distribution = StackedGaussian(_padded(log_std), mask, first.distribution.log_std_range)
         self.obs_normalizer: nn.Module = nn.Identity()
-        if first.obs_normalization:
-            sources = [model.obs_normalizer for model in models]
+        if sources := [one for model in models if isinstance(one := model.obs_normalizer, EmpiricalNormalization)]:
             self.obs_normalizer = Normalizer(1, sources[0].eps)
             for name in MOMENTS:
                 padding = 0.0 if name == "_mean" else 1.0
                 setattr(self.obs_normalizer, name, _padded([getattr(source, name) for source in sources], padding))
-            self.obs_normalizer.count = torch.stack([source.count for source in sources])[:, None, None]
+            self.obs_normalizer.count = torch.stack([source.get_buffer("count") for source in sources])[:, None, None]
 
     @property
     def num_designs(self) -> int:
@@ -205,20 +198,9 @@ class PopulationModel(nn.Module):
                 latent = self.activation(latent)
         return latent
 
-    def forward(
-        self, obs: TensorDict, masks: Any = None, hidden_state: Any = None, stochastic_output: bool = False
-    ) -> torch.Tensor:
+    def forward(self, obs: TensorDict) -> torch.Tensor:
         """Rows of outputs: ``[rows, actions]`` of a policy, ``[rows, 1]`` of a value function."""
-        latent = self.scaled(observations(self, obs))
-        if self.distribution is not None and stochastic_output:
-            return self.sample(latent)
-        return self.run(latent).flatten(0, 1)
-
-    def sample(self, latent: torch.Tensor) -> torch.Tensor:
-        """Actions ``[rows, actions]`` drawn for scaled inputs."""
-        out = self.run(latent)
-        self.distribution.update(out)
-        return (self.noise(out.shape[1]) * self.distribution.std + out).flatten(0, 1)
+        return self.run(self.scaled(observations(self, obs))).flatten(0, 1)
 
     def reset(self, dones: Any = None, hidden_state: Any = None) -> None:
         """Nothing: these networks are not recurrent."""
@@ -233,8 +215,6 @@ class PopulationModel(nn.Module):
             for name in MOMENTS:
                 state[f"obs_normalizer.{name}"] = getattr(self.obs_normalizer, name)[design, :, :inputs]
             state["obs_normalizer.count"] = self.obs_normalizer.count[design, 0, 0]
-        if self.distribution is not None:
-            state["distribution.log_std_param"] = self.distribution.log_std_param[design, 0, :outputs]
         last = len(self.weights) - 1
         for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             columns = slice(outputs if k == last else None)
@@ -243,20 +223,18 @@ class PopulationModel(nn.Module):
         return {k: v.detach().cpu().clone(memory_format=torch.contiguous_format) for k, v in state.items()}
 
     def part(self, share: slice) -> PopulationModel:
-        """Some neighbouring designs as a model that shares this one's memory."""
+        """The networks of some neighbouring designs as a model that shares this one's memory."""
         part = copy.copy(self)
         part.inputs, part.outputs = self.inputs[share], self.outputs[share]
         # `.data` and not `.detach()`: what other threads write to their share must not look like a change of this one
-        cut = lambda values: nn.Parameter(values.data[share])  # noqa: E731
-        part._modules = self._modules | {
-            "weights": nn.ParameterList(map(cut, self.weights)),
-            "biases": nn.ParameterList(map(cut, self.biases)),
+        part._modules = {
+            "activation": self.activation,
+            "weights": nn.ParameterList(nn.Parameter(values.data[share]) for values in self.weights),
+            "biases": nn.ParameterList(nn.Parameter(values.data[share]) for values in self.biases),
         }
-        if self.distribution is not None:
-            part.distribution = self.distribution.part(cut(self.distribution.log_std_param), share)
+        part.obs_normalizer = copy.copy(self.obs_normalizer)
         if isinstance(self.obs_normalizer, Normalizer):
-            part.obs_normalizer = copy.copy(self.obs_normalizer)
-            part.obs_normalizer._buffers = {name: value[share] for name, value in self.obs_normalizer._buffers.items()}
+            part.obs_normalizer._buffers = {name: value[share] for name, value in self.obs_normalizer.named_buffers()}
         return part
 
     def keep(self, index: Sequence[int]) -> None:
@@ -268,12 +246,29 @@ class PopulationModel(nn.Module):
         self.weights[0].data = self.weights[0].data[:, :inputs]
         for last in (self.weights[-1], self.biases[-1]):
             last.data = last.data[..., :outputs]
-        if self.distribution is not None:
-            self.distribution.keep(rows, outputs)
         if isinstance(self.obs_normalizer, Normalizer):
             for name in MOMENTS:
                 setattr(self.obs_normalizer, name, getattr(self.obs_normalizer, name)[rows, :, :inputs])
             self.obs_normalizer.count = self.obs_normalizer.count[rows]
+
+
+class PopulationActor(PopulationModel):
+    """Policies, with the distributions of their actions."""
+
+    def __init__(self, models: Sequence[MLPModel]) -> None:
+        super().__init__(models)
+        gaussians = [one for model in models if isinstance(one := model.distribution, GaussianDistribution)]
+        log_std = [one.log_std_param[None] for one in gaussians]
+        mask = _padded([torch.ones_like(one) for one in log_std])
+        self.distribution = StackedGaussian(_padded(log_std), mask, gaussians[0].log_std_range)
+
+    def member(self, design: int) -> dict[str, torch.Tensor]:
+        own = self.distribution.log_std_param[design, 0, : self.outputs[design]]
+        return super().member(design) | {"distribution.log_std_param": own.detach().cpu().clone()}
+
+    def keep(self, index: Sequence[int]) -> None:
+        super().keep(index)
+        self.distribution.keep(list(index), max(self.outputs))
 
 
 def _padded(parts: Sequence[torch.Tensor], padding: float = 0.0) -> torch.Tensor:

@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from warpvox.algos.policies.network import observations
-from warpvox.algos.population.model import Normalizer, PopulationModel, StackedGaussian
+from warpvox.algos.population.model import Normalizer, PopulationActor, PopulationModel, StackedGaussian
 from warpvox.algos.training.ppo import PPO
 
 BLOCK = 16
@@ -50,13 +50,13 @@ class PopulationPPO(PPO):
         rates: float64 ``[designs]``, learning rates.
     """
 
-    actor: PopulationModel
+    actor: PopulationActor
     critic: PopulationModel
     optimizer: VectorAdam
 
     def __init__(
         self,
-        actor: PopulationModel,
+        actor: PopulationActor,
         critic: PopulationModel,
         storage: RolloutStorage,
         streams: Streams,
@@ -67,10 +67,16 @@ class PopulationPPO(PPO):
         super().__init__(actor, critic, storage, normalize_advantage_per_mini_batch=True, **settings)
         self.optimizer = VectorAdam([actor, critic], self.adam_eps)
         self.rates = torch.full((self.num_designs,), self.learning_rate, dtype=torch.float64, device=self.device)
-        self.streams, self._pool, self._inputs = streams, None, None
+        self.streams, self._pool = streams, None
+        self._fill(storage)
         if threads > 1:  # torch's own number of threads is a setting of every thread
             own = {"initializer": torch.set_num_threads, "initargs": (torch.get_num_threads(),)}
             self._pool = ThreadPoolExecutor(threads, **own)
+
+    def _fill(self, storage: RolloutStorage) -> None:
+        """Collect in ``storage`` from now on, and beside it scaled inputs and means of the actions."""
+        self.storage, self._means = storage, torch.zeros_like(storage.actions)
+        self._inputs = torch.empty_like(observations(self.actor, storage.observations))
 
     @property
     def num_designs(self) -> int:
@@ -80,18 +86,16 @@ class PopulationPPO(PPO):
     @torch.no_grad()
     def act(self, obs: TensorDict) -> torch.Tensor:
         """Draw actions. What else learning needs to know of them is computed for the whole rollout at once."""
-        storage, step = self.storage, self.storage.step
+        storage, step, policy = self.storage, self.storage.step, self.actor.distribution
         inputs = self.actor.scaled(observations(self.actor, obs))
-        rows = inputs.flatten(0, 1)
-        if storage.distribution_params is None:
-            storage.distribution_params = (torch.zeros_like(storage.actions),)
-            self._inputs = rows.new_empty(storage.num_transitions_per_env, *rows.shape)
         # the normaliser learns after the update only: scaled once, the inputs serve all epochs
-        self._inputs[step] = rows
+        self._inputs[step] = inputs.flatten(0, 1)
         for name, values in obs.items():
             storage.observations[name][step] = values
-        storage.actions[step] = self.actor.sample(inputs)
-        storage.distribution_params[0][step] = self.actor.distribution.mean.flatten(0, 1)
+        policy.update(self.actor.run(inputs))
+        noise = self.streams.normal(inputs.shape[1], self.actor.outputs)
+        storage.actions[step] = (noise * policy.std + policy.mean).flatten(0, 1)
+        self._means[step] = policy.mean.flatten(0, 1)
         return storage.actions[step]
 
     @torch.no_grad()
@@ -118,7 +122,7 @@ class PopulationPPO(PPO):
     def compute_returns(self, obs: TensorDict) -> None:
         """Values and log-probabilities of the rollout, then returns and advantages; ``obs`` are those after it."""
         st, policy, parts = self.storage, self.actor.distribution, []
-        rows = [self._samples(values) for values in (self._inputs, st.distribution_params[0], st.actions)]
+        rows = [self._samples(values) for values in (self._inputs, self._means, st.actions)]
         size = -(-rows[0].shape[1] // self.num_mini_batches)  # no more memory than learning takes
         for inputs, mean, actions in zip(*(values.split(size, dim=1) for values in rows), strict=True):
             policy.update(mean)
@@ -161,7 +165,7 @@ class PopulationPPO(PPO):
         rows = Samples(
             self._samples(self._inputs),
             self._samples(st.actions),
-            self._samples(st.distribution_params[0]),
+            self._samples(self._means),
             *(self._samples(values)[..., 0] for values in (st.actions_log_prob, st.values, st.returns, st.advantages)),
         )
         centred = rows.advantages - rows.advantages.mean(1, keepdim=True)
@@ -174,10 +178,10 @@ class PopulationPPO(PPO):
         """All epochs of some designs; returns the mean value loss, surrogate loss and entropy ``[3, designs]``."""
         actor, critic = self.actor.part(block), self.critic.part(block)
         size, times = data.returns.shape[1] // self.num_mini_batches, self.num_learning_epochs * self.num_mini_batches
-        policy, rate = actor.distribution, self.rates[block]
+        policy, rate = self.actor.distribution.part(block), self.rates[block]
         layers = [*actor.weights, *actor.biases], [*critic.weights, *critic.biases]
         policy.update(data.mean[block])
-        old_std, sums = policy.std.detach(), 0
+        old_std, sums = policy.std.detach(), data.mean.new_zeros(3, len(rate))
         for k in range(times):
             first = k % self.num_mini_batches * size
             part = Samples(*(values[block, first : first + size] for values in data))
@@ -242,7 +246,7 @@ class PopulationPPO(PPO):
         self.critic.obs_normalizer = self.actor.obs_normalizer
         self.optimizer.keep(index, shapes)
         self.rates = self.rates[list(index)]
-        self.storage = RolloutStorage("rl", envs * len(index), steps, obs, [max(self.actor.outputs)], self.device)
+        self._fill(RolloutStorage("rl", envs * len(index), steps, obs, [max(self.actor.outputs)], self.device))
 
     def save(self) -> dict[str, Any]:
         """Networks, optimiser, learning rates and random streams, for :meth:`load`."""

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import torch
 from rsl_rl.models import MLPModel
 from rsl_rl.storage import RolloutStorage
+from rsl_rl.utils import resolve_class
 from tensordict import TensorDict
 
 from warpvox.algos.checkpoints.files import actions_of
 from warpvox.algos.disturbance import as_judged
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
-from warpvox.algos.population.model import PopulationModel
+from warpvox.algos.population.model import PopulationActor, PopulationModel
 from warpvox.algos.population.ppo import PopulationPPO, Streams
 from warpvox.algos.settings import DesignTraining, Ppo
-from warpvox.algos.training.ppo import PPO, rsl_rl_config
+from warpvox.algos.training.ppo import rsl_rl_config
 from warpvox.algos.training.runner import adapt
 from warpvox.design import Design
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
@@ -40,12 +38,15 @@ class Networks:
 
 def fresh_networks(ppo: Ppo, num_obs: int, num_actions: int, seed: int) -> Networks:
     """Networks that a training with this ``seed`` begins with, made by rsl-rl; torch's generator stays as it was."""
-    config = rsl_rl_config(ppo, total_iterations=1) | {"multi_gpu": None}
-    obs = TensorDict({OBS_GROUP: torch.zeros(1, num_obs)}, batch_size=[1])
-    with torch.random.fork_rng(devices=[]), contextlib.redirect_stdout(io.StringIO()):
-        torch.random.default_generator.manual_seed(seed)
-        algorithm = PPO.construct_algorithm(obs, SimpleNamespace(num_envs=1, num_actions=num_actions), config, "cpu")
-        return Networks(algorithm.actor, algorithm.critic, torch.random.default_generator.get_state())
+    config, obs = rsl_rl_config(ppo, 1), TensorDict({OBS_GROUP: torch.zeros(1, num_obs)}, batch_size=[1])
+
+    def network(name: str, outputs: int) -> MLPModel:
+        model, settings = resolve_class(config[name])
+        return model(obs, config["obs_groups"], name, outputs, **settings)
+
+    with torch.random.fork_rng(devices=[]):
+        torch.default_generator.manual_seed(seed)
+        return Networks(network("actor", num_actions), network("critic", 1), torch.get_rng_state())
 
 
 class PopulationTraining:
@@ -93,8 +94,7 @@ class PopulationTraining:
     def _algorithm(self, networks: Sequence[Networks]) -> PopulationPPO:
         device, obs = str(self.env.device), self.env.get_observations()
         streams = Streams(self.seeds, [network.random_state for network in networks], device)
-        noise = lambda rows: streams.normal(rows, actor.outputs)  # noqa: E731
-        actor = PopulationModel([network.actor for network in networks], noise).to(device)
+        actor = PopulationActor([network.actor for network in networks]).to(device)
         critic = PopulationModel([network.critic for network in networks]).to(device)
         storage = RolloutStorage("rl", self.env.num_envs, self.ppo.steps, obs, [self.env.num_actions], device)
         settings = dict(rsl_rl_config(self.ppo, self.settings.iterations)["algorithm"])

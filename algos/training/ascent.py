@@ -10,6 +10,7 @@ from torch import nn
 
 from warpvox.algos.policies.cpg import TYPE, CpgNetwork
 from warpvox.algos.policies.layout import MOVING
+from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.training.ppo import PPO
 from warpvox.algos.training.runner import Runner
 from warpvox.envs.adapters.rsl_rl import ACTION_CENTER
@@ -90,14 +91,15 @@ class Ascent(PPO):
     learn.
     """
 
-    learner: CpgNetwork
+    actor: VoxelModel
 
     def __init__(self, *args: Any, **settings: Any) -> None:
         super().__init__(*args, **settings)
-        if not isinstance(getattr(self.actor, "network", None), CpgNetwork):
+        network = getattr(self.actor, "network", None)
+        if not isinstance(network, CpgNetwork):
             raise ConfigError("method=gradients trains policy=cpg: what other policies observe is not differentiated.")
-        self.learner, self.steps = copy.deepcopy(self.actor.network), 0
-        self.learner.response = self.actor.network.response  # known responses are known to both
+        self.network, self.learner, self.steps = network, copy.deepcopy(network), 0
+        self.learner.response = network.response  # known responses are known to both
         parameters, betas = self.learner.parameters(), (0.9, 0.99)
         self.optimizer = torch.optim.AdamW(parameters, self.learning_rate, betas, weight_decay=DECAY)
         self._configure_adam()
@@ -108,7 +110,7 @@ class Ascent(PPO):
         with torch.no_grad():
             cells, _, actions = self.actor.unpack(self.actor.get_latent(obs))
             bodies = cells[..., MOVING:].contiguous()
-            return bodies, self.actor.network.weights(bodies), actions.long()
+            return bodies, self.network.weights(bodies), actions.long()
 
     def ascend(self, targets: Targets) -> float:
         """Fit the learner; returns the mean squared distance to the targets."""
@@ -126,7 +128,7 @@ class Ascent(PPO):
             self.optimizer.step()
             self.steps += 1
             share = max(1 - SMOOTHING, 9 / (self.steps + 9))  # the policy follows the learner, faster at first
-            for mean, value in zip(self.actor.network.parameters(), self.learner.parameters(), strict=True):
+            for mean, value in zip(self.network.parameters(), self.learner.parameters(), strict=True):
                 mean.data.lerp_(value.data, share)
             total += loss.item() / times
         self.updates += 1
@@ -135,7 +137,7 @@ class Ascent(PPO):
     def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None = None, strict: bool = True) -> bool:
         """Restore what :meth:`save` gave; the learner begins with the policy's parameters."""
         result = super().load(loaded_dict, load_cfg, strict)
-        self.learner.load_state_dict(self.actor.network.state_dict())
+        self.learner.load_state_dict(self.network.state_dict())
         return result
 
 
@@ -177,7 +179,7 @@ class AscentRunner(Runner):
         leaf = weights.clone().requires_grad_()
         place = actions[..., None].expand(-1, -1, leaf.shape[2])
         by_action = leaf.new_zeros(len(leaf), layout.actions + 1, leaf.shape[2]).scatter(1, place, leaf)[:, :-1]
-        state, total = self._gradients.state(), 0.0
+        state, total = self._gradients.state(), leaf.new_zeros(len(leaf))
         stopped = torch.zeros(self.env.num_envs, dtype=torch.bool, device=self.device)
         before = self._snapshot(state)
         for step in range(steps):

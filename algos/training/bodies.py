@@ -34,7 +34,7 @@ RECENT = 0.3
 """Weight of an episode's return in the mean return of its body."""
 
 
-def load_bodies(spec: Any, seed: int) -> list[np.ndarray | dict[str, np.ndarray]]:
+def load_bodies(spec: Any, seed: int) -> list[Design | dict[str, Design]]:
     """The bodies that the key ``design`` names: one, or one an entry for a list of names, files or bodies.
 
     A mapping ``{robot name: body}`` is a design for a task with several robots.
@@ -64,7 +64,7 @@ def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) 
     if isinstance(spec, str):
         found = RANDOM.fullmatch(spec.strip())
         if found is not None:
-            count, shape = int(found[1]), tuple(map(int, found.groups()[1:])) if found[2] else SHAPE
+            count, shape = int(found[1]), (int(found[2]), int(found[3])) if found[2] else SHAPE
             if not 1 <= count <= MOST:
                 raise ConfigError(f"{key} can be 1 to {MOST:,} random bodies, got {count:,}.")
             return draw_bodies(count, shape, np.random.default_rng(seed), without)
@@ -73,8 +73,9 @@ def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) 
         folder = Path(spec).expanduser()
         if folder.is_dir():
             return _of_folder(folder, key)
-    bodies = load_bodies(spec, seed)
-    if any(isinstance(body, dict) for body in bodies):
+    loaded = load_bodies(spec, seed)
+    bodies = [body for body in loaded if not isinstance(body, dict)]
+    if len(bodies) < len(loaded):
         raise ConfigError(f"{key} are bodies of one robot; for several robots use design.")
     return bodies
 

@@ -3,12 +3,15 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import torch
 import torch.distributed as dist
 
 from warpvox.errors import ConfigError, DeviceError
+
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class ProcessGroup:
         """Whether the flag is set in any process."""
         return bool(self.sum([float(flag)])[0])
 
-    def broadcast(self, value: object) -> object:
+    def broadcast(self, value: Value) -> Value:
         """The leading process's ``value``."""
         if self.size == 1:
             return value

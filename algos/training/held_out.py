@@ -59,7 +59,7 @@ class HeldOut:
             figures = [[f"{value:.6g}" for value in values] for values in (last, self.best)]
             rows = zip(range(len(cells)), *figures, cells, strict=True)
             write_table(self.folder / f"{self.name}.csv", ("body", "last_return", "best_return", "cells"), rows)
-            self._draw(last)
+            self._draw(last, self.folder / f"{self.name}.png")
         return result
 
     def state(self) -> dict[str, Any]:
@@ -70,7 +70,7 @@ class HeldOut:
         """Go on from :meth:`state`."""
         self.best = state["best"].cpu().numpy().copy()
 
-    def _draw(self, last: np.ndarray) -> None:
+    def _draw(self, last: np.ndarray, file: Path) -> None:
         """The bodies, the best first, on paper that is the greener the better they are: see :func:`shades`."""
         from warpvox.view.body_picture import write_bodies
 
@@ -78,7 +78,7 @@ class HeldOut:
         low, middle, high = np.quantile(last, (0.1, 0.5, 0.9))
         title = f"{self.about}: mean {last.mean():.2f}, quantiles 10, 50, 90 %: {low:.2f}, {middle:.2f}, {high:.2f}"
         write_bodies(
-            self.folder / f"{self.name}.png",
+            file,
             [self.bodies[number] for number in order],
             [(f"{last[number]:.2f}", f"body {number}") for number in order],
             title,

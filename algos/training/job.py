@@ -93,7 +93,7 @@ class Job:
                 raise ConfigError("design is one body, designs are many for one policy: give one of the two.")
             settings = dataclasses.replace(settings, designs=Designs())
         if source is None and settings.pretrained is not None:
-            settings, self.learned = adopted(settings, named)
+            settings, self.learned = adopted(settings, settings.pretrained, named)
         self.settings = settings
 
     def check(self) -> None:
@@ -115,7 +115,7 @@ class Job:
             raise ConfigError("nan_guard=dump and logger=wandb|neptune write files; folder=None writes none.")
         with own_torch(self.settings.torch_threads):
             self._prepare(listener)
-            if not write:
+            if not write and self.judge is not None:
                 self.runner.evaluator = self.best = _Best(self.judge)
             with self._folder(place, listener) if write else nullcontext():
                 self._learn(listener)
@@ -155,7 +155,7 @@ class Job:
             )
             if self.checkpoint is not None:
                 self.runner.resume(self.checkpoint)
-                check_left(self.folder, self.runner)
+                check_left(self.checkpoint.parent, self.runner)
             elif self.learned is not None:
                 self.runner.begin_with(self.learned)
         if group.size > 1:  # what the run was asked for, not the share of this process
@@ -224,7 +224,7 @@ class Job:
             seconds = time.perf_counter() - began
             if runner.current_learning_iteration and self.group.is_main_process:
                 settings, designs = self.settings, self.settings.designs
-                about = {"command": "train", "task": runner.env.cfg["task"], "status": status, "seed": settings.seed}
+                about = {"command": "train", "task": runner.env.env.spec.id, "status": status, "seed": settings.seed}
                 if isinstance(self.judge, HeldOut):
                     about["designs"] = {"bodies": designs.bodies, "refresh": designs.refresh}
                     about["evaluated_on"] = self.judge.about
@@ -243,7 +243,7 @@ class Job:
     @property
     def policy(self) -> Policy:
         """The policy with the best evaluation, of a training that writes nothing."""
-        policy = self.best.policy or policy_of(self.runner.controller)
+        policy = (self.best and self.best.policy) or policy_of(self.runner.controller)
         policy.metadata |= self.runner.trained_on | {"obs": self.settings.obs}
         return policy.to("cpu")
 
@@ -252,15 +252,15 @@ class Job:
 class _Best:
     """An evaluator that keeps the best policy in memory."""
 
-    judge: Evaluator | None
+    judge: Evaluator
     value: float = -np.inf
     policy: Policy | None = None
 
-    def __call__(self, controller: Any) -> EpisodeReturns:
-        found = self.judge(controller)
+    def __call__(self, policy: Any) -> EpisodeReturns:
+        found = self.judge(policy)
         if found.mean_return > self.value:
             with torch.random.fork_rng(devices=[]):  # a policy begins with random weights
-                self.value, self.policy = found.mean_return, policy_of(controller)
+                self.value, self.policy = found.mean_return, policy_of(policy)
         return found
 
 

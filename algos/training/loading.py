@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -92,7 +92,7 @@ class TrainedRun:
 
     folder: Path | None
     summary: Mapping[str, Any]
-    rows: list[Mapping[str, float]] = dataclasses.field(repr=False)
+    rows: Sequence[Mapping[str, float]] = dataclasses.field(repr=False)
     policy: Policy = dataclasses.field(repr=False)
 
     @classmethod

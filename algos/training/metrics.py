@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.writing import write_text, writing
@@ -133,7 +133,7 @@ def _text(value: float | None) -> str:
     return str(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(f"{value:.9g}"))
 
 
-def _known(value: float | None) -> bool:
+def _known(value: float | None) -> TypeGuard[float]:
     return value is not None and math.isfinite(value)
 
 

@@ -5,9 +5,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
+from rsl_rl.modules import GaussianDistribution
 
 from warpvox.algos.checkpoints.files import Controller, actions_of, load_controller
 from warpvox.algos.disturbance import Disturbed
+from warpvox.algos.policies.network import VoxelGaussian
 from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.settings import sim_of
 from warpvox.algos.training.bodies import read_bodies, training_bodies
@@ -62,11 +64,11 @@ class SampledController:
 
     def __init__(self, controller: Controller, seed: int = 0) -> None:
         self.controller, self.spec, self.reset = controller, controller.spec, controller.reset
-        if self.spec.gait is not None:
+        distribution = getattr(controller.actor, "distribution", None)
+        if not isinstance(distribution, GaussianDistribution):
             raise ConfigError("stochastic=true goes with a trained policy; this one is an open-loop gait.")
-        distribution = controller.actor.distribution
         low, high = distribution.log_std_range
-        self._std = distribution.log_std_param.detach().clamp(low, high).exp()
+        self._distribution, self._std = distribution, distribution.log_std_param.detach().clamp(low, high).exp()
         self._generator = torch.Generator(self._std.device).manual_seed(seed)
 
     @torch.no_grad()
@@ -78,9 +80,9 @@ class SampledController:
 
     def _deviation(self) -> torch.Tensor:
         """Deviation of each action; that of a policy for voxels belongs to the type of an actuator."""
-        if self.spec.voxels is None:
+        if not isinstance(self._distribution, VoxelGaussian):
             return self._std
-        return self.controller.actor.distribution.by_kind(self._std, 0.0).to(self._std.dtype)
+        return self._distribution.by_kind(self._std, 0.0).to(self._std.dtype)
 
 
 def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:

@@ -2,12 +2,13 @@
 
 import copy
 import inspect
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Generator, Mapping
 from typing import Any
 
 import torch
 from rsl_rl.algorithms import PPO as RslRlPPO
 from rsl_rl.models import MLPModel, RNNModel
+from rsl_rl.modules import EmpiricalDiscountedVariationNormalization
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
@@ -108,14 +109,14 @@ class PPO(RslRlPPO):
         self.updates += 1
         return super().update()
 
-    def _minibatches(self, count: int, epochs: int) -> Iterator[RolloutStorage.Batch]:
+    def _minibatches(self, num_mini_batches: int, num_epochs: int = 8) -> Generator[RolloutStorage.Batch, None, None]:
         """Those of rsl-rl, which are the same in all epochs: put in order and scaled once."""
-        batches = list(RolloutStorage.mini_batch_generator(self.storage, count, 1))
+        batches = list(RolloutStorage.mini_batch_generator(self.storage, num_mini_batches, 1))
         if not self.symmetry:  # which makes further observations of a batch
             for batch in batches:
                 with torch.no_grad():
                     batch.observations = self._scaled(batch.observations)
-        for _ in range(epochs):
+        for _ in range(num_epochs):
             yield from map(copy.copy, batches)
 
     def save(self) -> dict[str, Any]:
@@ -135,7 +136,8 @@ class PPO(RslRlPPO):
         """Memory of the episodes so far, for :meth:`set_memory`: hidden states, and the scale of RND."""
         own: dict[str, Any] = {"actor": self.actor.get_hidden_state(), "critic": self.critic.get_hidden_state()}
         if self.rnd:
-            average = self.rnd.reward_normalizer.disc_avg.avg if self.rnd.reward_normalization else None
+            scale = self.rnd.reward_normalizer
+            average = scale.disc_avg.avg if isinstance(scale, EmpiricalDiscountedVariationNormalization) else None
             own |= {"rnd_steps": self.rnd.update_counter, "rnd_average": average}
         return own
 
@@ -145,8 +147,8 @@ class PPO(RslRlPPO):
         self.critic.reset(hidden_state=own["critic"])
         if self.rnd:
             self.rnd.update_counter = own["rnd_steps"]
-            if self.rnd.reward_normalization:
-                self.rnd.reward_normalizer.disc_avg.avg = own["rnd_average"]
+            if isinstance(scale := self.rnd.reward_normalizer, EmpiricalDiscountedVariationNormalization):
+                scale.disc_avg.avg = own["rnd_average"]
 
 
 def rsl_rl_config(

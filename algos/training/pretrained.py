@@ -59,8 +59,8 @@ def observed_by(spec: Mapping[str, Any] | None) -> str:
     return "timed_voxel" if voxels.get("layout", {}).get("timed") else "voxel"
 
 
-def adopted(config: Training, named: Collection[str]) -> tuple[Training, dict[str, Any]]:
-    """The configuration of a training that begins with the policy ``config.pretrained``, and this policy's checkpoint.
+def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[Training, dict[str, Any]]:
+    """The configuration of a training that begins with the policy ``pretrained``, and this policy's checkpoint.
 
     Network, observations and method are those of the policy. One that sees voxels keeps its grid, which other bodies
     lie in.
@@ -70,7 +70,7 @@ def adopted(config: Training, named: Collection[str]) -> tuple[Training, dict[st
     """
     from warpvox.algos.checkpoints.files import load_checkpoint
 
-    path, run = find_pretrained(config.pretrained, config.output_dir)
+    path, run = find_pretrained(pretrained, config.output_dir)
     content = load_checkpoint(path)
     spec = check_learned(path, content, config.policy)
     ppo = {"action_scale": spec.action_scale, "normalize_obs": spec.normalize_obs}
@@ -88,7 +88,7 @@ def adopted(config: Training, named: Collection[str]) -> tuple[Training, dict[st
         given = getattr(config.ppo, key[4:]) if key.startswith("ppo.") else getattr(config, key)
         if given != known[key] and (key != "obs" or OBS_OF_VOXELS.get(given) != known[key]):
             raise ConfigError(f"{key}={given} is not that of the policy in {path}: {key}={known[key]}.")
-    changes |= {"ppo": dataclasses.replace(config.ppo, **ppo), "pretrained": kept_name(config.pretrained, path)}
+    changes |= {"ppo": dataclasses.replace(config.ppo, **ppo), "pretrained": kept_name(pretrained, path)}
     return dataclasses.replace(config, **changes), content
 
 
@@ -98,10 +98,11 @@ def _on_the_grid(config: Training, layout: dict[str, Any]) -> Any:
 
     designs, grid = config.designs, [layout["rows"], layout["columns"]]
     if designs.bodies is None:
-        bodies = load_bodies(config.design, config.seed)
-        if any(isinstance(body, dict) for body in bodies):
+        loaded = load_bodies(config.design, config.seed)
+        bodies = [body.tolist() for body in loaded if not isinstance(body, dict)]
+        if len(bodies) < len(loaded):
             raise ConfigError("A policy that sees voxels controls one robot; this design has several.")
-        designs = dataclasses.replace(designs, bodies=[body.tolist() for body in bodies])
+        designs = dataclasses.replace(designs, bodies=bodies)
     if designs.grid not in (None, grid):
         raise ConfigError(f"designs.grid={designs.grid}: the grid of the pretrained policy is {grid}.")
     return dataclasses.replace(designs, grid=grid)

@@ -74,7 +74,7 @@ class _Rollout(Logger):
     def init_logging_writer(self) -> None:
         """An iteration begins."""
         self._logs: list[dict[str, torch.Tensor]] = []
-        self.ended: torch.Tensor | bool = False
+        self.ended = torch.tensor(False)
 
     def process_env_step(
         self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict, intrinsic_rewards: object = None
@@ -320,7 +320,7 @@ class Runner(OnPolicyRunner):
         sums = [count, *(count * own[name] if count else 0.0 for name in ("return", "length"))]
         count, *means, unstable, diverged = self.group.sum([*sums, own["unstable"], own["diverged"]])
         mean, length = (value / count if count else math.nan for value in means)
-        stopped = {"unstable": int(unstable), "diverged": int(diverged)}
+        stopped: dict[str, float] = {"unstable": int(unstable), "diverged": int(diverged)}
         return {"episodes": int(count), "return_mean": mean, "length_mean": length} | stopped
 
     def summary(self) -> dict[str, Any]:
