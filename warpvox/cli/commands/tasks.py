@@ -85,7 +85,8 @@ def _print_task(name: str, config: TasksConfig, console: Console) -> None:
     world = task_world(task, load_design(config.design))
     scene, _ = scene_of_world(world)
     points = {obj.name: obj.num_points for obj in scene.objects}
-    heading = literal(f" ({task.difficulty}, paper section {task.section}, rules={config.rules})")
+    section = f"paper section {task.section}, " if task.section else ""
+    heading = literal(f" ({task.difficulty}, {section}rules={config.rules})")
     console.print(Text.assemble(literal(task.id, "bold"), heading))
     echo(console, f"{task.summary}\n")
     echo(console, f"episode  {task.max_episode_steps} control steps at most")
