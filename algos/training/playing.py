@@ -14,11 +14,15 @@ from warpvox.algos.training.bodies import read_bodies, training_bodies
 from warpvox.algos.training.settings import Training
 from warpvox.code import is_code
 from warpvox.devices.names import resolve_device
+from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError
 from warpvox.runs import Run
 from warpvox.trust import with_code
+
+SHOWN = 4
+"""Episodes that are shown where they differ, unless told otherwise."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,10 +33,11 @@ class Playing:
         task, policy: code of the user's own that the run names, see :func:`warpvox.trust.allowed`.
         stochastic: sample actions as in training, instead of taking their mean.
         protocol: the disturbances of the episodes, see :mod:`warpvox.algos.disturbance`.
-        num_envs: of each disturbance; they lie behind one another.
+        num_envs: of each disturbance; they lie behind one another. None: one for each design, :data:`SHOWN` if
+            something is random, or of many bodies.
     """
 
-    num_envs: int = 1
+    num_envs: int | None = 1
     checkpoint: str = "best"
     stochastic: bool = False
     seed: int | None = None
@@ -91,7 +96,7 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
         designs: bodies for a policy over many bodies; None: those held out, as many as there are environments.
         every: of such a policy, all bodies, the same number of environments for each.
     """
-    device = resolve_device(config.device, config.num_envs)
+    device = resolve_device(config.device, config.num_envs or SHOWN)
     path = run.find_checkpoint(config.checkpoint)
     own = config.task if isinstance(config.task, TaskSpec) else None
     stored = run.config if own is None else run.config | {"task": own.id}
@@ -104,7 +109,9 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
     bodies = training_bodies(trained)
     controller = load_controller(path, device, trained.policy)
     parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=controller.spec.gait is None)
-    count, judged = config.num_envs, bodies.judged
+    judged = bodies.judged
+    drawn = config.stochastic or parts != (NOMINAL,) or get_task(trained.task).is_random
+    count = config.num_envs or (SHOWN if trained.is_many else len(judged) * (SHOWN if drawn else 1))
     if trained.is_many:
         judged = judged if designs is None else read_bodies(designs, config.seed or 0, "designs")
         if every:

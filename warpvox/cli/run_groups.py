@@ -48,7 +48,7 @@ def _labels(groups: list[dict[str, Any]]) -> list[str]:
         return [str(values.get("task", "run")) for values in groups]
     named = [_presets(values, differing) for values in groups]
     short = _differing(named)
-    labels = [_label(values, short) for values in named]
+    labels = [_label(values, _telling(named, short)) for values in named]
     if len(set(labels)) < len(labels):  # the first few settings do not distinguish them
         labels = [f"{label} #{number + 1}" for number, label in enumerate(labels)]
     return labels
@@ -58,6 +58,20 @@ def _differing(groups: list[dict[str, Any]]) -> list[str]:
     """Keys that groups have other values of, in the order of the configuration."""
     keys = dict.fromkeys(key for values in groups for key in values)
     return [key for key in keys if any(values.get(key) != groups[0].get(key) for values in groups)]
+
+
+def _telling(groups: list[dict[str, Any]], keys: list[str]) -> list[str]:
+    """The keys, the task and those that tell most groups apart first, as many as a label names."""
+    first = [key for key in keys if key == "task"]
+
+    def share(key: str) -> tuple[int, int]:
+        return tuple(
+            len({str([one.get(name) for name in names]) for one in groups}) for names in ([*first, key], [key])
+        )
+
+    while len(first) < min(SHOWN, len(keys)):
+        first.append(max((key for key in keys if key not in first), key=share))
+    return first + [key for key in keys if key not in first]
 
 
 def _presets(values: dict[str, Any], differing: list[str]) -> dict[str, Any]:

@@ -21,6 +21,12 @@ def echo(console: Console, text: str) -> None:
     console.print(lines, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
 
+def widen(console: Console, width: int = 120) -> None:
+    """Give a console that is no terminal a width of its own: 80 columns would cut sentences and tables."""
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = width
+
+
 def shown(path: Path) -> str:
     """A path as people like to read it: relative to here where that is shorter."""
     relative = os.path.relpath(path)
@@ -38,8 +44,9 @@ def literal(text: object, style: str = "") -> Text:
 
 
 def shell_argument(key: str, path: str | os.PathLike[str]) -> str:
-    """``KEY=PATH`` as it can be pasted into a shell, whatever the current folder is and whatever the path contains."""
-    return shlex.quote(f"{key}={Path(path).absolute()}")
+    """``KEY=PATH`` as it can be pasted into a shell, whatever the path contains: relative if it is below the folder."""
+    place, here = Path(path).absolute(), Path.cwd()
+    return shlex.quote(f"{key}={place.relative_to(here) if place.is_relative_to(here) else place}")
 
 
 def duration(seconds: float) -> str:
