@@ -69,12 +69,10 @@ class Term:
         try:
             taken.bind(*self.states, **given)
         except TypeError as error:
-            names = [*taken.parameters, *vars(self)]
-            hints = (did_you_mean(name, names) for name in given if name not in taken.parameters)
-            raise TaskError(
-                f"The {self.kind} {self._function_name}({', '.join(taken.parameters)}) is called with"
-                f" ({', '.join([*self.states, *given])}): {error}.{next(hints, '')}"
-            ) from None
+            options, call = [*taken.parameters, *vars(self)], ", ".join([*self.states, *given])
+            hint = next((did_you_mean(name, options) for name in given if name not in taken.parameters), "")
+            takes = f"takes ({', '.join(taken.parameters)}) and is called with ({call})"
+            raise TaskError(f"The {self.kind} '{self.name}' {takes}: {error}.{hint}") from None
 
     def __call__(self, *states: object) -> Tensor:
         return _call(lambda: f"{self.kind} '{self.name}'", self.function, *states, **dict(self.params))
@@ -83,11 +81,7 @@ class Term:
     def name(self) -> str:
         """The function's name followed by the parameters that are words: ``displacement_robot_x``."""
         words = [value for _, value in self.params if isinstance(value, str)]
-        return "_".join([self._function_name, *words])
-
-    @property
-    def _function_name(self) -> str:
-        return getattr(self.function, "__name__", type(self.function).__name__)
+        return "_".join([getattr(self.function, "__name__", type(self.function).__name__), *words])
 
     @property
     def formula(self) -> str:
@@ -270,9 +264,8 @@ class TaskSpec:
             for number, part in enumerate(parts):
                 if not isinstance(part, kind):
                     given = getattr(part, "__name__", None)
-                    hint = f": {MAKERS.get(name, kind.__name__)}({given})" if given else f", got {part!r:.60}"
-                    if isinstance(part, Term):
-                        hint = f", got the {part.kind} '{part.name}'"
+                    got = f"the {part.kind} '{part.name}'" if isinstance(part, Term) else f"{part!r:.60}"
+                    hint = f": {MAKERS.get(name, kind.__name__)}({given})" if given else f", got {got}"
                     article = "an" if kind is Observation else "a"
                     raise TaskError(
                         f"{name}[{number}] of the task '{self.id}' must be {article} {kind.__name__}{hint}."

@@ -107,9 +107,6 @@ def _stack(lines: Sequence[str]) -> np.ndarray:
     return np.array(list(zip_longest(*parsed, fillvalue=Cell.EMPTY)), np.int8).T
 
 
-DEFAULT_DESIGN = "walker"
-
-
 def _is_row(entry: object) -> bool:
     """Whether an entry of a list is a row of cells: a list that holds no lists."""
     return is_list(entry) and not isinstance(entry, str) and not any(map(is_list, entry))
@@ -131,10 +128,8 @@ def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[De
         DesignError, WorldError: a body that is not valid, or does not fit. ConfigError: not a connection for each.
     """
     if designs is None:
-        designs = [DEFAULT_DESIGN]
-    array = is_list(designs) and (
-        getattr(designs, "ndim", 1) in (0, 2) or (len(designs) and all(map(_is_row, designs)))
-    )
+        designs = ["walker"]
+    array = getattr(designs, "ndim", 1) in (0, 2) or (is_list(designs) and len(designs) and all(map(_is_row, designs)))
     single = array or isinstance(designs, str) or is_mapping(designs)
     if not single and not is_list(designs):
         raise DesignError(f"designs must be a list of bodies, got {type(designs).__name__}.")

@@ -21,8 +21,6 @@ SUFFIXES = (".png", ".svg", ".pdf")
 AXES = {"steps": "control steps", "elapsed": "seconds", "iteration": "iterations", "evaluations": "designs trained"}
 PANELS = 4
 """Pictures beside each other at most."""
-LEGEND = 4
-"""Lines that the height of a picture has room for."""
 COLOURS = ("#d96a14", "#2f6fb0", "#3a8a4d", "#8a4fa3", "#b03a48", "#5b6473")
 STYLES = ("-", "--", ":", "-.")
 """Of groups that the colours do not suffice for."""
@@ -124,7 +122,7 @@ def write_curves(
     Args:
         panels: curves, see :func:`curves_of`, of pictures beside each other, by their titles.
         path: .png, .svg or .pdf; written whole or not at all.
-        size: in pixels, of each picture; higher for a legend of more than :data:`LEGEND` lines.
+        size: in pixels, of each picture; higher where the legend has more than four lines.
     """
     target = check_file(path)
     try:
@@ -134,7 +132,7 @@ def write_curves(
         raise ConfigError("Curves need matplotlib, which is not installed: pip install 'warpvox[view]'.") from None
     columns = min(PANELS, len(panels))
     rows = -(-len(panels) // columns)
-    more = max(0, *(len(several) - LEGEND for several in panels.values()))
+    more = max(0, *(len(several) - 4 for several in panels.values()))
     inches = (columns * size[0] / 100, rows * (size[1] + 22 * more) / 100)
     figure = Figure(figsize=inches, dpi=100, layout="constrained")
     for number, (title, several) in enumerate(panels.items()):

@@ -109,11 +109,10 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
     bodies = training_bodies(trained)
     controller = load_controller(path, device, trained.policy)
     parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=controller.spec.gait is None)
-    judged = bodies.judged
-    drawn = config.stochastic or parts != (NOMINAL,) or get_task(trained.task).is_random
-    count = config.num_envs or (SHOWN if trained.is_many else len(judged) * (SHOWN if drawn else 1))
+    judged, drawn = bodies.judged, config.stochastic or parts != (NOMINAL,) or get_task(trained.task).is_random
     if trained.is_many:
         judged = judged if designs is None else read_bodies(designs, config.seed or 0, "designs")
+        count = config.num_envs or min(SHOWN, len(judged))
         if every:
             count = len(judged) * max(1, count // len(judged))
         judged = judged[:count]
@@ -121,6 +120,8 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
         raise ConfigError(
             "Other bodies go with a run over many of them (warpvox train designs=...); this one has its own."
         )
+    else:
+        count = config.num_envs or len(judged) * (SHOWN if drawn else 1)
     sim = dataclasses.replace(sim_of(trained), device=device, lanes=bodies.lanes(trained, device), grid=bodies.grid)
     options: dict[str, Any] = {"rules": trained.rules, "obs": trained.obs, "seed": trained.seed, "sim": sim}
     env = make_vec(trained.task, judged, count * len(parts), auto_reset=False, **options)

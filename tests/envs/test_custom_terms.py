@@ -123,9 +123,12 @@ def velocity_along(state: Any, name: str, axis: str) -> torch.Tensor:
 @pytest.mark.parametrize(
     ("make_term", "words"),
     [
-        (lambda: rewards(displacement, axs="x"), r"displacement\(before, after, name, axis\) .* Did you mean 'axis'\?"),
+        (lambda: rewards(displacement, axs="x"), r"takes \(before, after, name, axis\) .* Did you mean 'axis'\?"),
         (lambda: rewards(displacement, axis="x", wight=2), "'wight'. Did you mean 'weight'"),
-        (lambda: rewards(velocity), r"velocity\(state, name\) is called with \(before, after, name\): multiple values"),
+        (
+            lambda: rewards(velocity),
+            r"takes \(state, name\) and is called with \(before, after, name\): multiple values",
+        ),
     ],
 )
 def test_parameters_are_checked_when_a_term_is_written(make_term: Callable, words: str) -> None:

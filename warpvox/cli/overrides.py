@@ -80,8 +80,7 @@ def _read(command: str, word: str, keys: dict[str, Key], sweeps: bool) -> Overri
     name, given, value = word.partition("=")
     if name == "designs" and given:  # short for the bodies
         name = next((key for key in ("designs.bodies", name, "design") if key in keys), name)
-    if given and name not in keys:
-        name = FILES.get(name, name)
+    name = FILES.get(name, name) if given and name not in keys else name
     if command == "codesign":
         name = RENAMED.get(name, name.replace("screening.", "evaluation."))
     key = keys.get(name)

@@ -61,17 +61,15 @@ def _differing(groups: list[dict[str, Any]]) -> list[str]:
 
 
 def _telling(groups: list[dict[str, Any]], keys: list[str]) -> list[str]:
-    """The keys, the task and those that tell most groups apart first, as many as a label names."""
+    """The keys, the task first, then always the one that tells most groups apart beside those before it, or alone."""
     first = [key for key in keys if key == "task"]
-
-    def share(key: str) -> tuple[int, int]:
-        return tuple(
-            len({str([one.get(name) for name in names]) for one in groups}) for names in ([*first, key], [key])
-        )
-
-    while len(first) < min(SHOWN, len(keys)):
-        first.append(max((key for key in keys if key not in first), key=share))
-    return first + [key for key in keys if key not in first]
+    while left := [key for key in keys if key not in first]:
+        kinds = {
+            key: [len({str([one.get(k) for k in names]) for one in groups}) for names in ([*first, key], [key])]
+            for key in left
+        }
+        first.append(max(left, key=lambda key: kinds[key]))
+    return first
 
 
 def _presets(values: dict[str, Any], differing: list[str]) -> dict[str, Any]:

@@ -27,7 +27,6 @@ from warpvox.trust import STORED
 if TYPE_CHECKING:
     from warpvox.algos.training.policy_table import EvaluatedPolicy, Judged
 
-LATEST = "latest"
 LABELS = ("settings", "episodes", "n", "over")
 SEVERAL = "several"
 """Name of the folder where the runs are of more than one task."""
@@ -50,7 +49,7 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
         raise ConfigError("task names the code of runs of your own tasks (stored, FILE.py:NAME); a run knows its task.")
     widen(console, 200)
     robots = [f"{ZOO}{name}" for name in (zoo_tasks() if config.zoo == ["all"] else config.zoo)]
-    runs = [] if robots and config.runs == [LATEST] else config.runs
+    runs = [] if robots and config.runs == ["latest"] else config.runs
     found = find_runs([*runs, *robots], config.output_dir)
     rows = {}
     for number, each_run in enumerate(found):
@@ -92,12 +91,11 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
     for entry in judged:
         label, before, rows = "" if entry.group is before else entry.group.label, entry.group, []
         for each_run, row in zip(entry.group.runs, entry.rows, strict=True):
-            mean, interval, n = _cells(row.interval)
             name = (label, each_run.folder.name, entry.disturbance)
-            rows.append((*name, mean, interval, f"{row.low_tenth:.3f}", n, "episodes"))
+            rows.append((*name, *_cells(row.interval), f"{row.low_tenth:.3f}", str(row.interval.n), "episodes"))
         if entry.over == "runs":
-            mean, interval, n = _cells(mean_interval(entry.values, config.level))
-            rows.append(("", "all", entry.disturbance, mean, interval, "", n, "runs"))
+            interval = mean_interval(entry.values, config.level)
+            rows.append(("", "all", entry.disturbance, *_cells(interval), "", str(interval.n), "runs"))
         sections.append(rows)
     _print_table(title, headings, sections, console)
     from warpvox.algos.training.policy_table import compare
@@ -111,17 +109,12 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
             over = first.over if first.over == second.over else f"{first.over} and {second.over}"
             sizes = f"{len(first.values)}, {len(second.values)}"
             names = (first.group.label, second.group.label, first.disturbance)
-            rows.append((*names, *_cells(interval)[:2], sizes, over))
+            rows.append((*names, *_cells(interval), sizes, over))
         _print_table(title, headings, [rows], console)
-    echo(
-        console,
-        "Intervals are Student's t. Over runs they cover other trainings, over episodes this policy alone.",
-    )
+    echo(console, "Intervals are Student's t: over runs of other trainings, over episodes of this policy alone.")
 
 
-def _print_table(
-    title: str, headings: Sequence[str], sections: Sequence[Sequence[Sequence[str]]], console: Console
-) -> None:
+def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]], console: Console) -> None:
     """Print rows of cells; where they are wider than the console, without the labels that all rows share."""
     table = Table(title=title, title_justify="left")
     columns = list(zip(*(row for rows in sections for row in rows), strict=True))
@@ -150,9 +143,9 @@ def _say_alike(rows: list[EvaluatedPolicy], config: EvaluateConfig, console: Con
         )
 
 
-def _cells(interval: Interval) -> tuple[str, str, str]:
+def _cells(interval: Interval) -> tuple[str, str]:
     known = math.isfinite(interval.low)
-    return f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}" if known else "-", str(interval.n)
+    return f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}" if known else "-"
 
 
 def _write(folder: Path, judged: list[Judged], config: EvaluateConfig) -> None:

@@ -66,10 +66,7 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
     console.print(table)
     total = sum(path.stat().st_size for path in entries.values())
     echo(console, f"{len(entries)} robot{'s' * (len(entries) != 1)} in {folder}, {total / 1e6:.2f} MB")
-    echo(
-        console,
-        "under noise: mean of 32 episodes with noise of 0.01 on every action; nominal: as EvoGym itself gives it",
-    )
+    echo(console, "under noise: mean of 32 episodes with noise of 0.01 on every action; nominal: as EvoGym gives it")
     echo(console, "steps: control steps of the nominal episode; both in exact arithmetic")
     echo(console, "trained: control steps of the whole search; body: cell types, rows from the top")
     echo(console, "○: open loop, a gait whose actions depend on the time alone; all others observe what the task has")
