@@ -111,7 +111,7 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
             names = (first.group.label, second.group.label, first.disturbance)
             rows.append((*names, *_cells(interval), sizes, over))
         _print_table(title, headings, [rows], console)
-    echo(console, "Intervals are Student's t: over runs of other trainings, over episodes of this policy alone.")
+    echo(console, "Student's t: intervals over runs cover other trainings, those over episodes this policy alone.")
 
 
 def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]], console: Console) -> None:
