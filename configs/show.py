@@ -84,7 +84,7 @@ class PlayConfig(_RolloutConfig):
         path="read",
     )
     rules: str | None = key(None, "with agent: evogym or paper; null: evogym", choices=("evogym", "paper"))
-    num_envs: int = key(4, "number of environments, a multiple of the number of designs", low=1)
+    num_envs: int | None = key(None, "environments; null: one for each design, four where episodes differ", low=1)
     protocol: str = key(NOMINAL, "disturbances of a policy, see `warpvox evaluate --help`", choices=tuple(PROTOCOLS))
     rollout: str | None = key(None, "only show this rollout file, such as a dump of nan_guard=dump", path="read")
     window: str = key("auto", "show the episode in a window: on, off, or auto (if there is a display)", choices=SHOW)

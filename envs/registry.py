@@ -19,13 +19,12 @@ _ALIASES = {"WingspanMazimizer-v0": "WingspanMaximizer-v0"}  # the release's spe
 _RELEASED = {ours: theirs for theirs, ours in _ALIASES.items()}
 
 
-def _in_order_of_the_paper(spec: TaskSpec) -> list[int]:
-    return [int(number) for number in spec.section.split(".")[1:]]
-
-
 _TASKS = {
     spec.id: spec
-    for spec in sorted((spec for family in _FAMILIES for spec in family.TASKS), key=_in_order_of_the_paper)
+    for spec in sorted(
+        (spec for family in _FAMILIES for spec in family.TASKS),
+        key=lambda spec: [int(number) for number in spec.section.split(".")[1:]],  # in the order of the paper
+    )
 }
 
 

@@ -13,15 +13,16 @@ import re
 import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from functools import partial
+from inspect import signature
 from math import isfinite
 from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
-from warpvox.checks import check_choice, is_integer
+from warpvox.checks import check_choice, check_integer
 from warpvox.devices.out_of_memory import shortage
 from warpvox.envs.about import About, about_of
 from warpvox.errors import TaskError, WarpvoxError, did_you_mean, listing
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 RULES = ("evogym", "paper")
 """``evogym``: the benchmark as released (2.0.0). ``paper``: as section B of the paper prints it."""
+
+DIFFICULTIES = ("easy", "medium", "hard")
 
 ROBOT = "robot"
 """Name of the robot in the world of a task."""
@@ -55,6 +58,21 @@ class Term:
     params: tuple[tuple[str, Any], ...] = ()
 
     kind: ClassVar[str] = "term"
+    states: ClassVar[tuple[str, ...]] = ("state",)
+
+    def __post_init__(self) -> None:
+        try:
+            taken = signature(self.function)
+        except (TypeError, ValueError):  # what cannot be called, or does not say how
+            return
+        given = dict(self.params)
+        try:
+            taken.bind(*self.states, **given)
+        except TypeError as error:
+            options, call = [*taken.parameters, *vars(self)], ", ".join([*self.states, *given])
+            hint = next((did_you_mean(name, options) for name in given if name not in taken.parameters), "")
+            takes = f"takes ({', '.join(taken.parameters)}) and is called with ({call})"
+            raise TaskError(f"The {self.kind} '{self.name}' {takes}: {error}.{hint}") from None
 
     def __call__(self, *states: object) -> Tensor:
         return _call(lambda: f"{self.kind} '{self.name}'", self.function, *states, **dict(self.params))
@@ -92,6 +110,7 @@ class Reward(Term):
 
     weight: float = 1.0
     kind: ClassVar[str] = "reward"
+    states: ClassVar[tuple[str, ...]] = ("before", "after")
 
 
 @dataclass(frozen=True)
@@ -176,9 +195,9 @@ class TaskSpec:
 
     Attributes:
         id: what users type, for instance ``Walker-v0``.
-        section: where the paper defines it, for instance ``B.2.1``.
+        section: where the paper defines it, for instance ``B.2.1``; empty for a task of your own.
         summary: one sentence: what the robot has to do.
-        difficulty: ``easy``, ``medium`` or ``hard`` (the paper's).
+        difficulty: one of :data:`DIFFICULTIES`.
         objects: everything in the world but the robots that are designed.
         robot_cell: (x, y) of the lower left cell of the body's bounding box. The body is the object ``robot``.
         partners: further robots whose bodies are designed: their names, and (x, y) as for ``robot_cell``.
@@ -194,9 +213,10 @@ class TaskSpec:
     """
 
     id: str
-    section: str
-    summary: str
-    difficulty: str
+    section: str = ""
+    summary: str = ""
+    difficulty: str = "medium"
+    _: KW_ONLY
     objects: tuple[WorldObject, ...]
     robot_cell: tuple[int, int]
     max_episode_steps: int
@@ -214,9 +234,11 @@ class TaskSpec:
         object.__setattr__(self, "partners", MappingProxyType(dict(self.partners)))
         if not isinstance(self.id, str) or not ID.fullmatch(self.id):
             raise TaskError(f"The id of a task may hold letters, digits and . _ + - only, got {self.id!r}.")
+        check_choice(f"difficulty of the task '{self.id}'", self.difficulty, DIFFICULTIES, TaskError)
         self._check_parts()
-        if not self.observations or self.max_episode_steps < 1:
-            raise TaskError(f"The task '{self.id}' needs an observation and at least one step an episode.")
+        check_integer(f"max_episode_steps of the task '{self.id}'", self.max_episode_steps, 1, error=TaskError)
+        if not self.observations:
+            raise TaskError(f"The task '{self.id}' needs an observation.")
         if self.randomized and all(memory.name != "offset" for memory in self.memory):
             raise TaskError(
                 f"The task '{self.id}' randomizes objects but has no memory named 'offset' that says how far."
@@ -242,7 +264,8 @@ class TaskSpec:
             for number, part in enumerate(parts):
                 if not isinstance(part, kind):
                     given = getattr(part, "__name__", None)
-                    hint = f": {MAKERS.get(name, kind.__name__)}({given})" if given else f", got {part!r:.60}"
+                    got = f"the {part.kind} '{part.name}'" if isinstance(part, Term) else f"{part!r:.60}"
+                    hint = f": {MAKERS.get(name, kind.__name__)}({given})" if given else f", got {got}"
                     article = "an" if kind is Observation else "a"
                     raise TaskError(
                         f"{name}[{number}] of the task '{self.id}' must be {article} {kind.__name__}{hint}."
@@ -258,9 +281,6 @@ class TaskSpec:
         for what, number in numbers.items():
             if not isinstance(number, Real) or not isfinite(number):
                 raise TaskError(f"The {what} in the task '{self.id}' must be a finite number, got {number!r:.60}.")
-        steps = self.max_episode_steps
-        if not is_integer(steps):
-            raise TaskError(f"max_episode_steps of the task '{self.id}' must be an integer, got {steps!r:.60}.")
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Views of mappings cannot be copied or sent to other processes; the mappings can.

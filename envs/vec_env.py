@@ -58,7 +58,8 @@ def make_vec(
 
     Args:
         task: an id out of ``task_ids()``, ``module:NAME`` or ``file.py:NAME``, or a specification of your own.
-        designs: robot bodies: arrays, or anything :func:`warpvox.load_design` reads; a single body will do.
+        designs: robot bodies: arrays, or anything :func:`warpvox.load_design` reads; a single body will do, also as
+            rows of cells: ``[[3, 3, 3], [4, 0, 4]]``.
             Environments come in equal blocks, design by design. Default: the example design ``walker``. Where a
             task has several robots, a design is a mapping ``{name: body}``; a single body is meant for all of them.
         num_envs: a multiple of the number of designs.

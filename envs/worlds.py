@@ -7,6 +7,7 @@ list of runs: ``"20. 10F"`` is twenty empty cells and ten fixed ones, a run of o
 import re
 from collections.abc import Sequence
 from itertools import zip_longest
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -82,10 +83,13 @@ def task_world(task: TaskSpec, body: object, connections: object = None) -> Worl
     world = World()
     for obj in task.objects:
         world.add_object(obj)
+    end = world.width if any(obj.is_static for obj in task.objects) else inf
     links = connections if is_mapping(connections) else {ROBOT: connections}
     for name, cells in task_team(task, body).items():
         try:
-            world.add_from_array(name, cells, *task.robots[name], connections=links.get(name))
+            robot = world.add_from_array(name, cells, *task.robots[name], connections=links.get(name))
+            if robot.x + robot.width > end:
+                raise WorldError(f"from column {robot.x} it reaches beyond the last one, {end - 1}.")
         except WorldError as error:
             shape = "x".join(str(n) for n in np.asarray(cells).shape)
             raise WorldError(f"The {shape} body does not fit the world of {task.id}: {error}") from None
@@ -103,7 +107,9 @@ def _stack(lines: Sequence[str]) -> np.ndarray:
     return np.array(list(zip_longest(*parsed, fillvalue=Cell.EMPTY)), np.int8).T
 
 
-DEFAULT_DESIGN = "walker"
+def _is_row(entry: object) -> bool:
+    """Whether an entry of a list is a row of cells: a list that holds no lists."""
+    return is_list(entry) and not isinstance(entry, str) and not any(map(is_list, entry))
 
 
 def one_body(body: object, designs: Any, connections: Any) -> tuple[Any, Any]:
@@ -122,8 +128,8 @@ def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[De
         DesignError, WorldError: a body that is not valid, or does not fit. ConfigError: not a connection for each.
     """
     if designs is None:
-        designs = [DEFAULT_DESIGN]
-    array = is_list(designs) and getattr(designs, "ndim", 1) in (0, 2)
+        designs = ["walker"]
+    array = getattr(designs, "ndim", 1) in (0, 2) or (is_list(designs) and len(designs) and all(map(_is_row, designs)))
     single = array or isinstance(designs, str) or is_mapping(designs)
     if not single and not is_list(designs):
         raise DesignError(f"designs must be a list of bodies, got {type(designs).__name__}.")

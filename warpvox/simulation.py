@@ -84,7 +84,8 @@ class Simulation(Sensing):
         if not isinstance(worlds, Sequence) or not worlds or not all(isinstance(world, World) for world in worlds):
             raise SimulationError(f"Simulation needs a list of one World or more, got {worlds!r:.80}.")
         self.options = SimOptions.of(sim, options, Simulation.__init__).resolved(len(worlds))
-        _check_names(loose)
+        if not isinstance(loose, Sequence) or isinstance(loose, str) or not all(isinstance(one, str) for one in loose):
+            raise SimulationError(f"loose must be a list of names of objects, got {loose!r:.80}.")
         low, high = _check_range(action_range)
         self.device, self.physics = self.options.device, self.options.physics
         self.arithmetic, self.threads = self.options.arithmetic, self.options.threads
@@ -512,11 +513,6 @@ STATE_FIELDS = ("pos", "vel", "true_vel", "frozen", "status", "time")
 
 def _torch(array: wp.array) -> torch.Tensor:
     return wp.to_torch(array).long()
-
-
-def _check_names(loose: Sequence[str]) -> None:
-    if not isinstance(loose, Sequence) or isinstance(loose, str) or not all(isinstance(name, str) for name in loose):
-        raise SimulationError(f"loose must be a list of names of objects, got {loose!r:.80}.")
 
 
 def _check_range(action_range: tuple[float, float]) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 
 from warpvox.checks import check_choice, is_number
-from warpvox.errors import ConfigError, did_you_mean
+from warpvox.errors import ConfigError, TaskError, did_you_mean
 
 VOXEL = 0.1
 """Side of a voxel in simulator units."""
@@ -15,8 +15,16 @@ FRAME_SECONDS = 1 / 50
 """Nominal seconds of a control step (paper section A.2: 50 Hz)."""
 SIGHT = 5
 """Voxels that robots see up and down."""
-AXES = {"x": 0, "y": 1}
-"""Component of a vector by its name."""
+
+
+class _Axes(dict[str, int]):
+    def __missing__(self, axis: str) -> int:
+        check_choice("axis", axis, self, TaskError)
+        raise KeyError(axis)
+
+
+AXES = _Axes(x=0, y=1)
+"""Component of a vector by its name; TaskError: another name."""
 SUBSTEPS = 30
 """Sub-steps of a control step (paper section A.2), the default of ``Physics.substeps``."""
 DT = 1.0e-4

@@ -122,7 +122,7 @@ def write_curves(
     Args:
         panels: curves, see :func:`curves_of`, of pictures beside each other, by their titles.
         path: .png, .svg or .pdf; written whole or not at all.
-        size: in pixels, of each picture.
+        size: in pixels, of each picture; higher where the legend has more than four lines.
     """
     target = check_file(path)
     try:
@@ -132,7 +132,8 @@ def write_curves(
         raise ConfigError("Curves need matplotlib, which is not installed: pip install 'warpvox[view]'.") from None
     columns = min(PANELS, len(panels))
     rows = -(-len(panels) // columns)
-    inches = (columns * size[0] / 100, rows * size[1] / 100)
+    more = max(0, *(len(several) - 4 for several in panels.values()))
+    inches = (columns * size[0] / 100, rows * (size[1] + 22 * more) / 100)
     figure = Figure(figsize=inches, dpi=100, layout="constrained")
     for number, (title, several) in enumerate(panels.items()):
         said = [curve.group.label for curve in several] == [title]  # by the legend
@@ -196,4 +197,4 @@ def _dress(axes: Any, label: str) -> None:
     axes.ticklabel_format(axis="x", style="plain")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
     axes.margins(x=0.01)
-    axes.legend(frameon=False, loc="best")
+    axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0), borderaxespad=3.5)  # below, off the curves

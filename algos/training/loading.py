@@ -15,7 +15,7 @@ from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.policy import Policy, read_policy
 from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.training.metrics import read_metrics
-from warpvox.algos.training.playing import Playing, disturbed, load_trained
+from warpvox.algos.training.playing import SHOWN, Playing, disturbed, load_trained
 from warpvox.code import Code, is_code
 from warpvox.devices.names import resolve_device
 from warpvox.envs.registry import get_task, task_ids
@@ -146,7 +146,7 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
     robot = dataclasses.replace(robot, task=task)
     parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=robot.has_feedback)
     alike = parts == (NOMINAL,) and not get_task(robot.task).is_random
-    count = 1 if alike else config.num_envs
+    count = 1 if alike else config.num_envs or SHOWN
     options = {name: value for name in ("dtype", "arithmetic", "seed") if (value := getattr(config, name)) is not None}
     if config.arithmetic == "fast":
         options.setdefault("dtype", "float32")

@@ -16,11 +16,15 @@ from warpvox.algos.training.bodies import read_bodies, training_bodies
 from warpvox.algos.training.settings import Training
 from warpvox.code import is_code
 from warpvox.devices.names import resolve_device
+from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError
 from warpvox.runs import Run
 from warpvox.trust import with_code
+
+SHOWN = 4
+"""Episodes that are shown where they differ, unless told otherwise."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,10 +35,11 @@ class Playing:
         task, policy: code of the user's own that the run names, see :func:`warpvox.trust.allowed`.
         stochastic: sample actions as in training, instead of taking their mean.
         protocol: the disturbances of the episodes, see :mod:`warpvox.algos.disturbance`.
-        num_envs: of each disturbance; they lie behind one another.
+        num_envs: of each disturbance; they lie behind one another. None: one for each design, :data:`SHOWN` if
+            something is random, or of many bodies.
     """
 
-    num_envs: int = 1
+    num_envs: int | None = 1
     checkpoint: str = "best"
     stochastic: bool = False
     seed: int | None = None
@@ -93,7 +98,7 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
         designs: bodies for a policy over many bodies; None: those held out, as many as there are environments.
         every: of such a policy, all bodies, the same number of environments for each.
     """
-    device = resolve_device(config.device, config.num_envs)
+    device = resolve_device(config.device, config.num_envs or SHOWN)
     path = run.find_checkpoint(config.checkpoint)
     own = config.task if isinstance(config.task, TaskSpec) else None
     stored = run.config if own is None else run.config | {"task": own.id}
@@ -106,9 +111,10 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
     bodies = training_bodies(trained)
     controller = load_controller(path, device, trained.policy)
     parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=controller.spec.gait is None)
-    count, judged = config.num_envs, bodies.judged
+    judged, drawn = bodies.judged, config.stochastic or parts != (NOMINAL,) or get_task(trained.task).is_random
     if trained.is_many:
         judged = judged if designs is None else read_bodies(designs, config.seed or 0, "designs")
+        count = config.num_envs or min(SHOWN, len(judged))
         if every:
             count = len(judged) * max(1, count // len(judged))
         judged = judged[:count]
@@ -116,6 +122,8 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
         raise ConfigError(
             "Other bodies go with a run over many of them (warpvox train designs=...); this one has its own."
         )
+    else:
+        count = config.num_envs or len(judged) * (SHOWN if drawn else 1)
     sim = dataclasses.replace(sim_of(trained), device=device, lanes=bodies.lanes(trained, device), grid=bodies.grid)
     options: dict[str, Any] = {"rules": trained.rules, "obs": trained.obs, "seed": trained.seed, "sim": sim}
     env = make_vec(trained.task, judged, count * len(parts), auto_reset=False, **options)

@@ -75,6 +75,8 @@ def test_advice_can_be_pasted_anywhere(folder: str, tmp_path: Path, monkeypatch:
     word = subprocess.run(["sh", "-c", line], capture_output=True, text=True, check=True, cwd="/").stdout
     assert word == f"run={tmp_path / folder}"
     assert load("play", [word]).run == str(tmp_path / folder)
+    assert shell_argument("run", "outputs/~") == "'run=outputs/~'"  # short where that says the same
+    assert shell_argument("run", "~/a") == f"'run={tmp_path}/~/a'"
 
 
 def test_the_advice_of_a_run_in_an_odd_folder(warpvox: Callable) -> None:

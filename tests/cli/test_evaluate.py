@@ -66,6 +66,20 @@ def test_labels_name_presets_designs_and_tasks() -> None:
     ]
 
 
+def test_a_label_begins_with_what_tells_the_most_runs_apart() -> None:
+    one = config(policy="net.py:Own", network="a", obs="timed", ppo={"gamma": 0.7, "lam": 0.9})
+    others = [config(policy="mlp", network=None, obs="task", ppo={"gamma": gamma, "lam": 0.9}) for gamma in (0.8, 0.9)]
+    labels = [group.label for group in group_runs(runs(*others, one, others[0] | {"num_envs": 8}))]
+    assert [label.split(", ")[0] for label in labels] == [
+        "ppo.gamma=0.8",
+        "ppo.gamma=0.9",
+        "ppo.gamma=0.7",
+        "ppo.gamma=0.8",
+    ]
+    assert len(set(labels)) == 4
+    assert "#" not in "".join(labels)
+
+
 def test_sampled_actions_have_the_deviation_of_training(train: Callable) -> None:
     folder = train("max_iterations=1", "ppo.init_std=0.2")
     controller = load_controller(folder / "model_1.pt")
@@ -80,7 +94,7 @@ def test_sampled_actions_have_the_deviation_of_training(train: Callable) -> None
     assert torch.allclose(actions.mean(0)[inside], mean[inside], atol=0.01)
 
 
-def test_evaluate_over_runs_and_episodes(train: Callable, warpvox: Callable) -> None:
+def test_evaluate_over_runs_and_episodes(train: Callable, warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     for gamma in (0.9, 0.99):
         for seed in (1, 2):
             train("max_iterations=1", f"ppo.gamma={gamma}", f"seed={seed}", f"name=g{gamma}_{seed}")
@@ -103,6 +117,11 @@ def test_evaluate_over_runs_and_episodes(train: Callable, warpvox: Callable) -> 
     expected = difference(means[pair["first"]], means[pair["second"]])
     assert (pair["difference"], pair["low"]) == pytest.approx((expected.mean, expected.low))
     assert "Welch's 95 % interval" in outcome.out
+    assert "nominal" in outcome.out
+    monkeypatch.setenv("COLUMNS", "70")  # what all rows share is left out
+    narrow = warpvox("evaluate", "runs=outputs/train/*/*", "episodes=8", "stochastic=true", *FAST).out
+    assert "nominal" not in narrow
+    assert f"{interval.mean:.3f}" in narrow
     with (folder / "runs.csv").open(encoding="utf-8", newline="") as text:
         assert [float(row["mean"]) for row in csv.DictReader(text)] == pytest.approx(
             [r["mean"] for r in summary["runs"]]

@@ -47,7 +47,7 @@ def test_without_a_window_there_is_a_page(warpvox: Callable, monkeypatch: pytest
 def test_a_recorded_rollout_is_exported_as_it_is(warpvox: Callable) -> None:
     warpvox("play", "agent=sine", *QUICK, "export=[]")
     file = only("play/Walker-v0/*/rollout.npz")
-    warpvox("export", f"rollout={file}", "format=[html,png,strip,gif]", "size=[400,200]")
+    warpvox("export", f"rollout={file}", "export=[html,png,strip,gif]", "size=[400,200]")  # as well as format=
     folder = only("export/Walker-v0/*")
     names = {"config.yaml", "summary.json", "rollout.html", "rollout.png", "rollout_strip.png", "rollout.gif"}
     assert {file.name for file in folder.iterdir()} == names

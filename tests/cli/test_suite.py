@@ -311,7 +311,7 @@ def test_an_interrupt_saves_what_there_is(quick: Callable, monkeypatch: pytest.M
     outcome = quick(code=128 + signal.SIGTERM)
     (folder,) = Path("outputs/suite").iterdir()
     assert states(folder) == ["done", "waiting", "waiting", "waiting"]
-    assert f"resume={folder.absolute()}" in outcome.out
+    assert f"resume={folder}" in outcome.out
     monkeypatch.undo()
 
 

@@ -234,8 +234,8 @@ def test_a_search_on_a_custom_task_in_a_module(warpvox: Callable, tmp_path: Path
     (folder,) = Path("outputs/codesign/Mine-v0").iterdir()
     shutil.rmtree(package.parent)
     Path("search.py").unlink()
-    assert f"warpvox play run={folder.absolute()} task=stored" in outcome.out
-    assert f"warpvox play run={folder.absolute()}/designs/0 task=stored</code>" in (folder / "report.html").read_text()
+    assert f"warpvox play run={folder} task=stored" in outcome.out
+    assert f"warpvox play run={folder}/designs/0 task=stored</code>" in (folder / "report.html").read_text()
     for run in (folder, next((folder / "designs").iterdir())):
         warpvox("play", f"run={run}", "task=stored", *PLAY)
     warpvox("codesign", f"resume={folder}", "task=stored", "search.make=stored")

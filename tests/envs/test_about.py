@@ -9,7 +9,7 @@ import torch
 
 from warpvox.envs.about import UNITS, About, about, about_of
 from warpvox.envs.registry import get_task, task_ids
-from warpvox.envs.spec import observes, rewards
+from warpvox.envs.spec import observes
 from warpvox.envs.vec_env import make_vec
 
 COUNT, EXACT = 300, 1e-12
@@ -112,7 +112,7 @@ def test_a_function_that_says_nothing_is_called_by_its_name() -> None:
     def mine(state, name, reach):
         """No formula."""
 
-    assert rewards(mine, reach=3).formula == "mine(name=robot, reach=3)"
+    assert observes(mine, reach=3).formula == "mine(name=robot, reach=3)"
     unknown = observes(mine, "ball", reach=3)
     assert unknown.formula == "mine(name=ball, reach=3)"
     assert (unknown.about.low, unknown.about.high, unknown.about.unit) == (-np.inf, np.inf, "number")

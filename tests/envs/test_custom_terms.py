@@ -17,6 +17,7 @@ from warpvox.envs.terms.observations import velocity
 from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import DeviceError, SimulationError, TaskError
+from warpvox.types import AXES
 
 ENVS = 3
 BASE = replace(get_task("Walker-v0"), id="Mine-v0")
@@ -115,6 +116,26 @@ def test_randomized_objects_are_checked() -> None:
             make(replace(task, id="Mine-v0", memory=(Memory("offset", start),)))
 
 
+def velocity_along(state: Any, name: str, axis: str) -> torch.Tensor:
+    return state.velocity(name)[:, [AXES[axis]]]
+
+
+@pytest.mark.parametrize(
+    ("make_term", "words"),
+    [
+        (lambda: rewards(displacement, axs="x"), r"takes \(before, after, name, axis\) .* Did you mean 'axis'\?"),
+        (lambda: rewards(displacement, axis="x", wight=2), "'wight'. Did you mean 'weight'"),
+        (
+            lambda: rewards(velocity),
+            r"takes \(state, name\) and is called with \(before, after, name\): multiple values",
+        ),
+    ],
+)
+def test_parameters_are_checked_when_a_term_is_written(make_term: Callable, words: str) -> None:
+    with pytest.raises(TaskError, match=words):
+        make_term()
+
+
 def lookup(state: Any, name: str) -> torch.Tensor:
     return torch.zeros(len(state.com("robot")), {"a": 1}[name])
 
@@ -123,7 +144,7 @@ def lookup(state: Any, name: str) -> torch.Tensor:
     ("observation", "words"),
     [
         (observes(velocity, "robbot"), r"No object named 'robbot'; there are robot.* Did you mean 'robot'\?"),
-        (observes(velocity, nme="robot"), r"TypeError: .*unexpected keyword argument 'nme'"),
+        (observes(velocity_along, axis="z"), r"axis must be one of x, y, got 'z'"),
         (observes(lookup), r"KeyError: 'robot' \(test_custom_terms.py, line \d+\)"),
     ],
 )

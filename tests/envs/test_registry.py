@@ -53,7 +53,9 @@ def test_a_specification_can_be_copied_and_sent(task: str) -> None:
     ("changes", "words"),
     [
         ({"observations": ()}, "needs an observation"),
-        ({"max_episode_steps": 0}, "at least one step"),
+        ({"max_episode_steps": 0}, "must be an integer >= 1, got 0"),
+        ({"difficulty": "trivial"}, "must be one of easy, medium, hard"),
+        ({"rewards": (observes(shape),)}, "must be a Reward, got the observation 'shape_robot'"),
         ({"rewards": (rewards(displacement, axis="x"), rewards(displacement, axis="x", weight=2.0))}, "several"),
         ({"id": "mine/Walker-v0"}, "letters, digits"),
         ({"randomized": ("ground",)}, "no memory named 'offset'"),
@@ -62,9 +64,6 @@ def test_a_specification_can_be_copied_and_sent(task: str) -> None:
 def test_specifications_that_make_no_sense_are_refused(changes: dict, words: str) -> None:
     fields = {
         "id": "Mine-v0",
-        "section": "B.2.1",
-        "summary": "",
-        "difficulty": "easy",
         "objects": (block("ground", 10, 1),),
         "robot_cell": (1, 1),
         "max_episode_steps": 10,
@@ -156,6 +155,9 @@ def test_worlds_have_the_checksums_of_the_reference(task: str) -> None:
 def test_a_body_that_does_not_fit_is_refused_by_name_of_the_task() -> None:
     with pytest.raises(WorldError, match=r"5x6 body does not fit the world of Climber-v0: .*'pipe' at cell \(6, 1\)"):
         task_world(get_task("Climber-v0"), np.full((5, 6), 3, np.int8))
+    beyond = dataclasses.replace(get_task("Walker-v0"), robot_cell=(98, 1))
+    with pytest.raises(WorldError, match=r"3x3 body .* of Walker-v0: from column 98 it reaches beyond the last"):
+        task_world(beyond, np.full((3, 3), 3, np.int8))
 
 
 def test_examples_are_made_for_tasks_that_there_are_and_fit_them() -> None:

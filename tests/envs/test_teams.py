@@ -20,9 +20,7 @@ from warpvox.errors import DesignError, WorldError
 
 ALONE = TaskSpec(
     id="Alone-v0",
-    section="mine",
     summary="Walk.",
-    difficulty="easy",
     objects=(block("ground", 60, 1),),
     robot_cell=(2, 1),
     max_episode_steps=50,

@@ -99,6 +99,11 @@ def test_an_episode_after_a_reset_repeats_the_first(task: str) -> None:
         assert torch.equal(one[1], two[1])
 
 
+def test_rows_of_cells_are_one_body() -> None:
+    env = make_vec("Walker-v0", [[3, 3, 3], [4, 0, 4]], 2, device="cpu", threads=1)
+    assert [body.tolist() for body in env.designs] == [[[3, 3, 3], [4, 0, 4]]]
+
+
 def test_what_is_returned_belongs_to_the_caller() -> None:
     env, twin = (make("UpStepper-v0", None, 2, max_episode_steps=3) for _ in range(2))
     for action in some_actions(env, 5):
@@ -201,6 +206,9 @@ def test_actions_that_are_not_finite_are_refused_and_change_nothing(value: float
         (ConfigError, "max_episode_steps must be", {"max_episode_steps": 0}),
         (ConfigError, "one entry a design", {"connections": [None, None]}),
         (DesignError, "list of designs is empty", {"designs": []}),
+        (DesignError, "^The body is ragged", {"designs": [[3, 3], [4]]}),
+        (DesignError, "^The body holds an unknown cell type 7 at row 1, column 0", {"designs": [[3, 3], [7, 3]]}),
+        (DesignError, "^The body is not connected", {"designs": [[3, 0], [0, 3]]}),
         (DesignError, "Design 1: .*not connected", {"designs": ["walker", [[3, 0], [0, 3]]], "num_envs": 2}),
     ],
 )

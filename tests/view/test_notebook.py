@@ -62,6 +62,7 @@ def test_svg_paints_every_cell_once_in_its_colour(seed: int) -> None:
     body = sample_design((4, 6), seed)
     painted = np.zeros_like(body)
     root = ET.fromstring(body_svg(body, title="a"))
+    assert root.get("stroke") == "#1c1e24"  # or equal cells beside each other would be one bar
     for path in root.findall("path"):
         kind = int(path.get("class")[1:])
         assert path.get("fill") == "#{:02x}{:02x}{:02x}".format(*cell_colour(kind))

@@ -107,7 +107,7 @@ def _help() -> str:
         "`warpvox COMMAND --help` lists the keys of a command; `warpvox -sc install=bash` prints code that completes\n"
         "them in bash (zsh, fish). For instance:\n"
         "  warpvox train task=Walker-v0 design=walker num_envs=512\n"
-        "  warpvox play run=latest export=[usd,gif,html]"
+        "  warpvox play run=latest 'export=[usd,gif,html]'"
     )
 
 

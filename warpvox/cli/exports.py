@@ -59,13 +59,15 @@ def record_run(run: Run, env: Any, controller: Any, steps: int | None, stochasti
 def record_agent(config: Any) -> Rollout:
     """One episode of every environment under an agent that needs no training."""
     from warpvox.algos.training.bodies import load_bodies
+    from warpvox.algos.training.playing import SHOWN
     from warpvox.envs.vec_env import make_vec
     from warpvox.view.rollout import record
 
+    bodies = load_bodies("walker" if config.design is None else config.design, config.seed or 0)
     env = make_vec(
         config.task or "Walker-v0",
-        load_bodies("walker" if config.design is None else config.design, config.seed or 0),
-        config.num_envs,
+        bodies,
+        config.num_envs or len(bodies) * (1 if config.agent == "zero" else SHOWN),
         device=config.device,
         rules=config.rules or "evogym",
         dtype=config.dtype or "float32",

@@ -22,6 +22,8 @@ from warpvox.errors import ConfigError
 
 RENAMED = {"finalists": "evaluation.finalists", "pretrained": "evaluation.pretrained", "search.algorithm": "search"}
 """Keys of design searches as they were written before evaluations had settings of their own."""
+FILES = {"export": "format", "format": "export"}
+"""Names of one list: what a command writes beside its results, and what ``export`` itself writes."""
 QUOTED = re.compile(r"""'(\\.|[^'\\])*'|"(\\.|[^"\\])*\"""", re.DOTALL)
 
 
@@ -78,6 +80,7 @@ def _read(command: str, word: str, keys: dict[str, Key], sweeps: bool) -> Overri
     name, given, value = word.partition("=")
     if name == "designs" and given:  # short for the bodies
         name = next((key for key in ("designs.bodies", name, "design") if key in keys), name)
+    name = FILES.get(name, name) if given and name not in keys else name
     if command == "codesign":
         name = RENAMED.get(name, name.replace("screening.", "evaluation."))
     key = keys.get(name)

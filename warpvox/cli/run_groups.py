@@ -48,7 +48,7 @@ def _labels(groups: list[dict[str, Any]]) -> list[str]:
         return [str(values.get("task", "run")) for values in groups]
     named = [_presets(values, differing) for values in groups]
     short = _differing(named)
-    labels = [_label(values, short) for values in named]
+    labels = [_label(values, _telling(named, short)) for values in named]
     if len(set(labels)) < len(labels):  # the first few settings do not distinguish them
         labels = [f"{label} #{number + 1}" for number, label in enumerate(labels)]
     return labels
@@ -58,6 +58,18 @@ def _differing(groups: list[dict[str, Any]]) -> list[str]:
     """Keys that groups have other values of, in the order of the configuration."""
     keys = dict.fromkeys(key for values in groups for key in values)
     return [key for key in keys if any(values.get(key) != groups[0].get(key) for values in groups)]
+
+
+def _telling(groups: list[dict[str, Any]], keys: list[str]) -> list[str]:
+    """The keys, the task first, then always the one that tells most groups apart beside those before it, or alone."""
+    first = [key for key in keys if key == "task"]
+    while left := [key for key in keys if key not in first]:
+        kinds = {
+            key: [len({str([one.get(k) for k in names]) for one in groups}) for names in ([*first, key], [key])]
+            for key in left
+        }
+        first.append(max(left, key=lambda key: kinds[key]))
+    return first
 
 
 def _presets(values: dict[str, Any], differing: list[str]) -> dict[str, Any]:

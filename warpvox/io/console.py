@@ -21,6 +21,12 @@ def echo(console: Console, text: str) -> None:
     console.print(lines, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
 
+def widen(console: Console, width: int = 120) -> None:
+    """Give a console that is no terminal a width of its own: 80 columns would cut sentences and tables."""
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = width
+
+
 def shown(path: Path) -> str:
     """A path as people like to read it: relative to here where that is shorter."""
     relative = os.path.relpath(path)
@@ -29,7 +35,7 @@ def shown(path: Path) -> str:
 
 def escaped(text: object) -> str:
     """``text`` with what a terminal would obey written as ``\\x1b``; an end of line is among it."""
-    return "".join(_escaped(character) if _obeyed(character) else character for character in str(text))
+    return "".join(map(_escaped, str(text)))
 
 
 def literal(text: object, style: str = "") -> Text:
@@ -38,8 +44,11 @@ def literal(text: object, style: str = "") -> Text:
 
 
 def shell_argument(key: str, path: str | os.PathLike[str]) -> str:
-    """``KEY=PATH`` as it can be pasted into a shell, whatever the current folder is and whatever the path contains."""
-    return shlex.quote(f"{key}={Path(path).absolute()}")
+    """``KEY=PATH`` as it can be pasted into a shell, whatever the path holds; relative if it lies well below here."""
+    place, here = Path(path).absolute(), Path.cwd()
+    below = str(place.relative_to(here)) if place.is_relative_to(here) else ""
+    # a single word could be another value of the key, such as latest, and some characters begin more than a path
+    return shlex.quote(f"{key}={below if below[:1].isalnum() and os.sep in below else place}")
 
 
 def duration(seconds: float) -> str:
@@ -53,10 +62,8 @@ def figure(value: float, digits: int = 3) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
-def _obeyed(character: str) -> bool:
-    return unicodedata.category(character) in CONTROL or ord(character) in TURNING
-
-
 def _escaped(character: str) -> str:
     number = ord(character)
+    if unicodedata.category(character) not in CONTROL and number not in TURNING:
+        return character
     return f"\\x{number:02x}" if number < 0x100 else f"\\u{number:04x}"

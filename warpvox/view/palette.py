@@ -55,7 +55,7 @@ def cell_colour(cell: int) -> tuple[int, int, int]:
 def body_svg(body: Design, cell: int = 8, title: str | None = None) -> str:
     """A body, or other cells, as an ``<svg>`` element, a path a material; ``cell`` is the size of a cell in pixels.
 
-    The paths have the classes ``c1`` to ``c4`` beside their colours, so that a page can restyle them.
+    The paths have the classes ``c1`` to ``c4`` beside their colours and edges, so that a page can restyle them.
     """
     rows, columns = body.shape
     parts = [f"<title>{title}</title>"] if title else []
@@ -67,5 +67,5 @@ def body_svg(body: Design, cell: int = 8, title: str | None = None) -> str:
     label = f"body of {rows} x {columns} cells: {', '.join(names)}"
     return (
         f'<svg class="body" role="img" aria-label="{label}" viewBox="-.1 -.1 {columns + 0.2:g} {rows + 0.2:g}"'
-        f' width="{columns * cell}" height="{rows * cell}">{"".join(parts)}</svg>'
+        f' width="{columns * cell}" height="{rows * cell}" stroke="#1c1e24" stroke-width=".06">{"".join(parts)}</svg>'
     )

@@ -23,7 +23,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.run_groups import group_runs
 from warpvox.configs.show import CurvesConfig
 from warpvox.errors import RunError, listing
-from warpvox.io.console import echo, literal
+from warpvox.io.console import echo, literal, widen
 from warpvox.runs import Run, find_runs, find_searches
 
 AXES_OF_RUNS, AXES_OF_SEARCHES = ("steps", "elapsed", "iteration"), ("steps", "evaluations")
@@ -36,16 +36,20 @@ def run(words: list[str]) -> None:
 
 def _draw(config: CurvesConfig, console: Console) -> None:
     check_file(config.file)
+    widen(console, 200)
     searches = find_searches(config.runs, config.output_dir)
     what, axes = ("design searches", AXES_OF_SEARCHES) if searches else ("trainings", AXES_OF_RUNS)
     check_choice(f"x of {what}", config.x, axes)
-    if searches:
-        _draw_searches(searches, config, console)
-    else:
-        _draw_runs(config, console)
+    panels, young = (_of_searches(searches, config.x), []) if searches else _of_runs(config)
+    path = write_curves(panels, config.file, config.x, (config.size[0], config.size[1]))
+    _print(panels, config.x, console)
+    if young:
+        echo(console, f"left out, without an evaluation yet: {listing(young)}")
+    echo(console, f"curves: {path}\ntable: {path.with_suffix('.csv')}")
 
 
-def _draw_runs(config: CurvesConfig, console: Console) -> None:
+def _of_runs(config: CurvesConfig) -> tuple[dict[str, list[Curve]], list[str]]:
+    """Curves by task, and the names of runs that have none yet."""
     found = find_runs(config.runs, config.output_dir)
     judged = [each_run for each_run in found if evaluations_of(each_run)]
     if not judged:
@@ -53,23 +57,15 @@ def _draw_runs(config: CurvesConfig, console: Console) -> None:
     tasks: dict[str, list[Run]] = {}
     for each_run in judged:
         tasks.setdefault(str(each_run.config["task"]), []).append(each_run)
-    panels = {task: curves_of(group_runs(runs), config.x) for task, runs in tasks.items()}
-    path = write_curves(panels, config.file, config.x, (config.size[0], config.size[1]))
-    _print(panels, config.x, console)
-    if len(judged) < len(found):
-        left = listing(each_run.folder.name for each_run in found if each_run not in judged)
-        echo(console, f"left out, without an evaluation yet: {left}")
-    echo(console, f"curves: {path}\ntable: {path.with_suffix('.csv')}")
+    young = [each_run.folder.name for each_run in found if each_run not in judged]
+    return {task: curves_of(group_runs(runs), config.x) for task, runs in tasks.items()}, young
 
 
-def _draw_searches(folders: Sequence[Path], config: CurvesConfig, console: Console) -> None:
+def _of_searches(folders: Sequence[Path], x: str) -> dict[str, list[Curve]]:
     members = [one for one in read_members(folders) if len(one.best)]
     if not members:
         raise RunError("None of the design searches has evaluated a design yet: there is nothing to draw.")
-    panels = curves_of_searches(members, config.x)
-    path = write_curves(panels, config.file, config.x, (config.size[0], config.size[1]))
-    _print(panels, config.x, console)
-    echo(console, f"curves: {path}\ntable: {path.with_suffix('.csv')}")
+    return curves_of_searches(members, x)
 
 
 def _print(panels: Mapping[str, Sequence[Curve]], x: str, console: Console) -> None:

@@ -32,14 +32,10 @@ def serve(config: DesignConfig, console: Console) -> None:
     with server:
         echo(console, f"design editor: {server.url}")
         echo(console, f"files are opened and saved in {server.folder.resolve()}; Ctrl+C ends it")
-        if config.browser == "on" or (config.browser == "auto" and _has_display()):
+        # without a screen a text browser might take over the terminal
+        if config.browser == "on" or (config.browser == "auto" and has_display("DISPLAY", "WAYLAND_DISPLAY")):
             webbrowser.open(server.url)
         try:
             server.serve_forever()
         except KeyboardInterrupt:
             echo(console, "stopped")
-
-
-def _has_display() -> bool:
-    """Whether a browser would appear on a screen; on others a text browser might take over the terminal."""
-    return has_display("DISPLAY", "WAYLAND_DISPLAY")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from warpvox.cli.run_groups import group_runs
 from warpvox.code import Code, is_code
 from warpvox.configs.show import EvaluateConfig
 from warpvox.errors import ConfigError
-from warpvox.io.console import echo, literal, shown
+from warpvox.io.console import echo, literal, shown, widen
 from warpvox.io.writing import write_table
 from warpvox.robots.entry import zoo_tasks
 from warpvox.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
@@ -26,7 +27,7 @@ from warpvox.trust import STORED
 if TYPE_CHECKING:
     from warpvox.algos.training.policy_table import EvaluatedPolicy, Judged
 
-LATEST = "latest"
+LABELS = ("settings", "episodes", "n", "over")
 SEVERAL = "several"
 """Name of the folder where the runs are of more than one task."""
 
@@ -46,8 +47,9 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
 
     if config.task is not None and not (config.task == STORED or isinstance(config.task, Code)):
         raise ConfigError("task names the code of runs of your own tasks (stored, FILE.py:NAME); a run knows its task.")
+    widen(console, 200)
     robots = [f"{ZOO}{name}" for name in (zoo_tasks() if config.zoo == ["all"] else config.zoo)]
-    runs = [] if robots and config.runs == [LATEST] else config.runs
+    runs = [] if robots and config.runs == ["latest"] else config.runs
     found = find_runs([*runs, *robots], config.output_dir)
     rows = {}
     for number, each_run in enumerate(found):
@@ -84,44 +86,49 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
     percent = f"{100 * config.level:g} %"
     kind = "sampled actions" if config.stochastic else "deterministic"
     title = f"mean return, {kind}, {config.episodes} episodes of each run"
-    table = _table(title, "settings", "run", "episodes", "mean", f"{percent} interval", "10 % quantile", "n", "over")
-    before = None
+    headings = "settings", "run", "episodes", "mean", f"{percent} interval", "10 % quantile", "n", "over"
+    sections, before = [], None
     for entry in judged:
-        label, before = "" if entry.group is before else entry.group.label, entry.group
+        label, before, rows = "" if entry.group is before else entry.group.label, entry.group, []
         for each_run, row in zip(entry.group.runs, entry.rows, strict=True):
-            mean, interval, n = _cells(row.interval)
             name = (label, each_run.folder.name, entry.disturbance)
-            table.add_row(*map(literal, (*name, mean, interval, f"{row.low_tenth:.3f}", n, "episodes")))
+            rows.append((*name, *_cells(row.interval), f"{row.low_tenth:.3f}", str(row.interval.n), "episodes"))
         if entry.over == "runs":
-            mean, interval, n = _cells(mean_interval(entry.values, config.level))
-            table.add_row(*map(literal, ("", "all", entry.disturbance, mean, interval, "", n, "runs")))
-        table.add_section()
-    console.print(table)
+            interval = mean_interval(entry.values, config.level)
+            rows.append(("", "all", entry.disturbance, *_cells(interval), "", str(interval.n), "runs"))
+        sections.append(rows)
+    _print_table(title, headings, sections, console)
     from warpvox.algos.training.policy_table import compare
 
     pairs = compare(judged, config.level)
     if pairs:
         title = f"differences of mean returns, Welch's {percent} interval"
-        table = _table(title, "first", "less second", "episodes", "difference", f"{percent} interval", "n", "over")
+        headings = "first", "less second", "episodes", "difference", f"{percent} interval", "n", "over"
+        rows = []
         for first, second, interval in pairs:
             over = first.over if first.over == second.over else f"{first.over} and {second.over}"
             sizes = f"{len(first.values)}, {len(second.values)}"
             names = (first.group.label, second.group.label, first.disturbance)
-            cells = (*names, *_cells(interval)[:2], sizes, over)
-            table.add_row(*map(literal, cells))
-        console.print(table)
-    echo(
-        console,
-        "Intervals are Student's t. Over runs they cover other trainings, over episodes this policy alone.",
-    )
+            rows.append((*names, *_cells(interval), sizes, over))
+        _print_table(title, headings, [rows], console)
+    echo(console, "Student's t: intervals over runs cover other trainings, those over episodes this policy alone.")
 
 
-def _table(title: str, *headings: str) -> Table:
+def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]], console: Console) -> None:
+    """Print rows of cells; where they are wider than the console, without the labels that all rows share."""
     table = Table(title=title, title_justify="left")
-    for heading in headings:
+    columns = list(zip(*(row for rows in sections for row in rows), strict=True))
+    wide = sum(max(map(len, (heading, *cells))) + 3 for heading, cells in zip(headings, columns, strict=True))
+    alike = [len({*cells} - {""}) == 1 and heading in LABELS for heading, cells in zip(headings, columns, strict=True)]
+    kept = [k for k in range(len(headings)) if wide < console.width or not alike[k]]
+    for heading in (headings[k] for k in kept):
         right = heading in ("mean", "difference", "n")
         table.add_column(heading, justify="right" if right else "left", overflow="fold")
-    return table
+    for rows in sections:
+        for row in rows:
+            table.add_row(*(literal(row[k]) for k in kept))
+        table.add_section()
+    console.print(table)
 
 
 def _say_alike(rows: list[EvaluatedPolicy], config: EvaluateConfig, console: Console) -> None:
@@ -136,9 +143,9 @@ def _say_alike(rows: list[EvaluatedPolicy], config: EvaluateConfig, console: Con
         )
 
 
-def _cells(interval: Interval) -> tuple[str, str, str]:
+def _cells(interval: Interval) -> tuple[str, str]:
     known = math.isfinite(interval.low)
-    return f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}" if known else "-", str(interval.n)
+    return f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}" if known else "-"
 
 
 def _write(folder: Path, judged: list[Judged], config: EvaluateConfig) -> None:

@@ -128,7 +128,8 @@ def suite(job: Job, console: Console) -> Path:
             keep_code(member.settings, folder, console)
         table = Table.of_members(folder, job.members, job.config.retry)
         table.write()
-        echo(console, f"{len(table.rows)} members{_counted(table)}")
+        done = ", ".join(f"{count} {state}" for state, count in table.counts.items() if state != WAITING)
+        echo(console, f"{len(table.rows)} members{f', {done} already' if done else ''}")
         echo(console, f"folder: {shown(folder)}")
         try:
             if table.of(WAITING):
@@ -147,12 +148,6 @@ def _folder(job: Job, text: str) -> Iterator[Path]:
     folder = job.folder or make_folder(place.parent, place.name)
     with going_on(folder, text):
         yield folder
-
-
-def _counted(table: Table) -> str:
-    """Counts of the members of a suite that is resumed, by state, in words."""
-    counts = {state: count for state, count in table.counts.items() if state != WAITING}
-    return f", {', '.join(f'{count} {state}' for state, count in counts.items())} already" if counts else ""
 
 
 def _write_report(table: Table, config: SuiteConfig, console: Console) -> None:

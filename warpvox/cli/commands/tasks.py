@@ -1,6 +1,5 @@
 """``warpvox tasks``: all tasks as a table, or one in detail with a picture of its world."""
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from rich.text import Text
 from warpvox.cli.application import run_command
 from warpvox.configs.tools import TasksConfig
 from warpvox.errors import ConfigError, WorldError, listing
-from warpvox.io.console import echo, literal
+from warpvox.io.console import echo, literal, widen
 
 
 def run(words: list[str]) -> None:
@@ -32,8 +31,7 @@ def show(config: TasksConfig, console: Console) -> None:
             raise ConfigError(f"{key} goes {'without' if key == 'gallery' else 'with'} a task, `warpvox tasks ID`.")
         if value is not None and key != "rules" and Path(value).suffix.lower() != ".png":
             raise ConfigError(f"{key} must be a file ending in .png, got '{value}'.")
-    if not console.is_terminal and "COLUMNS" not in os.environ:
-        console.width = 120  # a pipe has no width of its own; 80 columns would cut the sentences
+    widen(console)
     if config.gallery is not None:
         from warpvox.algos.report.gallery import everywhere, write_gallery
 
@@ -85,7 +83,8 @@ def _print_task(name: str, config: TasksConfig, console: Console) -> None:
     world = task_world(task, load_design(config.design))
     scene, _ = scene_of_world(world)
     points = {obj.name: obj.num_points for obj in scene.objects}
-    heading = literal(f" ({task.difficulty}, paper section {task.section}, rules={config.rules})")
+    section = f"paper section {task.section}, " if task.section else ""
+    heading = literal(f" ({task.difficulty}, {section}rules={config.rules})")
     console.print(Text.assemble(literal(task.id, "bold"), heading))
     echo(console, f"{task.summary}\n")
     echo(console, f"episode  {task.max_episode_steps} control steps at most")

@@ -1,6 +1,5 @@
 """``warpvox zoo``: the trained robots that come with the package, one of them in detail, new ones."""
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from warpvox.cli.application import run_command
 from warpvox.configs.tools import ZooConfig
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError, WarpvoxError, did_you_mean, listing
-from warpvox.io.console import duration, echo, figure, literal
+from warpvox.io.console import duration, echo, figure, literal, widen
 from warpvox.robots.entry import FOLDER, read_robot
 from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
@@ -26,8 +25,7 @@ def run(words: list[str]) -> None:
 
 def zoo(config: ZooConfig, console: Console) -> None:
     """List the robots, show one, or add some."""
-    if not console.is_terminal and "COLUMNS" not in os.environ:
-        console.width = 120  # a pipe has no width of its own
+    widen(console)
     folder = FOLDER if config.folder is None else Path(config.folder).expanduser()
     if config.add:
         _add(config, folder, console)
@@ -68,10 +66,7 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
     console.print(table)
     total = sum(path.stat().st_size for path in entries.values())
     echo(console, f"{len(entries)} robot{'s' * (len(entries) != 1)} in {folder}, {total / 1e6:.2f} MB")
-    echo(
-        console,
-        "under noise: mean of 32 episodes with noise of 0.01 on every action; nominal: as EvoGym itself gives it",
-    )
+    echo(console, "under noise: mean of 32 episodes with noise of 0.01 on every action; nominal: as EvoGym gives it")
     echo(console, "steps: control steps of the nominal episode; both in exact arithmetic")
     echo(console, "trained: control steps of the whole search; body: cell types, rows from the top")
     echo(console, "○: open loop, a gait whose actions depend on the time alone; all others observe what the task has")

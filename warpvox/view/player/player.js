@@ -85,7 +85,7 @@ class Player {
     SPEEDS.forEach((speed) => byId("speed").add(new Option(`${speed}×`, speed)));
     this.envs.forEach((env) => byId("robot").add(new Option(env.name, env.number)));
     byId("timeline").setAttribute("aria-valuemax", this.last);
-    byId("layout").hidden = count === 1;
+    byId("layout").hidden = byId("robot").parentElement.hidden = count === 1;
   }
 
   // Show the state in the controls, and draw at the next opportunity.

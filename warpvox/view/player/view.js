@@ -221,14 +221,17 @@ const drawCurves = (g, envs, chosen, box, theme) => {
   for (const env of envs) if (env !== chosen) curve(env, theme["curve-other"], 1.5);
   curve(chosen, theme.curve, 2);
   g.font = "11px system-ui, sans-serif";
-  g.textAlign = "right";
-  for (const [text, y, side] of [[`return ${box.high.toFixed(2)}`, 4, "top"], [box.low.toFixed(2), box.h - 4, "bottom"]]) {
+  const rises = chosen.returns[last] > chosen.returns[0]; // the figures stand in the corners that the curve leaves free
+  const figures = [[`return ${box.high.toFixed(2)}`, 4, "top", rises], [box.low.toFixed(2), box.h - 4, "bottom", !rises]];
+  for (const [text, y, side, left] of figures) {
+    const x = left ? 6 : box.w - 6;
     g.textBaseline = side;
+    g.textAlign = left ? "left" : "right";
     g.strokeStyle = theme.press;
     g.lineWidth = 4; // a halo keeps the figures legible where curves cross them
-    g.strokeText(text, box.w - 6, y);
+    g.strokeText(text, x, y);
     g.fillStyle = theme.faint;
-    g.fillText(text, box.w - 6, y);
+    g.fillText(text, x, y);
   }
 };
 
