@@ -5,7 +5,6 @@ import math
 import sys
 import time
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
 
 from rich.console import Console
@@ -108,10 +107,12 @@ class Notebook(Listener):
     """Shows the same in an element of a notebook that changes in place; it needs no widgets."""
 
     def begin(self, job: Job) -> None:
-        notebook = import_module("IPython.display")  # of what has started this
-        self._html, self._figures, self._began = notebook.HTML, Figures(), time.monotonic()
+        # what has started the notebook; no dependency of ours
+        from IPython.display import HTML, display  # pyright: ignore[reportMissingImports]
+
+        self._html, self._figures, self._began = HTML, Figures(), time.monotonic()
         self._total, self._said = job.runner.schedule.total, _announcement(job)
-        self._place = notebook.display(notebook.HTML(""), display_id=True)
+        self._place = display(HTML(""), display_id=True)
         self._show(job.runner.current_learning_iteration, "")
 
     def __call__(self, row: Mapping[str, float]) -> None:
