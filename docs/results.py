@@ -59,7 +59,7 @@ of 5 x 5 cells.
 {sizes}
 {summary}
 
-| task | gait | under noise | best published | by | nominal | sticky | start | sensors | our control steps | our wall time |
+| task | gait | under noise | best published | by | nominal | sticky | start | sensors | control steps | wall time |
 |---|---|---:|---:|---|---:|---:|---:|---:|---:|---:|
 """
 SUMMARY = """\
