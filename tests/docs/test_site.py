@@ -94,7 +94,7 @@ def test_the_site_has_commands_tasks_and_public_names(site: Path) -> None:
     assert "<!-- help" not in page
     assert not list(site.rglob("*.py"))
     addresses = set(re.findall(r'(?:src|href)="(https?://[^"]+)"', page))
-    known = ("https://squidfunk.github.io", "https://github.com/warpvox/warpvox")
+    known = ("https://squidfunk.github.io", "https://warpvox.github.io/warpvox/", "https://github.com/warpvox/warpvox")
     assert not [address for address in addresses if not address.startswith(known)]
     index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
     headings = {entry["title"].split("<")[0].strip() for entry in index["docs"]}
