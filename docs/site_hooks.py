@@ -28,7 +28,7 @@ MARK = re.compile(r"^<!-- (help .*|end of help|bench \w+|end) -->\n?", re.MULTIL
 FENCE = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)
 NAME = re.compile(r"(?<!\[)`(wv\.(\w+)[^`\n]*)`(?!\])")
 TASK = re.compile(r"^\| (\w+-v\d) (?=\|)", re.MULTILINE)
-CELL = re.compile(r"(?<=<td><code>)[\w.=]+(?=</code>)")
+CELL = re.compile(r"(?<=<td><code>)[^<\s]+(?=</code>)")
 OUTSIDE = re.compile(r"\]\(\.\./([^)\s]+)\)")
 
 
@@ -68,7 +68,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
 
 def on_page_content(html: str, **_: Any) -> str:
     """Let names in tables be broken where their parts end."""
-    return CELL.sub(lambda match: re.sub(r"([._=])(?=\w)", r"\1<wbr>", match[0]), html)
+    return CELL.sub(lambda match: re.sub(r"([._=,])(?=\w)", r"\1<wbr>", match[0]), html)
 
 
 def _name(match: re.Match[str]) -> str:
