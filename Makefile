@@ -148,7 +148,7 @@ release: $(UV)
 	@ls dist/*.whl | sed 's/.*warpvox-\([^-]*\)-.*/\1/' > $(REPORT)/version
 	@echo "would upload to https://pypi.org/project/warpvox/$$(cat $(REPORT)/version)/:"; ls -l dist | sed 1d
 
-docs: $(FIRST)
+docs: $(STAMP)
 	$(PIP) --quiet --no-deps --require-hashes -r locks/docs.txt
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
