@@ -24,6 +24,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+# What a first look needs: warpvox without tools and tests, where these are not there already.
+FIRST := $(or $(wildcard $(STAMP)),$(VENV)/.first)
 # On all cores; `make test JOBS=0` in one process.
 JOBS ?= auto
 # A file stays on one process, which makes its fixtures once; tests/conftest.py says which files go first.
@@ -52,17 +54,19 @@ install: $(STAMP)
 # The stamp is written last: an interrupted installation is repeated, a finished one is not. Everything but torch has to
 # have a hash of locks/; which build of torch fits depends on the machine. The lock is complete, so that nothing is
 # resolved here (--no-deps), and `pip check` says so.
-$(STAMP): pyproject.toml constraints.txt locks/test.txt
+$(STAMP): locks/test.txt
+$(VENV)/.first: locks/run.txt
+$(STAMP) $(VENV)/.first: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
 	  { echo "warpvox needs Python >= 3.10; choose one with: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(PIP) --no-deps --require-hashes -r locks/test.txt
+	$(PIP) --no-deps --require-hashes -r $(filter locks/%,$^)
 	$(PIP) -c constraints.txt torch
 	$(PIP) --no-deps --no-build-isolation -e .
 	$(BIN)/python -m pip check
 	@touch $@
 
-demo: $(STAMP)
+demo: $(FIRST)
 	$(BIN)/warpvox demo
 
 test: $(STAMP) $(PTXAS)
@@ -118,7 +122,7 @@ audit: $(UV)
 # One resolution for all Pythons and platforms; versions stay as they are unless UPGRADE is given.
 lock: $(UV)
 	$(COMPILE) $(if $(UPGRADE),--upgrade) --all-extras -o constraints.txt
-	$(HASHED) -o locks/run.txt
+	$(HASHED) --extra view -o locks/run.txt
 	$(HASHED) --extra dev --extra view --extra search --extra ray --extra analysis --extra export --extra sb3 -o locks/test.txt
 	$(HASHED) --extra docs -o locks/docs.txt
 	$(HASHED) --all-extras -o locks/all.txt

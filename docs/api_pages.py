@@ -61,7 +61,6 @@ BESIDE = {
     "Searches of one's own": ("algos.search.base.BaseSearch", "algos.candidate.Candidate"),
 }
 """Types that public functions take and return without a name in ``warpvox`` itself, by the title of the page."""
-FULL = "::: {}\n    options: {{show_root_full_path: true}}"
 
 
 @cache
@@ -92,8 +91,7 @@ def pages() -> dict[str, str]:
         entries.setdefault(title, ([], []))[1].extend(f"warpvox.{name}" for name in names)
     made = {"api/index.md": _index(entries)}
     for title, (public, beside) in entries.items():
-        parts = [f"# {title}", *(f"::: {name}" for name in public), *(FULL.format(name) for name in beside)]
-        made[f"api/{_file(title)}"] = "\n\n".join(parts)
+        made[f"api/{_file(title)}"] = "\n\n".join([f"# {title}", *(f"::: {name}" for name in public + beside)])
     return made
 
 
@@ -108,7 +106,7 @@ def _index(entries: dict[str, tuple[list[str], list[str]]]) -> str:
     ]
     head = (
         "# Python\n\n`import warpvox as wv` takes less than a second and offers what stands here as `wv.NAME`; other"
-        " names are imported from the module that their page shows.\n\n| | |\n|---|---|"
+        " names are imported from the module that their page shows.\n\n| page | names |\n|---|---|"
     )
     return "\n".join([head, *rows, ""])
 

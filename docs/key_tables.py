@@ -2,7 +2,8 @@
 
 Not part of the library. What stands between ``<!-- help COMMAND -->`` and ``<!-- end of help -->`` is rewritten from
 what ``warpvox COMMAND --help`` prints; between ``<!-- help of all others -->`` and that mark is a section for every
-command that the page does not mention. ``tests/docs`` says when a page is not up to date.
+command that the page does not mention, with the sentence of ``warpvox --help``. ``tests/docs``
+says when a page is not up to date.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import dataclasses
 import re
 from pathlib import Path
 
+from warpvox.cli import COMMANDS as SENTENCES
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, help_rows
 from warpvox.configs.schema import COMMANDS
@@ -29,12 +31,18 @@ def with_tables(text: str) -> str:
     def part(match: re.Match[str]) -> str:
         what = match["what"]
         if what == OTHERS:
-            inside = "\n\n".join(f"## {name}\n\n{table_of(name)}" for name in COMMANDS if name not in named)
+            others = {name: f"{text[0].upper()}{text[1:]}." for name, text in SENTENCES.items() if name not in named}
+            parts = ([f"## {name}", _prose(text), *_tables(name)] for name, text in others.items())
+            inside = "\n\n".join(line for part in parts for line in part)
         else:
             inside = table_of(what)
         return f"<!-- help {what} -->\n\n{inside}\n\n{END}"
 
     return PART.sub(part, text)
+
+
+def _tables(command: str) -> list[str]:
+    return [table_of(command)] if command in COMMANDS else []  # demo has the keys of train
 
 
 def table_of(command: str) -> str:

@@ -141,7 +141,9 @@ brings, and little about larger ones.
 PICTURE = f"""
 ![Best fitness over control steps, a panel a task](images/{CHART.name})
 
-The best fitness so far, in the float32 arithmetic of the searches: mean and range of the seeds that are done.
+Curves are the best fitness so far in float32, as the searches compute: mean and range of the seeds that are done. **The
+tables are the best body's episodes in exact arithmetic.** A policy that has learnt one trajectory by heart
+can return something else there, for better or worse, also under noise ([why](protocols.md)).
 """
 GA_TABLE = """
 ## GA on all tasks
@@ -159,8 +161,8 @@ Means of the seeds that all three have done, the best in bold.
 """
 SCORES = """
 The interquartile mean of the [scores](evaluation.md#comparing-searches) on {} of these tasks, those with a
-published return (0 is chance, 1 that return), and the probability that a run of GA is better; with 95 % bootstrap
-intervals where a task has several seeds.
+published return and several seeds (0 is chance, 1 that return), and the probability that a run of GA is better; with
+95 % bootstrap intervals.
 
 | search | nominal | under noise | GA better, nominal | GA better, under noise |
 |---|---:|---:|---:|---:|
@@ -171,7 +173,7 @@ The paper: "we found the GA baseline algorithm outperformed the other baselines 
 CPPN-NEAT {}): {said}, as far as {runs} of 30 runs of each search say.
 """
 NOTES = """
-*Nominal* is the return of a search's best body in exact arithmetic, as an entry of [the zoo](zoo.md) states it; *under
+*Nominal* is the return of a search's best body, as an entry of [the zoo](zoo.md) states it; *under
 noise* its mean in 32 [episodes with noise on the actions](protocols.md). Means over seeds, in brackets the lowest and
 the highest. Published returns are the best of anybody ([results](results.md#sources)). A search took {minutes:.0f}
 minutes in the median, one thread of a busy machine ({processors}).
@@ -241,7 +243,7 @@ def _comparison(returns: Returns) -> Iterator[str]:
         wins += best & (best.sum(1, keepdims=True) == 1)
         cells = (f"**{mean:.3f}**" if top else f"{mean:.3f}" for mean, top in zip(means.flat, best.flat, strict=True))
         yield f"| {task} | {len(common)} | {' | '.join(cells)} |\n"
-        if (known := known_returns()[task]).best is not None:
+        if (known := known_returns()[task]).best is not None and len(common) > 1:
             scores[task] = np.vectorize(known.score)(runs)
     if scores:
         yield SCORES.format(len(scores))
@@ -274,7 +276,7 @@ def picture(curves: Sequence[Row]) -> str:
                 )
                 series.append(dataclasses.replace(name, points=mean, band=[*high, *reversed(low)]))
         panels.append(chart(series, "control steps", task, PANEL, names=False))
-    return sheet(panels, names, 4)
+    return sheet(panels, names)
 
 
 if __name__ == "__main__":

@@ -59,7 +59,7 @@ of 5 x 5 cells.
 {sizes}
 {summary}
 
-| task | | under noise | best published | by | nominal | sticky | start | sensors | our control steps | our wall time |
+| task | gait | under noise | best published | by | nominal | sticky | start | sensors | control steps | wall time |
 |---|---|---:|---:|---|---:|---:|---:|---:|---:|---:|
 """
 SUMMARY = """\
@@ -164,7 +164,7 @@ def _sources(published: Iterable[KnownReturn]) -> list[str]:
     found: dict[tuple[str, str, str], list[str]] = {}
     for one in published:
         protocol = "; ".join(filter(None, (one.protocol, one.note)))
-        found.setdefault((one.method or "-", one.source, protocol), []).append(one.task)
+        found.setdefault((one.method or "none", one.source, protocol), []).append(one.task)
     lines = []
     for (method, source, protocol), tasks in sorted(found.items()):
         shown = ", ".join(tasks) if len(tasks) < MANY else f"{len(tasks)} tasks"

@@ -28,6 +28,7 @@ MARK = re.compile(r"^<!-- (help .*|end of help|bench \w+|end) -->\n?", re.MULTIL
 FENCE = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)
 NAME = re.compile(r"(?<!\[)`(wv\.(\w+)[^`\n]*)`(?!\])")
 TASK = re.compile(r"^\| (\w+-v\d) (?=\|)", re.MULTILINE)
+CELL = re.compile(r"(?<=<td><code>)[^<\s]+(?=</code>)")
 OUTSIDE = re.compile(r"\]\(\.\./([^)\s]+)\)")
 
 
@@ -63,6 +64,11 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
         outside = rf"]({config.extra['social'][0]['link']}/blob/main/\1)"
         parts[::2] = [OUTSIDE.sub(outside, TASK.sub(r"| [\1](tasks/\1.md) ", part)) for part in parts[::2]]
     return "".join(parts)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Let names in tables be broken where their parts end."""
+    return CELL.sub(lambda match: re.sub(r"([._=,])(?=\w)", r"\1<wbr>", match[0]), html)
 
 
 def _name(match: re.Match[str]) -> str:

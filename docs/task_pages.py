@@ -46,7 +46,7 @@ def _index() -> str:
         for task in map(get_task, task_ids())
     ]
     head = (
-        "# Tasks\n\n![The worlds of all tasks](../images/gallery.png)\n\nThese pages show the released rules;"
+        "# All tasks\n\n![The worlds of all tasks](../images/gallery.png)\n\nThese pages show the released rules;"
         " [the paper's differ](../paper.md).\n\n| task | level | control steps | goal |\n|---|---|---:|---|"
     )
     return "\n".join([head, *rows, ""])
@@ -55,20 +55,21 @@ def _index() -> str:
 def _page(task: TaskSpec) -> str:
     robot = zoo(task.id) if task.id in zoo_tasks() else None
     kind = "a gait, without feedback" if robot and isinstance(robot.policy, Gait) else "a network"
-    film = f"![The best robot at work](../images/tasks/{task.id}.webp)\n\nThe best robot so far, with {kind}.\n"
+    film = f"The best robot so far, with {kind}:\n\n![The best robot at work](../images/tasks/{task.id}.webp)\n"
     named = ", ".join(f"`{memory.name}`" for memory in task.memory)
     moved = f" Every episode places {', '.join(task.randomized)} anew." if task.randomized else ""
     return PAGE.format(
         task=task,
         level=task.difficulty.capitalize(),
         film=film if robot else "",
-        rewards=_table(("", "term"), ((_weight(term.weight), f"`{term.formula}`") for term in task.rewards)),
+        inside="with its body" if robot else "with a walker",
+        rewards=_table(("weight", "term"), ((_weight(term.weight), f"`{term.formula}`") for term in task.rewards)),
         ends=_table(("when", "added to the reward"), _ends(task)),
         observations=_table(("entries", "what", "unit", "values"), _observations(task)),
         units=" ".join(f"{name.capitalize()}: {UNITS[name]}." for name in _units(task)),
         memory=f"\nEpisode state: {named}.{moved}\n" if named else "",
         episodes="Means of eight episodes" if task.is_random else "One deterministic episode",
-        returns=_table(("", "return"), _returns(task.id)),
+        returns=_table(("of", "return"), _returns(task.id)),
         paper=_paper(task),
     )
 

@@ -17,6 +17,7 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.io.writing import atomic_path
 from warpvox.robots.entry import Robot, read_robot, zoo, zoo_tasks
 from warpvox.robots.replay import SEEDS, robot_env
+from warpvox.robots.returns import EPISODES
 from warpvox.view.painter import INK, Painter, font
 from warpvox.view.rollout import record
 
@@ -75,18 +76,19 @@ def draw(names: list[str]) -> list[Image.Image]:
 
 
 def nudged() -> list[Image.Image]:
-    """A gait and a policy with feedback, without noise and with it; each picture says what its episode returns."""
+    """A gait and a policy with feedback, without noise and with it: of all episodes that with the median return."""
     known = read_robot(FRAGILE)
     robots = {"open loop, chosen by one episode": known, "feedback, chosen under noise": zoo(known.task)}
     sheets = [Image.new("RGB", (2 * (FILM[0] + GAP) + GAP, 2 * (FILM[1] + 2 * LABEL)), PAPER) for _ in range(PICTURES)]
     for row, (name, robot) in enumerate(robots.items()):
         for column, part in enumerate(("nominal", "noise")):
-            env = robot_env(robot)
+            env = robot_env(robot, range(SEEDS[0], SEEDS[0] + EPISODES))
             rollout = record(env, Disturbed(cast(Any, robot.policy), env, (part,), SEEDS[0]))
-            painter = Painter(rollout, 0, FILM, VOXELS)
-            frames = np.linspace(0, int(rollout.lengths[0]), PICTURES).round().astype(int).tolist()
+            median = int(np.argsort(rollout.returns[-1])[EPISODES // 2])
+            painter = Painter(rollout, median, FILM, VOXELS)
+            frames = np.linspace(0, int(rollout.lengths[median]), PICTURES).round().astype(int).tolist()
             x, y = GAP + column * (FILM[0] + GAP), row * (FILM[1] + 2 * LABEL)
-            text = f"{name}; {part}: {rollout.returns[-1, 0]:.2f}"
+            text = f"{name}; {part}: {rollout.returns[-1, median]:.2f}"
             for sheet, frame in zip(sheets, frames, strict=True):
                 sheet.paste(painter.frame(frame), (x, y + 2 * LABEL - GAP))
                 ImageDraw.Draw(sheet).text((x, y + LABEL), text, INK, font(11), "lm")

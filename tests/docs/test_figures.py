@@ -32,10 +32,10 @@ def phrases() -> Iterator[tuple[str, str]]:
     """Pages, and the words that they must have."""
     median, least, most = re.search(r"Ratio: median (\S+), least (\S+), most (\S+)\.", tables("tasks")).groups()
     fast = f"{float(least):.0f} to {most} times Evolution Gym on one CPU core (median of all tasks: {median})"
-    yield "README.md", fast
+    yield from ((page, fast) for page in ("README.md", "docs/index.md"))
     yield "docs/performance.md", f"{float(least):.0f} to {most} times as many control steps"
     yield "docs/performance.md", f"the median of all tasks is {median}"
-    batch = cells(tables("peer"), "warpvox, 512 environments")[-1]
+    batch = cells(tables("tasks"), "Walker-v0")[-1]
     single = cells(tables("peer"), "warpvox, one gymnasium environment")[-1]
     yield (
         "docs/faq.md",

@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 import torch
 
+from warpvox.robots import zoo
+
 ROOT = Path(__file__).resolve().parents[2]
 SPEC = importlib.util.spec_from_file_location("notebooks", ROOT / "docs" / "notebooks.py")
 notebooks = importlib.util.module_from_spec(SPEC)
@@ -65,6 +67,11 @@ def test_a_notebook_keeps_what_it_shows(path: Path) -> None:
     outputs = [one for cell in json.loads(text)["cells"] for one in cell.get("outputs", ())]
     assert {one["output_type"] for one in outputs} == {"stream", "execute_result"}
     assert not re.search(r"/(tmp|home|root|work)/", json.dumps(outputs))
+
+
+def test_robots_that_notebooks_show_are_those_of_the_zoo() -> None:
+    texts = [one for path in PATHS for one in re.findall(r'"(Robot\(.*\))"', path.read_text(encoding="utf-8"))]
+    assert texts == [repr(zoo(re.match(r"Robot\(([\w-]+)", text)[1])) for text in texts] != []
 
 
 def test_the_site_shows_the_notebooks() -> None:

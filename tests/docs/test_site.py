@@ -94,11 +94,15 @@ def test_the_site_has_commands_tasks_and_public_names(site: Path) -> None:
     assert "<!-- help" not in page
     assert not list(site.rglob("*.py"))
     addresses = set(re.findall(r'(?:src|href)="(https?://[^"]+)"', page))
-    known = ("https://squidfunk.github.io", "https://github.com/warpvox/warpvox")
+    known = ("https://squidfunk.github.io", "https://warpvox.github.io/warpvox/", "https://github.com/warpvox/warpvox")
     assert not [address for address in addresses if not address.startswith(known)]
     index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
     headings = {entry["title"].split("<")[0].strip() for entry in index["docs"]}
     assert not set(warpvox.__all__) - headings, "the reference of the Python interface lacks public names"
+    settings = (site / "api" / "design_search.html").read_text(encoding="utf-8")
+    assert "key(" not in settings, "signatures have values, not the calls that hold them"
+    assert "rows and columns of the bodies; in the paper" in settings
+    assert not [entry for entry in index["docs"] if ". WorldError" in entry["text"]], "an error an item"
     for task in task_ids():
         assert "<h2" in (site / "tasks" / f"{task}.html").read_text(encoding="utf-8")
 

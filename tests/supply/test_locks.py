@@ -19,7 +19,7 @@ else:
     import tomli as tomllib
 
 EXTRAS = {
-    "run": set(),
+    "run": {"view"},
     "test": {"dev", "view", "search", "ray", "analysis", "export", "sb3"},
     "docs": {"docs"},
     "all": {"*"},
