@@ -139,8 +139,9 @@ def evaluate(
     """Mean returns of policies over whole episodes, with confidence intervals.
 
     Args:
-        policies: one or several: what :func:`warpvox.train` has returned, names of runs (folders, checkpoints,
-            ``latest``, patterns, ``zoo:Walker-v0``), or functions of observations, such as torch modules.
+        policies: one or several: what :func:`warpvox.train` or :func:`warpvox.codesign` has returned (its best design),
+            names of runs (folders, checkpoints, ``latest``, patterns, ``zoo:Walker-v0``), or functions of
+            observations, such as torch modules; what :func:`warpvox.load_policy` gives is run in float64, as runs are.
         task: of functions, unless they are policies that know theirs; for a run with a task of your own, this task.
         design: of functions; for runs over many bodies those to evaluate on; None: those held out.
         episodes: of each policy, a multiple of its number of bodies.
@@ -158,6 +159,7 @@ def evaluate(
         RunError: no such run. ConfigError: a function without a task, an unknown option. WarpvoxError: as
             :func:`warpvox.make_vec`.
     """
+    from warpvox.algos.codesign.results import Found
     from warpvox.algos.protocols import PROTOCOLS, parts_of
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.job import own_torch
@@ -181,7 +183,7 @@ def evaluate(
     rows = []
     with own_torch(1):
         for number, policy in enumerate(policies if several else [policies]):
-            if isinstance(policy, TrainedRun):
+            if isinstance(policy, TrainedRun | Found):
                 policy = policy.folder or policy.policy
             if isinstance(policy, str | Path) and is_alone(Path(policy).expanduser()):
                 policy = load_policy(policy)
@@ -196,7 +198,7 @@ def evaluate(
                 raise ConfigError(f"Policy {number} must be {what}; got {policy!r:.80}.")
             given = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
             parts = parts_of(protocol, feedback=getattr(getattr(policy, "spec", None), "gait", None) is None)
-            count = episodes * len(parts)
+            policy, count = getattr(policy, "in_float64", lambda same=policy: same)(), episodes * len(parts)
             env = make_vec(where, load_bodies(body, seed), count, seed=seed, auto_reset=False, **given, **options)
             name = getattr(policy, "__name__", f"policy {number}")
             rows.extend(EvaluatedPolicy.each(name, env, disturbed(policy, env, parts, seed), level, parts))

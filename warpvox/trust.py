@@ -87,10 +87,13 @@ def allowed(key: str, text: Any, given: Any, home: Path) -> Any:
 
 
 def as_stored(config: Any, stored: Mapping[str, Any]) -> Any:
-    """``config`` with the names of code that the file of a run has: what is written when the run goes on."""
+    """``config`` with the places of code that the file of a run has: what is written when the run goes on.
+
+    Classes, functions and tasks of the same name are taken for the same, wherever they lie.
+    """
     for key in COPIES:
-        text = _value(stored, key)
-        if is_code(text) and is_code(_value(config, key)):
+        text, mine = _value(stored, key), _value(config, key)
+        if is_code(text) and is_code(mine) and text.rpartition(":")[2] == mine.rpartition(":")[2]:
             config = _replaced(config, key, text)
     return config
 

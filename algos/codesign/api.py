@@ -4,7 +4,7 @@ import dataclasses
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from rich.console import Console
 
@@ -57,10 +57,11 @@ def codesign(
     """
     own = None if isinstance(search, str | Mapping | SearchSettings) else search
     if own is not None:
-        sizes = {name: getattr(own, name) for name in ("population", "max_evaluations") if hasattr(own, name)}
+        has = getattr(own, "settings", own)  # which a BaseSearch has
+        sizes = {name: getattr(has, name) for name in ("population", "max_evaluations") if hasattr(has, name)}
         search = CustomSearch(make=_name(own), **sizes)
     if not isinstance(evaluation, str | Mapping | Evaluation):
-        evaluation = _Given(evaluation)
+        evaluation = type("_Given", (_Given,), {"evaluator": evaluation})(make=_name(evaluation))
     where: dict[str, Any] = {"executor": executor} if isinstance(executor, str) else {}
     known = {item.name for item in dataclasses.fields(Codesign)}
     for name in settings:
@@ -78,11 +79,9 @@ def codesign(
 
 
 class _Given(Custom):
-    """An evaluator that was handed over as an object."""
+    """An evaluator that was handed over as an object: an attribute of a class of its own, which is no setting."""
 
-    def __init__(self, evaluator: DesignEvaluator) -> None:
-        super().__init__(make=_name(evaluator))
-        self.evaluator = evaluator
+    evaluator: ClassVar[DesignEvaluator]
 
     def check(self, search: Codesign) -> None:
         if not callable(getattr(self.evaluator, "evaluate", None)):

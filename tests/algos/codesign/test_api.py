@@ -16,6 +16,7 @@ from warpvox.algos.candidate import Listener, Outcome
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.search.base import RandomSearch
 from warpvox.types import Physics
 
 SMALL = dict(shape=(3, 3), device="cpu", threads=1, progress=False)
@@ -67,8 +68,11 @@ def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_p
     assert digest(folder) == digest(found.folder)
     again = wv.codesign(search=wv.GA(**GA), training=TRAINING, folder=folder, seed=3, **SMALL)  # nothing is left
     assert (again.summary["evaluations"], digest(folder)) == (5, digest(found.folder))
-    with pytest.raises(wv.RunError, match="another value of 'seed'"):
-        wv.codesign(search=wv.GA(**GA), training=TRAINING, folder=folder, seed=4, **SMALL)
+    files = {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+    for other, says in (({"seed": 4}, "seed=3, this one has seed=4"), ({"training": {}}, "training.envs=8, .*=32")):
+        with pytest.raises(wv.RunError, match=f"{folder.name} is a search with {says}"):
+            wv.codesign(**{"search": wv.GA(**GA), "training": TRAINING, "folder": folder, "seed": 3, **SMALL, **other})
+    assert files == {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
 
 
 class Judge(ToyEvaluator):
@@ -87,6 +91,13 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
         Loop(ToySearch(), LocalExecutor(Judge()), archive, seed=0).run()
         known = {record.id: record.fitness for record in archive.records()}
     assert {record.id: known[record.id] for record in found.designs} == {one.id: one.fitness for one in found.designs}
+    # budget and population are those of the search; a class of the same name goes on, wherever it lies
+    Own, few = type("Own", (RandomSearch,), {}), wv.RandomDesigns(population=4, max_evaluations=8)
+    for module in ("__main__", "codesign_toys"):
+        Own.__module__ = module
+        again = wv.codesign(search=Own(few, (3, 3)), evaluation=Judge(), folder=tmp_path / "own", **SMALL)
+        assert (again.settings.search.population, again.settings.search.max_evaluations) == (4, 8)
+        assert again.settings.search.make == "__main__:Own"
     for wrong, says in [
         ({"evaluation": "specialst"}, "Did you mean 'specialist'"),
         ({"evaluation": 3}, "an object with a method evaluate"),
