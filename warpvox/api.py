@@ -6,12 +6,14 @@ import dataclasses
 import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
-from warpvox.checks import check_choice
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.checks import check_choice, check_names
+from warpvox.errors import ConfigError
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     from warpvox.algos.training.loading import TrainedRun
     from warpvox.algos.training.policy_table import PolicyTable
     from warpvox.algos.training.settings import Training
@@ -19,8 +21,16 @@ if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec
 
 AUTO = "auto"
-PLAYED = ("device", "dtype", "arithmetic", "threads", "memory_check")
-"""Options of an evaluation by name."""
+
+
+class PlayKeywords(TypedDict, total=False):
+    """Options of an evaluation as keywords."""
+
+    device: str
+    dtype: str | None
+    arithmetic: str | None
+    threads: int | None
+    memory_check: bool
 
 
 def train(
@@ -71,12 +81,13 @@ def train(
         source = find_run(str(resume), str(where), TRAINING, resume=True)
         base = Training.of(source.config) if base is None else base
         given["resume"] = str(source.folder)
-    elif base is None:
-        given = _named_ppo(given)
-    known = [item.name for item in dataclasses.fields(Training)]
-    for key in given:
-        if key not in known:
-            raise ConfigError(f"Unknown key '{key}'.{did_you_mean(key, known)} There are {listing(known, 40)}.")
+    elif base is None and isinstance(given.get("ppo"), str):
+        from warpvox.configs.composition import settings_named
+
+        named = settings_named("train", ppo=given.pop("ppo"))
+        given = named | given
+    names = [*inspect.signature(train).parameters, *(item.name for item in dataclasses.fields(Training))]
+    check_names("train", given, [name for name in names if name != "settings"])
     config = Training(**given) if base is None else dataclasses.replace(base, **given)
     if source is None:
         config = with_code(config, typed(config))
@@ -102,15 +113,6 @@ def _options(sim: SimOptions) -> dict[str, Any]:
     return values
 
 
-def _named_ppo(given: dict[str, Any]) -> dict[str, Any]:
-    """Settings with the named set ``ppo`` in the place of its name, and what goes with it."""
-    if not isinstance(given.get("ppo"), str):
-        return given
-    from warpvox.configs.composition import ppo_preset
-
-    return ppo_preset(given["ppo"]) | {key: value for key, value in given.items() if key != "ppo"}
-
-
 def _dotted(given: Mapping[str, Any]) -> Iterator[str]:
     """The names of settings, those of parts as far as they are not the default."""
     for name, value in given.items():
@@ -129,12 +131,12 @@ def evaluate(
     episodes: int = 32,
     checkpoint: str = "best",
     stochastic: bool = False,
-    protocol: str = "nominal",
+    protocol: Literal["nominal", "noise", "sticky", "start", "sensors", "robust"] = "nominal",
     seed: int = 1000,
     level: float = 0.95,
     obs: str | None = None,
     output_dir: str | Path = "outputs",
-    **options: Any,
+    **options: Unpack[PlayKeywords],
 ) -> PolicyTable:
     """Mean returns of policies over whole episodes, with confidence intervals.
 
@@ -170,12 +172,8 @@ def evaluate(
     from warpvox.envs.vec_env import make_vec
     from warpvox.runs import find_runs
 
-    names = [*inspect.signature(evaluate).parameters, *PLAYED]
-    for key in options:
-        if key not in PLAYED:
-            raise ConfigError(
-                f"evaluate has no argument {key!r}.{did_you_mean(key, names)} Options: {listing(PLAYED)}."
-            )
+    names = [*inspect.signature(evaluate).parameters, *PlayKeywords.__annotations__]
+    check_names("evaluate", options, [name for name in names if name != "options"])
     check_choice("protocol", protocol, PROTOCOLS)
     several = isinstance(policies, Sequence) and not isinstance(policies, str)
     own = Code(task) if is_code(task) else task

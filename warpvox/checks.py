@@ -44,6 +44,15 @@ def check_choice(name: str, value: object, choices: Iterable[object], error: typ
         raise error(f"{name} must be one of {listing(options)}, got {value!r:.80}.{hint}")
 
 
+def check_names(owner: str, given: Iterable[str], names: Iterable[str]) -> None:
+    """Raise ConfigError, with the nearest of ``names`` and all, if ``owner`` has no argument of a given name."""
+    known = list(dict.fromkeys(names))
+    for name in given:
+        if name not in known:
+            hint, every = did_you_mean(name, known), listing(known, len(known))
+            raise ConfigError(f"{owner} has no argument {name!r}.{hint} There are {every}.")
+
+
 def check_integer(
     name: str, value: object, low: int, high: int | None = None, error: type[Exception] = ConfigError
 ) -> int:

@@ -236,7 +236,7 @@ def _check_same(known: Mapping[str, Any], values: Mapping[str, Any], folder: Pat
         if isinstance(old, dict) and isinstance(new, dict):
             _check_same(old, new, folder, f"{key}.")
         elif old != new:
-            raise RunError(f"{folder} is a search with {key}={old}, this one has {key}={new}: give it another folder.")
+            raise RunError(f"{folder} is a search with {key}={old}, asked for {key}={new}: give that another folder.")
 
 
 def _batch(settings: Codesign, executor: Executor) -> int | None:

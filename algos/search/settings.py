@@ -141,7 +141,7 @@ def settings_from(values: Mapping[str, Any] | SearchSettings) -> SearchSettings:
     plain: Mapping[str, Any] = vars(values) if isinstance(values, SearchSettings) else values
     given = {name: value for name, value in plain.items() if value is not None}
     algorithm = given.pop("algorithm", None)
-    check_choice("algorithm", algorithm, ALGORITHMS)
+    check_choice("search", algorithm, ALGORITHMS)
     known = [item.name for item in dataclasses.fields(ALGORITHMS[algorithm]) if item.name != "algorithm"]
     for name in given:
         if name not in known:

@@ -19,7 +19,7 @@ import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint, load_controller
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.cli.config import load
-from warpvox.configs.composition import ppo_preset
+from warpvox.configs.composition import settings_named
 from warpvox.envs.registry import get_task
 
 KEYS = {"design": "mini", "num_envs": 8, "threads": 1, "device": "cpu", "max_iterations": 2, "eval_interval": 1}
@@ -110,7 +110,7 @@ def test_without_a_folder_nothing_is_written_and_the_same_is_learned(tmp_path: P
 def test_the_defaults_and_named_sets_of_ppo_are_those_of_the_command() -> None:
     for name in ("parallel", "evogym"):
         commanded = load("train", [f"ppo={name}"])
-        known = ppo_preset(name)
+        known = settings_named("train", ppo=name)
         assert wv.Training(**known) == wv.Training.of(dataclasses.asdict(commanded))
     assert wv.Training() == wv.Training.of(dataclasses.asdict(load("train", [])))
 

@@ -9,9 +9,9 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from warpvox.checks import check_choice, check_shape
+from warpvox.checks import check_choice, check_names, check_shape
 from warpvox.devices.names import resolve_device
-from warpvox.errors import ConfigError, SimulationError, did_you_mean, listing
+from warpvox.errors import ConfigError, SimulationError
 from warpvox.kernels.device import on_cuda
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.step import STAGES
@@ -138,11 +138,8 @@ def check_known(given: Mapping[str, Any], *functions: Callable[..., Any], withou
         for function in functions
     )
     others = [name for names in (*others, [item.name for item in fields(SimOptions)]) for name in names]
-    names = [name for name in dict.fromkeys([*own, *others]) if name != "self" and (name in own or name not in without)]
-    for name in given:
-        if name not in names:
-            owner, hint = functions[0].__qualname__.removesuffix(".__init__"), did_you_mean(name, names)
-            raise ConfigError(f"{owner} has no argument {name!r}.{hint} There are {listing(names, len(names))}.")
+    names = [name for name in (*own, *others) if name != "self" and (name in own or name not in without)]
+    check_names(functions[0].__qualname__.removesuffix(".__init__"), given, names)
 
 
 def resolve_arithmetic(arithmetic: str | None, dtype: str) -> str:

@@ -69,7 +69,7 @@ def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_p
     again = wv.codesign(search=wv.GA(**GA), training=TRAINING, folder=folder, seed=3, **SMALL)  # nothing is left
     assert (again.summary["evaluations"], digest(folder)) == (5, digest(found.folder))
     files = {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
-    for other, says in (({"seed": 4}, "seed=3, this one has seed=4"), ({"training": {}}, "training.envs=8, .*=32")):
+    for other, says in (({"seed": 4}, "seed=3, asked for seed=4"), ({"training": {}}, "training.envs=8, .*=32")):
         with pytest.raises(wv.RunError, match=f"{folder.name} is a search with {says}"):
             wv.codesign(**{"search": wv.GA(**GA), "training": TRAINING, "folder": folder, "seed": 3, **SMALL, **other})
     assert files == {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
@@ -101,8 +101,9 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
     for wrong, says in [
         ({"evaluation": "specialst"}, "Did you mean 'specialist'"),
         ({"evaluation": 3}, "an object with a method evaluate"),
-        ({"search": "gaa"}, "Did you mean 'ga'"),
-        ({"sead": 3}, "Did you mean 'seed'"),
+        ({"search": "gaa"}, r"search must be one of auto, bo, .*Did you mean 'ga'"),
+        ({"evaluation": "gait"}, r"evaluation must be one of .*two_gaits"),
+        ({"sead": 3}, r"codesign has no argument 'sead'\. Did you mean 'seed'\? There are task, shape, .*output_dir"),
         ({"evaluation": {"name": "gaits", "round": 3}}, "Did you mean 'evaluation.rounds'"),
         ({"training": {"iterations": "many"}}, "training.iterations must be an integer"),
         ({"seed": -1}, "seed must be at least 0"),
