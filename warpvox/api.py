@@ -27,7 +27,7 @@ class PlayKeywords(TypedDict, total=False):
     """Options of an evaluation as keywords."""
 
     device: str
-    dtype: str | None
+    dtype: str
     arithmetic: str | None
     threads: int | None
     memory_check: bool
@@ -194,7 +194,7 @@ def evaluate(
             if not callable(policy) or where is None or body is None:
                 what = "a run, or a function of observations with task=... and design=..."
                 raise ConfigError(f"Policy {number} must be {what}; got {policy!r:.80}.")
-            given = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
+            given: dict[str, Any] = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
             parts = parts_of(protocol, feedback=getattr(getattr(policy, "spec", None), "gait", None) is None)
             policy, count = getattr(policy, "in_float64", lambda same=policy: same)(), episodes * len(parts)
             env = make_vec(where, load_bodies(body, seed), count, seed=seed, auto_reset=False, **given, **options)

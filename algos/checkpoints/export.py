@@ -173,7 +173,7 @@ def _check_card(policy: Policy, written: Path, path: Path | os.PathLike[str] | s
     """Raise RunError unless a written file holds this very policy."""
     text = _card_of_onnx(written) if Path(path).suffix == ".onnx" else _card_of_script(written)
     again = parse_policy(text or "", path).state_dict()
-    if not all(torch.equal(value.float(), again[name].float()) for name, value in policy.state_dict().items()):
+    if not all(torch.equal(value, again[name]) for name, value in policy.state_dict().items()):
         raise RunError(f"{path} is not kept: the policy that it describes is another one.")
 
 

@@ -67,7 +67,9 @@ class Policy(nn.Module):
         spec = self.spec
         self.mlp = nn.Sequential(*MLP(spec.num_obs, spec.num_actions, list(spec.hidden), spec.activation))
         self.register_buffer("mean", torch.zeros(spec.num_obs))
-        self.register_buffer("deviation", torch.ones(spec.num_obs, dtype=torch.float64))  # for `in_float64`
+        self.register_buffer("deviation", torch.ones(spec.num_obs))
+        # what rounding to float32 takes from the deviation, which counts in float64 alone
+        self.register_buffer("remainder", torch.zeros(spec.num_obs, dtype=torch.float64), persistent=False)
 
     def __call__(self, obs: torch.Tensor | np.ndarray, *more: Any) -> Any:
         """:meth:`forward` of a tensor, :meth:`act` of an array.
@@ -86,7 +88,7 @@ class Policy(nn.Module):
     def outputs(self, obs: torch.Tensor) -> torch.Tensor:
         """The network's outputs ``[..., num_actions]`` for observations ``[..., num_obs]``."""
         dtype = self.mean.dtype
-        return self.mlp((obs.to(dtype) - self.mean) / self.deviation.to(dtype))
+        return self.mlp((obs.to(dtype) - self.mean) / (self.deviation + self.remainder.to(dtype)))
 
     def in_float64(self) -> Policy:
         """A copy whose network runs in float64, as runs are played: actions do not depend on what is in a batch.
@@ -103,7 +105,7 @@ class Policy(nn.Module):
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
         """Observations ``[rows, num_obs]`` farther apart than those of training."""
-        return self.mean + 3 * self.deviation.float() * torch.randn((rows, self.num_obs), generator=generator)
+        return self.mean + 3 * self.deviation * torch.randn((rows, self.num_obs), generator=generator)
 
 
 class ModelPolicy(Policy):
@@ -173,7 +175,8 @@ def policy_of(controller: Controller, metadata: Mapping[str, Any] | None = None)
     weights = {f"mlp.{name}": value for name, value in controller.actor.mlp.state_dict().items()}
     if controller.spec.normalize_obs:
         normalizer = controller.actor.obs_normalizer
-        weights |= {"mean": normalizer.mean, "deviation": normalizer.std.double() + normalizer.eps}
+        weights |= {"mean": normalizer.mean, "deviation": normalizer.std + normalizer.eps}
+        policy.remainder = normalizer.std.double() + normalizer.eps - weights["deviation"].double()
     policy.load_state_dict(policy.state_dict() | weights)
     return policy.to(next(controller.actor.parameters()).device)
 
