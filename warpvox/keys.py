@@ -1,16 +1,21 @@
 """Keys of configurations as fields of dataclasses: meaning and its valid values, as metadata of a dataclass field."""
 
+from __future__ import annotations
+
 import dataclasses
 import os
 from collections.abc import Collection, Mapping
 from dataclasses import field
 from numbers import Integral, Real
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from warpvox.checks import check_choice
+from warpvox.checks import check_choice, check_names
 from warpvox.errors import ConfigError, did_you_mean
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 MISSING: Any = "???"
 """A key without a value of its own: one of the group's YAML files must set it."""
@@ -44,21 +49,44 @@ def key(
     return field(default=default, metadata=metadata)
 
 
+class Settings:
+    """A base of dataclasses whose arguments and values are checked when one is made.
+
+    Raises:
+        ConfigError: an unknown argument, or a value of the wrong type or out of range.
+    """
+
+    def __new__(cls, *_: Any, **given: Any) -> Self:
+        if "__dataclass_fields__" in vars(cls):  # a class of the user's may have an `__init__` of its own
+            check_names(cls.__name__, given, vars(cls)["__dataclass_fields__"])
+        return super().__new__(cls)
+
+    def __post_init__(self) -> None:
+        convert(self)
+        check_values(self)
+
+
 def check_values(config: Any, prefix: str = "") -> None:
     """Check choices and ranges of a dataclass of the schema. ConfigError: the first value that is not valid."""
     for item in dataclasses.fields(config):
         name, value = prefix + item.name, getattr(config, item.name)
         if dataclasses.is_dataclass(value):
             check_values(value, name + ".")
-        elif value is not None:
-            form = item.metadata.get("form")
-            if form and len(value) != form.count(",") + 1:
-                raise ConfigError(f"{name} must be {form}, got {value}.")
-            for entry in value if isinstance(value, (list, tuple)) and item.name != "design" else [value]:
-                _check_entry(name, entry, item.metadata)
+        else:
+            check_value(name, value, item.metadata)
 
 
-def _check_entry(name: str, value: Any, limits: Any) -> None:
+def check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
+    """Check choices and range of a value, and of all entries of a list; None is valid."""
+    form = limits.get("form")
+    if form and value is not None and len(value) != form.count(",") + 1:
+        raise ConfigError(f"{name} must be {form}, got {value}.")
+    for entry in value if isinstance(value, (list, tuple)) and name != "design" else [value]:
+        if entry is not None:
+            _check_entry(name, entry, limits)
+
+
+def _check_entry(name: str, value: Any, limits: Mapping[str, Any]) -> None:
     choices = limits.get("choices")
     if choices is not None:
         check_choice(name, value, choices)
@@ -100,13 +128,16 @@ def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
         if key not in known:
             hint = did_you_mean(f"{name}.{key}", [f"{name}.{one}" for one in known])
             raise ConfigError(f"Unknown key '{name}.{key}'.{hint}")
-    return dataclasses.replace(usual, **values)
+    try:
+        return dataclasses.replace(usual, **values)
+    except ConfigError as error:
+        raise ConfigError(f"{name}.{error}") from None
 
 
-def converted(value: Any, kind: Any, name: str) -> Any:
+def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
     """``value`` in the type of a field: a number of numpy's as one of Python's, a tuple as a list.
 
-    ConfigError: it is of another type; ``name``: of the field.
+    ConfigError: it is of another type; ``name``: of the field, ``none``: how the user writes None.
     """
     optional = type(None) in get_args(kind)
     kind = get_args(kind)[0] if optional else kind
@@ -119,7 +150,7 @@ def converted(value: Any, kind: Any, name: str) -> Any:
         return value
     plain = get_origin(kind) or kind
     if not isinstance(value, ACCEPTED[plain]) or (plain is not bool and isinstance(value, bool)):
-        raise ConfigError(f"{name} must be {KINDS[plain]}{' or None' if optional else ''}, got {value!r:.80}.")
+        raise ConfigError(f"{name} must be {KINDS[plain]}{f' or {none}' if optional else ''}, got {value!r:.80}.")
     if plain is list:
         return [converted(entry, get_args(kind)[0], name) for entry in value]
     if plain is str:

@@ -142,7 +142,9 @@ def _copy(home: Path, key: str, text: str) -> Code | None:
 def _refusal(key: str, text: str, value: str, home: Path) -> str:
     """Why code is not imported, with the command that has it imported; ``latest`` by its name, as that may change."""
     words = [
-        re.sub("^(run|resume)=latest$", lambda found: f"{found[1]}={home.absolute()}", w) for w in invocation.get()
+        re.sub("^(run|resume)=latest$", lambda found: f"{found[1]}={home.absolute()}", w)
+        for w in invocation.get()
+        if not w.startswith(f"{key}=")
     ]
     word = f"{key}={value}"
     command = shlex.join(["warpvox", *words, word]) if words and escaped(value) == value else escaped(word)

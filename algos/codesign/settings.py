@@ -16,7 +16,7 @@ from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, physi
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY, arithmetic_key
 from warpvox.checks import check_choice
 from warpvox.errors import ConfigError, did_you_mean
-from warpvox.keys import check_values, convert, key, plain
+from warpvox.keys import Settings, check_values, convert, key, plain
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -35,7 +35,7 @@ But for rounding: another device, or other ``torch_threads`` with ``training.met
 
 
 @dataclass
-class Codesign:
+class Codesign(Settings):
     """All settings of a design search.
 
     Raises:

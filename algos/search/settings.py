@@ -12,27 +12,19 @@ from typing import Any
 
 from warpvox.checks import check_choice
 from warpvox.errors import ConfigError, did_you_mean, listing
-from warpvox.keys import check_values, convert, key
+from warpvox.keys import Settings, key
 
 DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", "height", "width", "symmetry")
 """What MAP-Elites can sort bodies by, each a number from 0 to 1 (see ``describe`` in ``map_elites.py``)."""
 
 
 @dataclass
-class SearchSettings:
-    """Settings that every search has (paper section D.1, Table 2).
-
-    Raises:
-        ConfigError: a value of the wrong type or out of range.
-    """
+class SearchSettings(Settings):
+    """Settings that every search has (paper section D.1, Table 2)."""
 
     algorithm: str = key("", "which search")
     population: int = key(25, "designs of a generation", low=2)
     max_evaluations: int = key(250, "number of different designs to evaluate; in the paper 250, 500 or 750", low=1)
-
-    def __post_init__(self) -> None:
-        convert(self)
-        check_values(self)
 
 
 @dataclass

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpvox.algos.settings import DesignTraining, Ppo
-from warpvox.keys import check_values, key
+from warpvox.keys import Settings, check_values, convert, key
 from warpvox.types import Cell
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class Workload:
 
 
 @dataclass
-class Evaluation:
+class Evaluation(Settings):
     """The base of all evaluations, and of your own: ``build`` says how designs are evaluated, the rest has defaults.
 
     Settings are fields made by :func:`warpvox.keys.key`. ``search`` are always the settings of the design search.
@@ -58,6 +58,7 @@ class Evaluation:
     """Whether the returns of designs compare with those of finalists: each is that of a policy of its own."""
 
     def __post_init__(self) -> None:
+        convert(self, "evaluation.")
         check_values(self, "evaluation.")
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
