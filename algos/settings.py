@@ -150,7 +150,7 @@ _fields: list[tuple[str, Any, Any]] = [
         if one.name != "name"
     ),
 ]
-_Constants: Any = make_dataclass("_Constants", _fields, namespace={"__module__": __name__})
+_Constants: Any = make_dataclass("PhysicsConfig", _fields, bases=(Settings,), namespace={"__module__": __name__})
 
 
 class PhysicsConfig(_Constants):

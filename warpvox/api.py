@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
-from warpvox.checks import check_choice, check_names
+from warpvox.checks import check_choice, check_known
 from warpvox.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -86,8 +85,7 @@ def train(
 
         named = settings_named("train", ppo=given.pop("ppo"))
         given = named | given
-    names = [*inspect.signature(train).parameters, *(item.name for item in dataclasses.fields(Training))]
-    check_names("train", given, [name for name in names if name != "settings"])
+    check_known(given, train, Training)
     config = Training(**given) if base is None else dataclasses.replace(base, **given)
     if source is None:
         config = with_code(config, typed(config))
@@ -172,8 +170,7 @@ def evaluate(
     from warpvox.envs.vec_env import make_vec
     from warpvox.runs import find_runs
 
-    names = [*inspect.signature(evaluate).parameters, *PlayKeywords.__annotations__]
-    check_names("evaluate", options, [name for name in names if name != "options"])
+    check_known(options, evaluate, Playing, without=("num_envs", "policy"))
     check_choice("protocol", protocol, PROTOCOLS)
     several = isinstance(policies, Sequence) and not isinstance(policies, str)
     own = Code(task) if is_code(task) else task

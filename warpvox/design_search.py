@@ -1,7 +1,6 @@
 """Design search from Python."""
 
 import dataclasses
-import inspect
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ from warpvox.algos.codesign.results import Found
 from warpvox.algos.codesign.run import run_codesign
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.search.settings import ALGORITHMS, CustomSearch, SearchSettings
-from warpvox.checks import check_names
+from warpvox.checks import check_known
 from warpvox.code import Code
 from warpvox.errors import ConfigError
 from warpvox.keys import changed
@@ -67,8 +66,7 @@ def codesign(
     if not isinstance(evaluation, str | Mapping | Evaluation | None):
         evaluation = type("_Given", (_Given,), {"evaluator": evaluation})(make=_name(evaluation))
     where: dict[str, Any] = {"executor": executor} if isinstance(executor, str) else {}
-    names = [*inspect.signature(codesign).parameters, *(item.name for item in dataclasses.fields(Codesign))]
-    check_names("codesign", settings, [name for name in names if name != "settings"])
+    check_known(settings, codesign, Codesign)
     how = {"task": task, "shape": shape, "search": search, "evaluation": evaluation} | where | settings
     job = Codesign(**_without_names({key: value for key, value in how.items() if value is not None}))
     job = with_code(job, typed(job))

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import inspect
+import operator
 import os
 from collections.abc import Collection, Mapping
 from dataclasses import field
@@ -11,8 +14,8 @@ from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from warpvox.checks import check_choice, check_names
-from warpvox.errors import ConfigError, did_you_mean
+from warpvox.checks import check_choice, check_known
+from warpvox.errors import ConfigError
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -49,6 +52,13 @@ def key(
     return field(default=default, metadata=metadata)
 
 
+class _OfInit:
+    """The signature of a class, in place of that of ``__new__``."""
+
+    def __get__(self, _: object, kind: type) -> inspect.Signature:
+        return inspect.signature(functools.partial(kind.__init__, None))
+
+
 class Settings:
     """A base of dataclasses whose arguments and values are checked when one is made.
 
@@ -56,14 +66,15 @@ class Settings:
         ConfigError: an unknown argument, or a value of the wrong type or out of range.
     """
 
+    __signature__, prefix = _OfInit(), ""
+
     def __new__(cls, *_: Any, **given: Any) -> Self:
-        if "__dataclass_fields__" in vars(cls):  # a class of the user's may have an `__init__` of its own
-            check_names(cls.__name__, given, vars(cls)["__dataclass_fields__"])
+        check_known(given, cls.__init__)
         return super().__new__(cls)
 
     def __post_init__(self) -> None:
-        convert(self)
-        check_values(self)
+        convert(self, self.prefix)
+        check_values(self, self.prefix)
 
 
 def check_values(config: Any, prefix: str = "") -> None:
@@ -82,25 +93,19 @@ def check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
     if form and value is not None and len(value) != form.count(",") + 1:
         raise ConfigError(f"{name} must be {form}, got {value}.")
     for entry in value if isinstance(value, (list, tuple)) and name != "design" else [value]:
-        if entry is not None:
-            _check_entry(name, entry, limits)
-
-
-def _check_entry(name: str, value: Any, limits: Mapping[str, Any]) -> None:
-    choices = limits.get("choices")
-    if choices is not None:
-        check_choice(name, value, choices)
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return
-    if not abs(value) < 1e308:
-        raise ConfigError(f"{name} must be a finite number, got {value!r:.40}.")
-    for bound, valid, words in (
-        ("low", lambda limit: value >= limit, "at least"),
-        ("above", lambda limit: value > limit, "greater than"),
-        ("high", lambda limit: value <= limit, "at most"),
-    ):
-        if bound in limits and not valid(limits[bound]):
-            raise ConfigError(f"{name} must be {words} {limits[bound]}, got {value!r}.")
+        if "choices" in limits and entry is not None:
+            check_choice(name, entry, limits["choices"])
+        if not isinstance(entry, int | float) or isinstance(entry, bool):
+            continue
+        if not abs(entry) < 1e308:
+            raise ConfigError(f"{name} must be a finite number, got {entry!r:.40}.")
+        for bound, valid, words in (
+            ("low", operator.ge, "at least"),
+            ("above", operator.gt, "greater than"),
+            ("high", operator.le, "at most"),
+        ):
+            if bound in limits and not valid(entry, limits[bound]):
+                raise ConfigError(f"{name} must be {words} {limits[bound]}, got {entry!r}.")
 
 
 KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "text", list: "a list"}
@@ -123,15 +128,10 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
 
 def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
     """The part of a configuration that ``usual`` is with some of its values changed."""
-    known = [item.name for item in dataclasses.fields(usual)]
-    for key in values:
-        if key not in known:
-            hint = did_you_mean(f"{name}.{key}", [f"{name}.{one}" for one in known])
-            raise ConfigError(f"Unknown key '{name}.{key}'.{hint}")
     try:
         return dataclasses.replace(usual, **values)
     except ConfigError as error:
-        raise ConfigError(f"{name}.{error}") from None
+        raise ConfigError(f"{name}: {error}") from None
 
 
 def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:

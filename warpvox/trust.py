@@ -87,10 +87,7 @@ def allowed(key: str, text: Any, given: Any, home: Path) -> Any:
 
 
 def as_stored(config: Any, stored: Mapping[str, Any]) -> Any:
-    """``config`` with the places of code that the file of a run has: what is written when the run goes on.
-
-    Classes, functions and tasks of the same name are taken for the same, wherever they lie.
-    """
+    """``config`` with the places of code of the same name in the file of a run: what is written when it goes on."""
     for key in COPIES:
         text, mine = _value(stored, key), _value(config, key)
         if is_code(text) and is_code(mine) and text.rpartition(":")[2] == mine.rpartition(":")[2]:

@@ -142,7 +142,8 @@ def run_codesign(
             executor = make_executor(settings, known)
             opened.callback(executor.close)
         settings = dataclasses.replace(settings, batch=_batch(settings, executor))
-        known_settings = _archived(resumed) if resumed else {}
+        with Archive.read(resumed / ARCHIVE) if resumed else nullcontext() as archive:
+            known_settings = archive.settings if archive else {}
         written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), known_settings)
         kept = _kept(written)
         if resumed:
@@ -214,12 +215,6 @@ def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[
         for listener in listeners:
             listener.ended(summary)
     return summary
-
-
-def _archived(folder: Path) -> dict[str, Any]:
-    """The settings in the archive of a search."""
-    with Archive.read(folder / ARCHIVE) as archive:
-        return archive.settings
 
 
 def _kept(settings: Codesign) -> dict[str, Any]:

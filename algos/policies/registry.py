@@ -45,17 +45,16 @@ def check_network(env: VoxelVecEnv, name: str, settings: Any, key: str = "networ
     if settings is not None and not isinstance(settings, Mapping):
         raise ConfigError(f"{key} must be settings by name, such as {{width:32}}; got {settings!r:.80}.")
     layout = layout_for(name, env)
-    actor = make_network(name, layout, False, settings)
-    shapes = [2, layout.cells, FEATURES], [2, layout.rest]
-    with torch.random.fork_rng(devices=[]), torch.no_grad():  # whose numbers are those of the networks that learn
+    actor, shapes = make_network(name, layout, False, settings), ([2, layout.cells, FEATURES], [2, layout.rest])
+    with torch.random.fork_rng(devices=[]), torch.no_grad():  # as if nothing had been tried
         for network, wanted in (actor, [2, layout.cells]), (make_network(name, layout, True, settings), [2]):
             try:
                 found = list(network.eval()(*map(torch.zeros, shapes)).shape)
             except Exception as error:  # code of the user's may raise anything
                 found = str(error).partition("\n")[0] or type(error).__name__
             if found != wanted:
-                wants = f"cells {shapes[0]} and rest {shapes[1]} (rows first) and give {wanted}"
-                raise ConfigError(f"policy={name} must take {wants}, got: {found}.")
+                takes = f"cells {shapes[0]} and rest {shapes[1]} of two bodies"
+                raise ConfigError(f"policy={name} must make {wanted} of {takes}, got: {found}.")
     return layout
 
 

@@ -5,13 +5,12 @@ They are what ``search=NAME`` stands for on the command line. One differs, becau
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from warpvox.checks import check_choice
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.errors import ConfigError, listing
 from warpvox.keys import Settings, key
 
 DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", "height", "width", "symmetry")
@@ -134,10 +133,4 @@ def settings_from(values: Mapping[str, Any] | SearchSettings) -> SearchSettings:
     given = {name: value for name, value in plain.items() if value is not None}
     algorithm = given.pop("algorithm", None)
     check_choice("search", algorithm, ALGORITHMS)
-    known = [item.name for item in dataclasses.fields(ALGORITHMS[algorithm]) if item.name != "algorithm"]
-    for name in given:
-        if name not in known:
-            owners = [other for other, kind in ALGORITHMS.items() if name in kind.__dataclass_fields__]
-            whose = f" It is a setting of {listing(owners)}." if owners else did_you_mean(name, known)
-            raise ConfigError(f"The search '{algorithm}' has no setting '{name}'.{whose} It has: {listing(known)}.")
     return ALGORITHMS[algorithm](**given)

@@ -67,7 +67,7 @@ def test_values_of_python_arrive_as_they_are(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"ppo": {"step": 4}}, r"Unknown key 'ppo.step'\. Did you mean 'ppo.steps'"),
+        ({"ppo": {"step": 4}}, r"ppo: Ppo has no argument 'step'\. Did you mean 'steps'"),
         ({"ppo": "evogim"}, "Did you mean 'evogym'"),
         ({"design": object()}, "design cannot be a object"),
         ({"ppo": 3}, r"ppo must be Ppo\(...\) or values by name, got 3"),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpvox.algos.settings import DesignTraining, Ppo
-from warpvox.keys import Settings, check_values, convert, key
+from warpvox.keys import Settings, key
 from warpvox.types import Cell
 
 if TYPE_CHECKING:
@@ -52,14 +52,11 @@ class Evaluation(Settings):
 
     name: str = key("", "how designs are compared")
 
+    prefix = "evaluation."
     finalists = 0
     """Number of best designs that are evaluated once more at the end of a search (origin ``finalist``)."""
     comparable = True
     """Whether the returns of designs compare with those of finalists: each is that of a policy of its own."""
-
-    def __post_init__(self) -> None:
-        convert(self, "evaluation.")
-        check_values(self, "evaluation.")
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
         """The evaluator, made in the process that evaluates; ``known`` is what :meth:`begins_with` has returned."""
