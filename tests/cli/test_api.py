@@ -1,6 +1,7 @@
 """Training and policies from Python: what the command does, in a process of one's own."""
 
 import dataclasses
+import inspect
 import shutil
 import sys
 import threading
@@ -113,6 +114,7 @@ def test_the_defaults_and_named_sets_of_ppo_are_those_of_the_command() -> None:
         known = settings_named("train", ppo=name)
         assert wv.Training(**known) == wv.Training.of(dataclasses.asdict(commanded))
     assert wv.Training() == wv.Training.of(dataclasses.asdict(load("train", [])))
+    assert inspect.signature(wv.evaluate).parameters["episodes"].default == load("evaluate", []).episodes
 
 
 def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None:
@@ -131,7 +133,7 @@ def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None
     assert row.mean == pytest.approx(sum(row.returns) / 8)
     for policy, options, words in (
         (len, {}, "Policy 0 must be a run, or a function"),
-        (folder, {"episods": 3}, "Did you mean 'episodes'"),
+        (folder, {"episods": 3}, "evaluate has no argument 'episods'. Did you mean 'episodes'"),
         ("nowhere", {}, "no run at nowhere"),
     ):
         with pytest.raises(wv.WarpvoxError, match=words):

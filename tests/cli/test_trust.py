@@ -125,6 +125,11 @@ def test_no_command_runs_code_that_a_file_names(words: str, foreign: Path, warpv
     assert words in HARMLESS or set(Path().rglob("*")) == before
 
 
+def test_the_advice_has_each_key_once(foreign: Path, warpvox: Callable) -> None:
+    err = warpvox("play", f"run={foreign / 'own_network'}", "policy=mlp", fails="names code").err
+    assert err.count("policy=") == 2  # what the file says, and what to type
+
+
 def test_python_runs_no_code_that_a_file_names(foreign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(foreign)
     assert wv.load_policy("run").num_obs > 0  # needs no task

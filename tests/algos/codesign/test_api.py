@@ -17,6 +17,8 @@ from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.search.base import RandomSearch
+from warpvox.cli.config import load
+from warpvox.design_search import _without_names
 from warpvox.types import Physics
 
 SMALL = dict(shape=(3, 3), device="cpu", threads=1, progress=False)
@@ -63,6 +65,7 @@ def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_p
     env = wv.make_vec("Walker-v0", found.best.candidate.body, 2, device="cpu")
     assert found.policy(env.reset()[0]).shape == (2, env.num_actions)
     assert f"{found.best.fitness:.3f}" in found._repr_html_()
+    assert len(wv.evaluate(found, episodes=1, device="cpu")) == 1
     warpvox("codesign", "seed=3", *COMMAND)
     (folder,) = Path("outputs/codesign/Walker-v0").iterdir()
     assert digest(folder) == digest(found.folder)
@@ -148,6 +151,16 @@ def test_an_evaluation_in_a_file(warpvox: Callable, tmp_path: Path, monkeypatch:
     ]:
         keys = wrong.split("=")[0]
         warpvox("codesign", *(word for word in words if not word.startswith(keys)), wrong, *COMMAND, fails=says)
+
+
+def test_names_of_sets_are_those_of_the_command() -> None:
+    for given, words in (
+        ({"search": "auto", "task": "Walker-v0"}, ["search=auto"]),
+        ({"search": "quick", "task": "Lifter-v0", "training": {"envs": 8}}, ["search=quick", "training.envs=8"]),
+        ({"search": "paper", "task": "Lifter-v0"}, ["search=paper"]),
+    ):
+        commanded = load("codesign", [*words, f"task={given['task']}"])
+        assert Codesign(**_without_names(given)) == Codesign.of(vars(commanded))
 
 
 def test_physics_are_a_preset_by_name_or_constants() -> None:
