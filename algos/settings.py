@@ -10,7 +10,7 @@ from dataclasses import dataclass, make_dataclass
 from typing import TYPE_CHECKING, Any
 
 from warpvox.errors import ConfigError
-from warpvox.keys import key
+from warpvox.keys import Settings, key
 from warpvox.types import Physics
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ LOGGERS = ("tensorboard", "wandb", "neptune", "none")
 
 
 @dataclass
-class Ppo:
+class Ppo(Settings):
     """Keys ``ppo.*``: policy, value function and their optimisation.
 
     The defaults are for hundreds to thousands of environments, tuned on Walker-v0 with 512. Short rollouts and as many
@@ -81,7 +81,7 @@ class Ppo:
 
 
 @dataclass
-class DesignTraining:
+class DesignTraining(Settings):
     """Keys ``training.*``: how a design search trains and evaluates a design.
 
     The defaults take as many control steps as the paper's and spend them better: on Walker-v0 the example design
@@ -150,7 +150,7 @@ _fields: list[tuple[str, Any, Any]] = [
         if one.name != "name"
     ),
 ]
-_Constants: Any = make_dataclass("_Constants", _fields, namespace={"__module__": __name__})
+_Constants: Any = make_dataclass("PhysicsConfig", _fields, bases=(Settings,), namespace={"__module__": __name__})
 
 
 class PhysicsConfig(_Constants):

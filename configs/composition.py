@@ -116,9 +116,9 @@ def training_preset(name: str, ppo: dict[str, Any] | None = None, **changes: Any
         return cast(Any, OmegaConf.to_object)(OmegaConf.merge(preset, {**changes, "ppo": ppo or {}}))
 
 
-def ppo_preset(name: str) -> dict[str, Any]:
-    """The settings of a training that ``ppo=<name>`` sets, by name: ``ppo``, and what goes with it."""
+def settings_named(command: str, **names: str) -> dict[str, Any]:
+    """The settings of a command that names of sets stand for, ``ppo="evogym"`` for instance: what is not default."""
     with hydras_errors():
-        words = [], [f"ppo={quoted(name)}"]
-        usual, named = (vars(OmegaConf.to_object(composed("train", one))) for one in words)
+        words = [], [f"{key}={quoted(name)}" for key, name in names.items()]
+        usual, named = (vars(OmegaConf.to_object(composed(command, one))) for one in words)
     return {key: value for key, value in named.items() if value != usual[key]}

@@ -130,7 +130,7 @@ class EvaluateConfig:
     )
     checkpoint: str = key("best", "checkpoint of each run: best, last, or an iteration")
     episodes: int = key(
-        16, "episodes of each run (of each disturbance of protocol), a multiple of its number of designs", low=1
+        32, "episodes of each run (of each disturbance of protocol), a multiple of its number of designs", low=1
     )
     designs: Any = key(
         None,

@@ -14,7 +14,7 @@ TITLES = {
     "algos.training.loading": "Training and policies",
     "algos.training.settings": "Training and policies",
     "algos.settings": "Training and policies",
-    "algos.codesign.api": "Design search",
+    "design_search": "Design search",
     "algos.codesign.settings": "Design search",
     "algos.codesign.results": "Design search",
     "algos.codesign.evaluations": "Design search",

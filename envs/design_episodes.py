@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.batch.options import check_known
-from warpvox.checks import check_choice, check_integer, check_mask, check_shape, is_number
+from warpvox.batch.options import SimOptions
+from warpvox.checks import check_choice, check_integer, check_known, check_mask, check_shape, is_number
 from warpvox.design import are_valid, as_grid, repair_design, sample_design
 from warpvox.envs.checks import check_fields
 from warpvox.envs.random_stream import RandomStream
@@ -157,7 +157,7 @@ def design_episodes(
             largest body does not fit. And what ``make_vec`` raises.
     """
     without = ("designs", "body", "connections", "grid")
-    check_known(options, design_episodes, make_vec, without=without)
+    check_known(options, design_episodes, make_vec, SimOptions, without=without)
     for name, value in {"revise": revise, "actions": actions, "invalid": invalid}.items():
         check_choice(name, value, CHOICES[name])
     shape = check_shape("shape", shape)

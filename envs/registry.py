@@ -41,7 +41,7 @@ def get_task(task: str | TaskSpec) -> TaskSpec:
     file. The release's misspelling ``WingspanMazimizer-v0`` is understood.
 
     Raises:
-        TaskError: no such task; the message names the nearest and lists all. ConfigError: a string that names code, or
+        TaskError: no such task; the message names the nearest, or lists all. ConfigError: a string that names code, or
             code that cannot be imported or is no specification.
     """
     if isinstance(task, TaskSpec):
@@ -50,7 +50,10 @@ def get_task(task: str | TaskSpec) -> TaskSpec:
         return load_code(task, lambda value: isinstance(value, TaskSpec), "TaskSpec")
     task = _ALIASES.get(task, task) if isinstance(task, str) else task
     if not isinstance(task, str) or task not in _TASKS:
-        raise TaskError(f"Unknown task {task!r}.{did_you_mean(task, _TASKS)} Tasks: {listing(_TASKS, 40)}.")
+        hint = did_you_mean(task, _TASKS) or f" Tasks: {listing(_TASKS, 40)}."
+        if str(task).endswith(".py"):
+            hint = f" Of a file name the task in it, too: {task}:NAME."
+        raise TaskError(f"Unknown task {task!r}.{hint}")
     return _TASKS[task]
 
 

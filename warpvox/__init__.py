@@ -8,4 +8,12 @@ import lazy_loader as _lazy
 
 __version__ = "0.1.0"
 
-__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)
+_load, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    if name not in __all__:
+        from warpvox.errors import did_you_mean
+
+        raise AttributeError(f"warpvox has no {name!r}.{did_you_mean(name, __all__)}")
+    return _load(name)

@@ -1,6 +1,5 @@
 """The public names, for type checkers and for loading on first use."""
 
-from .algos.codesign.api import codesign as codesign
 from .algos.codesign.evaluations import (
     Evaluation as Evaluation,
     FewShot as FewShot,
@@ -31,6 +30,7 @@ from .design import (
     sample_design as sample_design,
     save_design as save_design,
 )
+from .design_search import codesign as codesign
 from .envs.design_episodes import design_episodes as design_episodes
 from .envs.registry import task_ids as task_ids
 from .envs.vec_env import make_vec as make_vec

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
-from warpvox.checks import check_choice
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.checks import check_choice, check_known
+from warpvox.errors import ConfigError
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     from warpvox.algos.training.loading import TrainedRun
     from warpvox.algos.training.policy_table import PolicyTable
     from warpvox.algos.training.settings import Training
@@ -19,8 +20,16 @@ if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec
 
 AUTO = "auto"
-PLAYED = ("device", "dtype", "arithmetic", "threads", "memory_check")
-"""Options of an evaluation by name."""
+
+
+class PlayKeywords(TypedDict, total=False):
+    """Options of an evaluation as keywords."""
+
+    device: str
+    dtype: str
+    arithmetic: str | None
+    threads: int | None
+    memory_check: bool
 
 
 def train(
@@ -71,12 +80,12 @@ def train(
         source = find_run(str(resume), str(where), TRAINING, resume=True)
         base = Training.of(source.config) if base is None else base
         given["resume"] = str(source.folder)
-    elif base is None:
-        given = _named_ppo(given)
-    known = [item.name for item in dataclasses.fields(Training)]
-    for key in given:
-        if key not in known:
-            raise ConfigError(f"Unknown key '{key}'.{did_you_mean(key, known)} There are {listing(known, 40)}.")
+    elif base is None and isinstance(given.get("ppo"), str):
+        from warpvox.configs.composition import settings_named
+
+        named = settings_named("train", ppo=given.pop("ppo"))
+        given = named | given
+    check_known(given, train, Training)
     config = Training(**given) if base is None else dataclasses.replace(base, **given)
     if source is None:
         config = with_code(config, typed(config))
@@ -102,15 +111,6 @@ def _options(sim: SimOptions) -> dict[str, Any]:
     return values
 
 
-def _named_ppo(given: dict[str, Any]) -> dict[str, Any]:
-    """Settings with the named set ``ppo`` in the place of its name, and what goes with it."""
-    if not isinstance(given.get("ppo"), str):
-        return given
-    from warpvox.configs.composition import ppo_preset
-
-    return ppo_preset(given["ppo"]) | {key: value for key, value in given.items() if key != "ppo"}
-
-
 def _dotted(given: Mapping[str, Any]) -> Iterator[str]:
     """The names of settings, those of parts as far as they are not the default."""
     for name, value in given.items():
@@ -129,18 +129,19 @@ def evaluate(
     episodes: int = 32,
     checkpoint: str = "best",
     stochastic: bool = False,
-    protocol: str = "nominal",
+    protocol: Literal["nominal", "noise", "sticky", "start", "sensors", "robust"] = "nominal",
     seed: int = 1000,
     level: float = 0.95,
     obs: str | None = None,
     output_dir: str | Path = "outputs",
-    **options: Any,
+    **options: Unpack[PlayKeywords],
 ) -> PolicyTable:
     """Mean returns of policies over whole episodes, with confidence intervals.
 
     Args:
-        policies: one or several: what :func:`warpvox.train` has returned, names of runs (folders, checkpoints,
-            ``latest``, patterns, ``zoo:Walker-v0``), or functions of observations, such as torch modules.
+        policies: one or several: what :func:`warpvox.train` or :func:`warpvox.codesign` has returned (its best design),
+            names of runs (folders, checkpoints, ``latest``, patterns, ``zoo:Walker-v0``), or functions of
+            observations, such as torch modules; what :func:`warpvox.load_policy` gives is run in float64, as runs are.
         task: of functions, unless they are policies that know theirs; for a run with a task of your own, this task.
         design: of functions; for runs over many bodies those to evaluate on; None: those held out.
         episodes: of each policy, a multiple of its number of bodies.
@@ -158,6 +159,7 @@ def evaluate(
         RunError: no such run. ConfigError: a function without a task, an unknown option. WarpvoxError: as
             :func:`warpvox.make_vec`.
     """
+    from warpvox.algos.codesign.results import Found
     from warpvox.algos.protocols import PROTOCOLS, parts_of
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.job import own_torch
@@ -168,12 +170,7 @@ def evaluate(
     from warpvox.envs.vec_env import make_vec
     from warpvox.runs import find_runs
 
-    names = [*inspect.signature(evaluate).parameters, *PLAYED]
-    for key in options:
-        if key not in PLAYED:
-            raise ConfigError(
-                f"evaluate has no argument {key!r}.{did_you_mean(key, names)} Options: {listing(PLAYED)}."
-            )
+    check_known(options, evaluate, Playing, without=("num_envs", "policy"))
     check_choice("protocol", protocol, PROTOCOLS)
     several = isinstance(policies, Sequence) and not isinstance(policies, str)
     own = Code(task) if is_code(task) else task
@@ -181,7 +178,7 @@ def evaluate(
     rows = []
     with own_torch(1):
         for number, policy in enumerate(policies if several else [policies]):
-            if isinstance(policy, TrainedRun):
+            if isinstance(policy, TrainedRun | Found):
                 policy = policy.folder or policy.policy
             if isinstance(policy, str | Path) and is_alone(Path(policy).expanduser()):
                 policy = load_policy(policy)
@@ -194,9 +191,9 @@ def evaluate(
             if not callable(policy) or where is None or body is None:
                 what = "a run, or a function of observations with task=... and design=..."
                 raise ConfigError(f"Policy {number} must be {what}; got {policy!r:.80}.")
-            given = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
+            given: dict[str, Any] = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
             parts = parts_of(protocol, feedback=getattr(getattr(policy, "spec", None), "gait", None) is None)
-            count = episodes * len(parts)
+            policy, count = getattr(policy, "in_float64", lambda same=policy: same)(), episodes * len(parts)
             env = make_vec(where, load_bodies(body, seed), count, seed=seed, auto_reset=False, **given, **options)
             name = getattr(policy, "__name__", f"policy {number}")
             rows.extend(EvaluatedPolicy.each(name, env, disturbed(policy, env, parts, seed), level, parts))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, TypeGuard
 
@@ -42,6 +43,27 @@ def check_choice(name: str, value: object, choices: Iterable[object], error: typ
     if isinstance(value, bool) or not any(isinstance(value, type(one)) and value == one for one in options):
         hint = did_you_mean(value, options)
         raise error(f"{name} must be one of {listing(options)}, got {value!r:.80}.{hint}")
+
+
+def check_known(given: Iterable[str], *functions: Callable[..., Any], without: Iterable[str] = ()) -> None:
+    """Raise ConfigError, with the nearest name and all, for an argument that none of ``functions`` has.
+
+    Args:
+        functions: the one that was called, and those (or dataclasses) that get what it does not know; the last may
+            take anything.
+        without: arguments of the latter that the former sets itself.
+    """
+    left_out = ("self",)
+    names: dict[str, None] = {}
+    for function in functions:
+        found = inspect.signature(function).parameters.items()
+        named = [name for name, one in found if one.kind not in (one.VAR_KEYWORD, one.VAR_POSITIONAL)]
+        names |= dict.fromkeys(name for name in named if name not in left_out)
+        left_out = ("self", *without)
+    for name in given if all(one.kind is not one.VAR_KEYWORD for _, one in found) else ():
+        if name not in names:
+            owner, hint = functions[0].__qualname__.removesuffix(".__init__"), did_you_mean(name, names)
+            raise ConfigError(f"{owner} has no argument {name!r}.{hint} There are {listing(names, len(names))}.")
 
 
 def check_integer(

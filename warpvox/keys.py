@@ -1,16 +1,24 @@
 """Keys of configurations as fields of dataclasses: meaning and its valid values, as metadata of a dataclass field."""
 
+from __future__ import annotations
+
 import dataclasses
+import functools
+import inspect
+import operator
 import os
 from collections.abc import Collection, Mapping
 from dataclasses import field
 from numbers import Integral, Real
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from warpvox.checks import check_choice
-from warpvox.errors import ConfigError, did_you_mean
+from warpvox.checks import check_choice, check_known
+from warpvox.errors import ConfigError
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 MISSING: Any = "???"
 """A key without a value of its own: one of the group's YAML files must set it."""
@@ -44,35 +52,60 @@ def key(
     return field(default=default, metadata=metadata)
 
 
+class _OfInit:
+    """The signature of a class, in place of that of ``__new__``."""
+
+    def __get__(self, _: object, kind: type) -> inspect.Signature:
+        return inspect.signature(functools.partial(kind.__init__, None))
+
+
+class Settings:
+    """A base of dataclasses whose arguments and values are checked when one is made.
+
+    Raises:
+        ConfigError: an unknown argument, or a value of the wrong type or out of range.
+    """
+
+    __signature__, prefix = _OfInit(), ""
+
+    def __new__(cls, *_: Any, **given: Any) -> Self:
+        check_known(given, cls.__init__)
+        return super().__new__(cls)
+
+    def __post_init__(self) -> None:
+        convert(self, self.prefix)
+        check_values(self, self.prefix)
+
+
 def check_values(config: Any, prefix: str = "") -> None:
     """Check choices and ranges of a dataclass of the schema. ConfigError: the first value that is not valid."""
     for item in dataclasses.fields(config):
         name, value = prefix + item.name, getattr(config, item.name)
         if dataclasses.is_dataclass(value):
             check_values(value, name + ".")
-        elif value is not None:
-            form = item.metadata.get("form")
-            if form and len(value) != form.count(",") + 1:
-                raise ConfigError(f"{name} must be {form}, got {value}.")
-            for entry in value if isinstance(value, (list, tuple)) and item.name != "design" else [value]:
-                _check_entry(name, entry, item.metadata)
+        else:
+            check_value(name, value, item.metadata)
 
 
-def _check_entry(name: str, value: Any, limits: Any) -> None:
-    choices = limits.get("choices")
-    if choices is not None:
-        check_choice(name, value, choices)
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return
-    if not abs(value) < 1e308:
-        raise ConfigError(f"{name} must be a finite number, got {value!r:.40}.")
-    for bound, valid, words in (
-        ("low", lambda limit: value >= limit, "at least"),
-        ("above", lambda limit: value > limit, "greater than"),
-        ("high", lambda limit: value <= limit, "at most"),
-    ):
-        if bound in limits and not valid(limits[bound]):
-            raise ConfigError(f"{name} must be {words} {limits[bound]}, got {value!r}.")
+def check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
+    """Check choices and range of a value, and of all entries of a list; None is valid."""
+    form = limits.get("form")
+    if form and value is not None and len(value) != form.count(",") + 1:
+        raise ConfigError(f"{name} must be {form}, got {value}.")
+    for entry in value if isinstance(value, (list, tuple)) and name != "design" else [value]:
+        if "choices" in limits and entry is not None:
+            check_choice(name, entry, limits["choices"])
+        if not isinstance(entry, int | float) or isinstance(entry, bool):
+            continue
+        if not abs(entry) < 1e308:
+            raise ConfigError(f"{name} must be a finite number, got {entry!r:.40}.")
+        for bound, valid, words in (
+            ("low", operator.ge, "at least"),
+            ("above", operator.gt, "greater than"),
+            ("high", operator.le, "at most"),
+        ):
+            if bound in limits and not valid(entry, limits[bound]):
+                raise ConfigError(f"{name} must be {words} {limits[bound]}, got {entry!r}.")
 
 
 KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "text", list: "a list"}
@@ -95,18 +128,17 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
 
 def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
     """The part of a configuration that ``usual`` is with some of its values changed."""
-    known = [item.name for item in dataclasses.fields(usual)]
-    for key in values:
-        if key not in known:
-            hint = did_you_mean(f"{name}.{key}", [f"{name}.{one}" for one in known])
-            raise ConfigError(f"Unknown key '{name}.{key}'.{hint}")
-    return dataclasses.replace(usual, **values)
+    try:
+        return dataclasses.replace(usual, **values)
+    except ConfigError as error:
+        about_value = str(error).partition(" ")[0].partition(".")[0] in values
+        raise ConfigError(f"{name}{'.' if about_value else ': '}{error}") from None
 
 
-def converted(value: Any, kind: Any, name: str) -> Any:
+def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
     """``value`` in the type of a field: a number of numpy's as one of Python's, a tuple as a list.
 
-    ConfigError: it is of another type; ``name``: of the field.
+    ConfigError: it is of another type; ``name``: of the field, ``none``: how the user writes None.
     """
     optional = type(None) in get_args(kind)
     kind = get_args(kind)[0] if optional else kind
@@ -119,7 +151,7 @@ def converted(value: Any, kind: Any, name: str) -> Any:
         return value
     plain = get_origin(kind) or kind
     if not isinstance(value, ACCEPTED[plain]) or (plain is not bool and isinstance(value, bool)):
-        raise ConfigError(f"{name} must be {KINDS[plain]}{' or None' if optional else ''}, got {value!r:.80}.")
+        raise ConfigError(f"{name} must be {KINDS[plain]}{f' or {none}' if optional else ''}, got {value!r:.80}.")
     if plain is list:
         return [converted(entry, get_args(kind)[0], name) for entry in value]
     if plain is str:

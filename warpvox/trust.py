@@ -87,10 +87,10 @@ def allowed(key: str, text: Any, given: Any, home: Path) -> Any:
 
 
 def as_stored(config: Any, stored: Mapping[str, Any]) -> Any:
-    """``config`` with the names of code that the file of a run has: what is written when the run goes on."""
+    """``config`` with the places of code of the same name in the file of a run: what is written when it goes on."""
     for key in COPIES:
-        text = _value(stored, key)
-        if is_code(text) and is_code(_value(config, key)):
+        text, mine = _value(stored, key), _value(config, key)
+        if is_code(text) and is_code(mine) and text.rpartition(":")[2] == mine.rpartition(":")[2]:
             config = _replaced(config, key, text)
     return config
 
@@ -139,7 +139,9 @@ def _copy(home: Path, key: str, text: str) -> Code | None:
 def _refusal(key: str, text: str, value: str, home: Path) -> str:
     """Why code is not imported, with the command that has it imported; ``latest`` by its name, as that may change."""
     words = [
-        re.sub("^(run|resume)=latest$", lambda found: f"{found[1]}={home.absolute()}", w) for w in invocation.get()
+        re.sub("^(run|resume)=latest$", lambda found: f"{found[1]}={home.absolute()}", w)
+        for w in invocation.get()
+        if not w.startswith(f"{key}=")
     ]
     word = f"{key}={value}"
     command = shlex.join(["warpvox", *words, word]) if words and escaped(value) == value else escaped(word)

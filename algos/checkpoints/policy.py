@@ -1,7 +1,10 @@
 """Trained policies as plain torch modules, and as one text that holds all of a policy."""
 
+from __future__ import annotations
+
 import base64
 import binascii
+import copy
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -71,6 +74,8 @@ class Policy(nn.Module):
         self.mlp = nn.Sequential(*MLP(spec.num_obs, spec.num_actions, list(spec.hidden), spec.activation))
         self.register_buffer("mean", torch.zeros(spec.num_obs))
         self.register_buffer("deviation", torch.ones(spec.num_obs))
+        # what rounding to float32 takes from the deviation, which counts in float64 alone
+        self.register_buffer("remainder", torch.zeros(spec.num_obs, dtype=torch.float64), persistent=False)
 
     def __call__(self, obs: torch.Tensor | np.ndarray, *more: Any) -> Any:
         """:meth:`forward` of a tensor, :meth:`act` of an array.
@@ -85,8 +90,19 @@ class Policy(nn.Module):
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""
-        scaled = (obs.to(self.mean.dtype) - self.mean) / self.deviation
-        return (self.center + self.scale * self.mlp(scaled)).clamp(self.low, self.high)
+        return (self.center + self.scale * self.outputs(obs).float()).clamp(self.low, self.high)
+
+    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
+        """The network's outputs ``[..., num_actions]`` for observations ``[..., num_obs]``."""
+        dtype = self.mean.dtype
+        return self.mlp((obs.to(dtype) - self.mean) / (self.deviation + self.remainder.to(dtype)))
+
+    def in_float64(self) -> Policy:
+        """A copy whose network runs in float64, as runs are played: actions do not depend on what is in a batch.
+
+        See :class:`warpvox.algos.checkpoints.files.Controller`, which gives the same actions.
+        """
+        return copy.deepcopy(self).double()
 
     def act(self, obs: np.ndarray) -> np.ndarray:
         """:meth:`forward` for numpy arrays, as gymnasium's environments have them."""
@@ -111,11 +127,9 @@ class VoxelPolicy(ModelPolicy):
 
     model: VoxelModel
 
-    def forward(self, obs: torch.Tensor) -> torch.Tensor:
-        """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""
-        rows = obs.to(torch.float32).reshape(-1, self.num_obs)
-        out = self.model.run(self.model.scaled(rows)).reshape((*obs.shape[:-1], self.num_actions))
-        return (self.center + self.scale * out).clamp(self.low, self.high)
+    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
+        rows = obs.to(self.model.obs_normalizer.mean.dtype).reshape(-1, self.num_obs)
+        return self.model.run(self.model.scaled(rows)).reshape((*obs.shape[:-1], self.num_actions))
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
         """Observations ``[rows, num_obs]`` of random bodies that move at random."""
@@ -134,9 +148,8 @@ class GaitPolicy(ModelPolicy):
 
     model: GaitModel
 
-    def forward(self, obs: torch.Tensor) -> torch.Tensor:
-        """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""
-        return (self.center + self.scale * self.model.outputs(obs).float()).clamp(self.low, self.high)
+    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
+        return self.model.outputs(obs)
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
         """Observations ``[rows, num_obs]`` at random times."""
@@ -152,10 +165,8 @@ class RecurrentPolicy(ModelPolicy):
         """New episodes begin, where ``done`` (bool ``[n]``) says so or everywhere."""
         self.model.reset(done)
 
-    def forward(self, obs: torch.Tensor) -> torch.Tensor:
-        """Observations ``[n, num_obs]`` to actions ``[n, num_actions]``, float32."""
-        out = self.model({OBS_GROUP: obs.to(torch.float32)})
-        return (self.center + self.scale * out).clamp(self.low, self.high)
+    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
+        return self.model({OBS_GROUP: obs.to(next(self.parameters()).dtype)})
 
 
 KINDS = {"gait": GaitPolicy, "rnn": RecurrentPolicy, "voxels": VoxelPolicy}
@@ -177,6 +188,7 @@ def policy_of(controller: Controller, metadata: Mapping[str, Any] | None = None)
         normalizer = controller.actor.obs_normalizer
         if isinstance(normalizer, EmpiricalNormalization):
             weights |= {"mean": normalizer.mean, "deviation": normalizer.std + normalizer.eps}
+            policy.remainder = normalizer.std.double() + normalizer.eps - weights["deviation"].double()
         policy.load_state_dict(policy.state_dict() | weights)
     return policy.to(next(iter(state.values())).device)
 

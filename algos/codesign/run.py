@@ -117,7 +117,6 @@ def run_codesign(
     place: Path | None = None,
     listeners: Sequence[Listener] = (),
     *,
-    stored: Mapping[str, Any] | None = None,
     search: Search | None = None,
     executor: Executor | None = None,
     console: Console | None = None,
@@ -126,7 +125,6 @@ def run_codesign(
 
     Args:
         place: its folder; a search that is there is gone on with. None: a new one in ``output_dir``, named by the time.
-        stored: the configuration of the search that is gone on with, for the names of code in it.
         search: proposes designs; None: the one that the settings name.
         executor: evaluates them; None: the one that the settings name.
 
@@ -144,7 +142,12 @@ def run_codesign(
             executor = make_executor(settings, known)
             opened.callback(executor.close)
         settings = dataclasses.replace(settings, batch=_batch(settings, executor))
-        written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), stored or {})
+        with Archive.read(resumed / ARCHIVE) if resumed else nullcontext() as archive:
+            known_settings = archive.settings if archive else {}
+        written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), known_settings)
+        kept = _kept(written)
+        if resumed:
+            _check_same(known_settings, kept, resumed)
         folder = opened.enter_context(run_folder(resumed, written, "codesign", to_yaml(written), place, BEFORE))
         settings.evaluation.keep(known, folder)
         keep_start(start, folder)
@@ -152,7 +155,8 @@ def run_codesign(
         if search is None:
             bodies = [robot.body for robot in start]
             search = make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, bodies)
-        archive = opened.enter_context(_archive(folder, written))
+        path = folder / ARCHIVE
+        archive = opened.enter_context(Archive.open(path) if resumed else Archive.create(path, kept))
         if settings.logger == "wandb":
             from warpvox.algos.tracking import TrackedSearch
 
@@ -213,21 +217,21 @@ def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[
     return summary
 
 
-def _archive(folder: Path, settings: Codesign) -> Archive:
-    """The archive in ``folder``, made if there is none."""
+def _kept(settings: Codesign) -> dict[str, Any]:
+    """The settings that results follow from, as an archive has them."""
     values = {name: value for name, value in dataclasses.asdict(settings).items() if name not in CHANGEABLE}
     values["training"].pop("save_interval")
-    values = json.loads(json.dumps(values))
-    path = folder / ARCHIVE
-    if not path.is_file():
-        return Archive.create(path, values)
-    archive = Archive.open(path)
-    known = archive.settings
-    if known != values:
-        archive.close()
-        other = next(name for name in {**values, **known} if known.get(name) != values.get(name))
-        raise RunError(f"{path} was made with another value of '{other}' than {folder / CONFIG} has.")
-    return archive
+    return json.loads(json.dumps(values))
+
+
+def _check_same(known: Mapping[str, Any], values: Mapping[str, Any], folder: Path, prefix: str = "") -> None:
+    """Raise RunError unless the search in ``folder``, which has the settings ``known``, has these values."""
+    for name in {**values, **known}:
+        old, new, key = known.get(name), values.get(name), prefix + name
+        if isinstance(old, dict) and isinstance(new, dict):
+            _check_same(old, new, folder, f"{key}.")
+        elif old != new:
+            raise RunError(f"{folder} is a search with {key}={old}, asked for {key}={new}: give that another folder.")
 
 
 def _batch(settings: Codesign, executor: Executor) -> int | None:

@@ -15,8 +15,7 @@ from warpvox.algos.search.settings import GA, SearchSettings, settings_from
 from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, physics_of, sim_of
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY, arithmetic_key
 from warpvox.checks import check_choice
-from warpvox.errors import ConfigError, did_you_mean
-from warpvox.keys import check_values, convert, key, plain
+from warpvox.keys import Settings, key, plain
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -35,7 +34,7 @@ But for rounding: another device, or other ``torch_threads`` with ``training.met
 
 
 @dataclass
-class Codesign:
+class Codesign(Settings):
     """All settings of a design search.
 
     Raises:
@@ -114,9 +113,8 @@ class Codesign:
         if isinstance(self.evaluation, str | Mapping):
             self.evaluation = _evaluation(self.evaluation)
         self.physics = PhysicsConfig.of(self.physics)
-        convert(self)
+        super().__post_init__()
         self.network = plain(self.network, "network")
-        check_values(self)
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Codesign:
@@ -154,10 +152,4 @@ def _evaluation(values: str | Mapping[str, Any]) -> Evaluation:
     given = {"name": values} if isinstance(values, str) else dict(values)
     name = given.get("name", "")
     check_choice("evaluation", name, EVALUATIONS)
-    kind = EVALUATIONS[name]
-    known = [item.name for item in dataclasses.fields(kind)]
-    for key_ in given:
-        if key_ not in known:
-            hint = did_you_mean(f"evaluation.{key_}", [f"evaluation.{one}" for one in known])
-            raise ConfigError(f"evaluation={kind.name} has no setting evaluation.{key_}.{hint}")
-    return kind(**given)
+    return EVALUATIONS[name](**given)

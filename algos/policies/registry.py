@@ -4,11 +4,12 @@ import inspect
 from collections.abc import Mapping
 from typing import Any
 
+import torch
 from torch import nn
 
 from warpvox.algos.policies.cpg import CpgNetwork
 from warpvox.algos.policies.grid import GridNetwork
-from warpvox.algos.policies.layout import CLOCK, VoxelLayout, layout_of
+from warpvox.algos.policies.layout import CLOCK, FEATURES, VoxelLayout, layout_of
 from warpvox.algos.policies.transformer import TransformerNetwork
 from warpvox.algos.settings import CPG, MLP
 from warpvox.code import is_code, load_code
@@ -44,7 +45,16 @@ def check_network(env: VoxelVecEnv, name: str, settings: Any, key: str = "networ
     if settings is not None and not isinstance(settings, Mapping):
         raise ConfigError(f"{key} must be settings by name, such as {{width:32}}; got {settings!r:.80}.")
     layout = layout_for(name, env)
-    make_network(name, layout, False, settings)
+    actor, shapes = make_network(name, layout, False, settings), ([2, layout.cells, FEATURES], [2, layout.rest])
+    with torch.random.fork_rng(devices=[]), torch.no_grad():  # as if nothing had been tried
+        for network, wanted in (actor, [2, layout.cells]), (make_network(name, layout, True, settings), [2]):
+            try:
+                found = list(network.eval()(*map(torch.zeros, shapes)).shape)
+            except Exception as error:  # code of the user's may raise anything
+                found = str(error).partition("\n")[0] or type(error).__name__
+            if found != wanted:
+                takes = f"cells {shapes[0]} and rest {shapes[1]} of two bodies"
+                raise ConfigError(f"policy={name} must make {wanted} of {takes}, got: {found}.")
     return layout
 
 

@@ -5,34 +5,25 @@ They are what ``search=NAME`` stands for on the command line. One differs, becau
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from warpvox.checks import check_choice
-from warpvox.errors import ConfigError, did_you_mean, listing
-from warpvox.keys import check_values, convert, key
+from warpvox.errors import ConfigError, listing
+from warpvox.keys import Settings, key
 
 DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", "height", "width", "symmetry")
 """What MAP-Elites can sort bodies by, each a number from 0 to 1 (see ``describe`` in ``map_elites.py``)."""
 
 
 @dataclass
-class SearchSettings:
-    """Settings that every search has (paper section D.1, Table 2).
-
-    Raises:
-        ConfigError: a value of the wrong type or out of range.
-    """
+class SearchSettings(Settings):
+    """Settings that every search has (paper section D.1, Table 2)."""
 
     algorithm: str = key("", "which search")
     population: int = key(25, "designs of a generation", low=2)
     max_evaluations: int = key(250, "number of different designs to evaluate; in the paper 250, 500 or 750", low=1)
-
-    def __post_init__(self) -> None:
-        convert(self)
-        check_values(self)
 
 
 @dataclass
@@ -141,11 +132,5 @@ def settings_from(values: Mapping[str, Any] | SearchSettings) -> SearchSettings:
     plain: Mapping[str, Any] = vars(values) if isinstance(values, SearchSettings) else values
     given = {name: value for name, value in plain.items() if value is not None}
     algorithm = given.pop("algorithm", None)
-    check_choice("algorithm", algorithm, ALGORITHMS)
-    known = [item.name for item in dataclasses.fields(ALGORITHMS[algorithm]) if item.name != "algorithm"]
-    for name in given:
-        if name not in known:
-            owners = [other for other, kind in ALGORITHMS.items() if name in kind.__dataclass_fields__]
-            whose = f" It is a setting of {listing(owners)}." if owners else did_you_mean(name, known)
-            raise ConfigError(f"The search '{algorithm}' has no setting '{name}'.{whose} It has: {listing(known)}.")
+    check_choice("search", algorithm, ALGORITHMS)
     return ALGORITHMS[algorithm](**given)

@@ -13,7 +13,7 @@ from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.settings import LOGGERS, PRESETS, REFRESH, PhysicsConfig, Ppo
 from warpvox.errors import ConfigError
 from warpvox.examples import AUTO, example_for
-from warpvox.keys import check_values, convert, key, plain
+from warpvox.keys import Settings, check_values, convert, key, plain
 
 OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 MOST_THREADS = 1024
@@ -29,7 +29,7 @@ def arithmetic_key(default: str) -> Any:
 
 
 @dataclass
-class Designs:
+class Designs(Settings):
     """Keys ``designs.*``: many bodies for one policy. ``designs=...`` is short for ``designs.bodies=...``."""
 
     bodies: Any = key(
@@ -56,7 +56,7 @@ class Designs:
 
 
 @dataclass
-class Training:
+class Training(Settings):
     """A training of one policy: the keys of ``warpvox train``, whose defaults are these.
 
     Values may be numpy's, bodies arrays, parts mappings (``ppo={"steps": 64}``).

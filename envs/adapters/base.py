@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
+from warpvox.checks import check_known
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 from warpvox.view import window
 
@@ -37,10 +38,10 @@ class Adapter:
         Raises:
             ConfigError: an option that there is not. And what ``make_vec`` raises.
         """
-        from warpvox.batch.options import check_known
+        from warpvox.batch.options import SimOptions
         from warpvox.envs.vec_env import make_vec  # brings torch, which registering must not
 
-        check_known(options, type(self).__init__, make_vec, without=fixed)
+        check_known(options, type(self).__init__, make_vec, SimOptions, without=fixed)
         if options.get("sim") is None:
             options = defaults | options
         self.vec = make_vec(task, designs, num_envs, **options, **fixed)

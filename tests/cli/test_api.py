@@ -1,6 +1,7 @@
 """Training and policies from Python: what the command does, in a process of one's own."""
 
 import dataclasses
+import inspect
 import shutil
 import sys
 import threading
@@ -19,7 +20,7 @@ import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint, load_controller
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.cli.config import load
-from warpvox.configs.composition import ppo_preset
+from warpvox.configs.composition import settings_named
 from warpvox.envs.registry import get_task
 
 KEYS = {"design": "mini", "num_envs": 8, "threads": 1, "device": "cpu", "max_iterations": 2, "eval_interval": 1}
@@ -67,7 +68,7 @@ def test_values_of_python_arrive_as_they_are(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"ppo": {"step": 4}}, r"Unknown key 'ppo.step'\. Did you mean 'ppo.steps'"),
+        ({"ppo": {"step": 4}}, r"ppo: Ppo has no argument 'step'\. Did you mean 'steps'"),
         ({"ppo": "evogim"}, "Did you mean 'evogym'"),
         ({"design": object()}, "design cannot be a object"),
         ({"ppo": 3}, r"ppo must be Ppo\(...\) or values by name, got 3"),
@@ -110,9 +111,10 @@ def test_without_a_folder_nothing_is_written_and_the_same_is_learned(tmp_path: P
 def test_the_defaults_and_named_sets_of_ppo_are_those_of_the_command() -> None:
     for name in ("parallel", "evogym"):
         commanded = load("train", [f"ppo={name}"])
-        known = ppo_preset(name)
+        known = settings_named("train", ppo=name)
         assert wv.Training(**known) == wv.Training.of(dataclasses.asdict(commanded))
     assert wv.Training() == wv.Training.of(dataclasses.asdict(load("train", [])))
+    assert inspect.signature(wv.evaluate).parameters["episodes"].default == load("evaluate", []).episodes
 
 
 def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None:
@@ -120,7 +122,10 @@ def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None
     policies = [folder, wv.load_policy(folder), "zoo:Walker-v0"]
     table = wv.evaluate(policies, episodes=8, device="cpu", threads=1)
     assert [row.name for row in table] == [str(folder), "policy 1", "zoo:Walker-v0"]
-    assert table[0].returns == pytest.approx(table[1].returns, abs=1e-5)  # other roundings
+    assert table[0].returns == table[1].returns
+    assert wv.evaluate(policies[1], episodes=1, device="cpu", threads=1)[0].mean == table[1].mean
+    few, many = (wv.record(wv.make_vec("Walker-v0", "mini", n, device="cpu"), policies[1]) for n in (1, 8))
+    assert np.array_equal(few.positions[:, 0], many.positions[:, 0])
     assert "mean return" in repr(table)
     own = replace(get_task("Catcher-v0"), max_episode_steps=20)
     (row,) = wv.evaluate(lambda obs: torch.ones(len(obs), 8), own, "mini", episodes=8, device="cpu", threads=1)
@@ -128,7 +133,7 @@ def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None
     assert row.mean == pytest.approx(sum(row.returns) / 8)
     for policy, options, words in (
         (len, {}, "Policy 0 must be a run, or a function"),
-        (folder, {"episods": 3}, "Did you mean 'episodes'"),
+        (folder, {"episods": 3}, "evaluate has no argument 'episods'. Did you mean 'episodes'"),
         ("nowhere", {}, "no run at nowhere"),
     ):
         with pytest.raises(wv.WarpvoxError, match=words):

@@ -123,7 +123,7 @@ def test_resuming_refuses_what_would_be_another_search(search: Callable, warpvox
         warpvox("codesign", "resume=latest", word, fails=phrase)
     config = folder / "config.yaml"
     config.write_text(config.read_text().replace("reuse: true", "reuse: false"))
-    warpvox("codesign", "resume=latest", fails="another value of 'reuse'")
+    warpvox("codesign", "resume=latest", fails="reuse=True, asked for reuse=False")
     assert digest(folder) == before
     warpvox("train", f"resume={folder}", fails="")
 

@@ -125,6 +125,11 @@ def test_no_command_runs_code_that_a_file_names(words: str, foreign: Path, warpv
     assert words in HARMLESS or set(Path().rglob("*")) == before
 
 
+def test_the_advice_has_each_key_once(foreign: Path, warpvox: Callable) -> None:
+    err = warpvox("play", f"run={foreign / 'own_network'}", "policy=mlp", fails="names code").err
+    assert err.count("policy=") == 2  # what the file says, and what to type
+
+
 def test_python_runs_no_code_that_a_file_names(foreign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(foreign)
     assert wv.load_policy("run").num_obs > 0  # needs no task
@@ -163,7 +168,7 @@ def test_only_these_modules_can_run_what_they_read(repository: Path) -> None:
         for path in (repository / folder).rglob("*.py"):
             for name in calls(ast.parse(path.read_text())):
                 found.setdefault(name, set()).add(path.relative_to(repository).as_posix())
-    typed = {"warpvox/api.py", "algos/training/loading.py", "algos/codesign/api.py", "warpvox/trust.py"}
+    typed = {"warpvox/api.py", "algos/training/loading.py", "warpvox/design_search.py", "warpvox/trust.py"}
     typed |= {"warpvox/cli/suite_plan.py"}
     assert found["Code"] == typed
     assert found[".exec_module"] == found["spec_from_file_location"] == {"warpvox/code.py"}

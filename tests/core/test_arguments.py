@@ -1,5 +1,6 @@
 """Arguments of the wrong kind, size or sense: functions and command lines refuse them with errors of ours."""
 
+import inspect
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,20 @@ def test_every_error_is_a_warpvox_error_and_of_the_builtin_kind_that_callers_exp
     for name in ("DeviceError", "SearchError", "SimulationError"):
         assert issubclass(getattr(errors, name), errors.WarpvoxError)
         assert issubclass(getattr(errors, name), RuntimeError)
+
+
+def test_settings_are_checked_when_they_are_made() -> None:
+    for make, words in (
+        (lambda: warpvox.Ppo(step=4), r"Ppo has no argument 'step'\. Did you mean 'steps'\? There are steps, epochs"),
+        (lambda: warpvox.GA(popultion=3), "Did you mean 'population'"),
+        (lambda: warpvox.Ppo(steps=-4), "steps must be at least 1"),
+        (lambda: warpvox.Ppo(hidden="64"), "hidden must be a list"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            make()
+    assert "steps" in inspect.signature(warpvox.Ppo).parameters
+    with pytest.raises(AttributeError, match="Did you mean 'make_vec'"):
+        warpvox.makevec  # noqa: B018
 
 
 def test_every_error_has_a_public_name() -> None:

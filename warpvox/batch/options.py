@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, TypedDict
 
 import numpy as np
 
-from warpvox.checks import check_choice, check_shape
+from warpvox.checks import check_choice, check_known, check_shape
 from warpvox.devices.names import resolve_device
-from warpvox.errors import ConfigError, SimulationError, did_you_mean, listing
+from warpvox.errors import ConfigError, SimulationError
 from warpvox.kernels.device import on_cuda
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.step import STAGES
@@ -66,7 +65,7 @@ class SimOptions:
         Raises:
             ConfigError: see :func:`check_known`; or ``sim`` is something else.
         """
-        check_known(given, *functions)
+        check_known(given, *functions, cls)
         if sim is not None and not isinstance(sim, SimOptions):
             raise ConfigError(f"sim must be SimOptions(device=..., ...), got {sim!r:.80}.")
         return replace(sim or cls(), **given)
@@ -123,26 +122,6 @@ class ResolvedOptions(SimOptions):
     physics: Physics = field(default_factory=Physics)
     threads: int = 1
     layout: str = "lanes"
-
-
-def check_known(given: Mapping[str, Any], *functions: Callable[..., Any], without: Collection[str] = ()) -> None:
-    """Raise ConfigError, with the nearest name, for an argument that is neither of ``functions`` nor of SimOptions.
-
-    Args:
-        functions: the one that was called, and those that get what it does not know.
-        without: arguments of the latter that the former sets itself.
-    """
-    kinds = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
-    own, *others = (
-        [one.name for one in inspect.signature(function).parameters.values() if one.kind not in kinds]
-        for function in functions
-    )
-    others = [name for names in (*others, [item.name for item in fields(SimOptions)]) for name in names]
-    names = [name for name in dict.fromkeys([*own, *others]) if name != "self" and (name in own or name not in without)]
-    for name in given:
-        if name not in names:
-            owner, hint = functions[0].__qualname__.removesuffix(".__init__"), did_you_mean(name, names)
-            raise ConfigError(f"{owner} has no argument {name!r}.{hint} There are {listing(names, len(names))}.")
 
 
 def resolve_arithmetic(arithmetic: str | None, dtype: str) -> str:

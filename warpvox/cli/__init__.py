@@ -85,7 +85,7 @@ def _dispatch(arguments: list[str]) -> int:
     if command in ("-h", "--help", "help"):
         print(_help())
         return DONE
-    if command in ("-V", "--version"):
+    if command in ("-V", "--version", "version"):
         print(f"warpvox {warpvox.__version__}")
         return DONE
     if command in ("-sc", "--shell-completion"):

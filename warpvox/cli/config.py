@@ -15,7 +15,7 @@ from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean
 from warpvox.io.reading import Unreadable, parse_yaml, read_text
 from warpvox.io.writing import to_yaml
-from warpvox.keys import check_values, converted
+from warpvox.keys import check_value, check_values, converted
 from warpvox.runs import CONFIG, LARGEST_CONFIG
 from warpvox.trust import check_address, typed, with_code
 
@@ -124,7 +124,7 @@ def _set(config: DictConfig, override: Override, command: str) -> None:
         hint = did_you_mean(key, [name for name in keys if "." not in name and name != key])
         raise ConfigError(f"{key} is set by {key}.NAME=VALUE, got '{override.get_value_string()}'.{hint}")
     with hydras_errors(f"{key}={override.get_value_string():.40}: "):
-        converted(override.value(), keys[key].type, key)
+        check_value(key, converted(override.value(), keys[key].type, key, "null"), keys[key].limits)
         OmegaConf.update(config, key, override.value(), merge=False)
 
 

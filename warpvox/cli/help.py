@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -25,6 +25,7 @@ class Key:
     help: str
     choices: tuple[str, ...] = ()
     path: str | None = None
+    limits: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
 def flat_keys(schema: type, prefix: str = "") -> Iterator[tuple[str, Key]]:
@@ -37,7 +38,7 @@ def flat_keys(schema: type, prefix: str = "") -> Iterator[tuple[str, Key]]:
         name = prefix + item.name
         default = item.default if item.default_factory is dataclasses.MISSING else item.default_factory()
         about = item.metadata
-        yield name, Key(types[item.name], default, about["help"], about.get("choices", ()), about.get("path"))
+        yield name, Key(types[item.name], default, about["help"], about.get("choices", ()), about.get("path"), about)
         kinds = [one if isinstance(one, type) else type(one) for one in (default, *about.get("nodes", {}).values())]
         kinds = [kind for kind in kinds if dataclasses.is_dataclass(kind) and issubclass(kind, types[item.name])]
         yield from {part: key for kind in kinds for part, key in flat_keys(kind, f"{name}.")}.items()

@@ -247,7 +247,7 @@ def record(
     Args:
         env: what :func:`warpvox.make_vec` makes.
         policy: ``function(obs)`` giving actions ``[num_envs, num_actions]`` in [0.6, 1.6], or one of
-            :data:`AGENTS`, which follow ``env.seed``.
+            :data:`AGENTS`, which follow ``env.seed``. What :func:`warpvox.load_policy` gives is run in float64.
         num_steps: at most so many control steps; None: until all episodes have ended.
         metadata: JSON values to keep with the rollout, for instance the configuration of a run.
 
@@ -263,7 +263,7 @@ def record(
         raise ConfigError(f"record needs what warpvox.make_vec makes, got {type(env).__name__}.{hint}")
     if num_steps is not None:
         check_integer("num_steps (or None)", num_steps, 1)
-    act = _agent(policy, env) if isinstance(policy, str) else policy
+    act = _agent(policy, env) if isinstance(policy, str) else getattr(policy, "in_float64", lambda: policy)()
     scenes, gather = scenes_of(env.sim)
     limit = env.max_episode_steps if num_steps is None else min(int(num_steps), env.max_episode_steps)
     resets_itself, env.auto_reset = env.auto_reset, False

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpvox.algos.settings import DesignTraining, Ppo
-from warpvox.keys import check_values, key
+from warpvox.keys import Settings, key
 from warpvox.types import Cell
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class Workload:
 
 
 @dataclass
-class Evaluation:
+class Evaluation(Settings):
     """The base of all evaluations, and of your own: ``build`` says how designs are evaluated, the rest has defaults.
 
     Settings are fields made by :func:`warpvox.keys.key`. ``search`` are always the settings of the design search.
@@ -52,13 +52,11 @@ class Evaluation:
 
     name: str = key("", "how designs are compared")
 
+    prefix = "evaluation."
     finalists = 0
     """Number of best designs that are evaluated once more at the end of a search (origin ``finalist``)."""
     comparable = True
     """Whether the returns of designs compare with those of finalists: each is that of a policy of its own."""
-
-    def __post_init__(self) -> None:
-        check_values(self, "evaluation.")
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
         """The evaluator, made in the process that evaluates; ``known`` is what :meth:`begins_with` has returned."""

@@ -16,6 +16,9 @@ from warpvox.algos.candidate import Listener, Outcome
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.search.base import RandomSearch
+from warpvox.cli.config import load
+from warpvox.design_search import _without_names
 from warpvox.types import Physics
 
 SMALL = dict(shape=(3, 3), device="cpu", threads=1, progress=False)
@@ -62,13 +65,17 @@ def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_p
     env = wv.make_vec("Walker-v0", found.best.candidate.body, 2, device="cpu")
     assert found.policy(env.reset()[0]).shape == (2, env.num_actions)
     assert f"{found.best.fitness:.3f}" in found._repr_html_()
+    assert len(wv.evaluate(found, episodes=1, device="cpu")) == 1
     warpvox("codesign", "seed=3", *COMMAND)
     (folder,) = Path("outputs/codesign/Walker-v0").iterdir()
     assert digest(folder) == digest(found.folder)
     again = wv.codesign(search=wv.GA(**GA), training=TRAINING, folder=folder, seed=3, **SMALL)  # nothing is left
     assert (again.summary["evaluations"], digest(folder)) == (5, digest(found.folder))
-    with pytest.raises(wv.RunError, match="another value of 'seed'"):
-        wv.codesign(search=wv.GA(**GA), training=TRAINING, folder=folder, seed=4, **SMALL)
+    files = {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+    for other, says in (({"seed": 4}, "seed=3, asked for seed=4"), ({"training": {}}, "training.envs=8, .*=32")):
+        with pytest.raises(wv.RunError, match=f"{folder.name} is a search with {says}"):
+            wv.codesign(**{"search": wv.GA(**GA), "training": TRAINING, "folder": folder, "seed": 3, **SMALL, **other})
+    assert files == {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
 
 
 class Judge(ToyEvaluator):
@@ -87,12 +94,20 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
         Loop(ToySearch(), LocalExecutor(Judge()), archive, seed=0).run()
         known = {record.id: record.fitness for record in archive.records()}
     assert {record.id: known[record.id] for record in found.designs} == {one.id: one.fitness for one in found.designs}
+    # budget and population are those of the search; a class of the same name goes on, wherever it lies
+    Own, few = type("Own", (RandomSearch,), {}), wv.RandomDesigns(population=4, max_evaluations=8)
+    for module in ("__main__", "codesign_toys"):
+        Own.__module__ = module
+        again = wv.codesign(search=Own(few, (3, 3)), evaluation=Judge(), folder=tmp_path / "own", **SMALL)
+        assert (again.settings.search.population, again.settings.search.max_evaluations) == (4, 8)
+        assert again.settings.search.make == "__main__:Own"
     for wrong, says in [
         ({"evaluation": "specialst"}, "Did you mean 'specialist'"),
         ({"evaluation": 3}, "an object with a method evaluate"),
-        ({"search": "gaa"}, "Did you mean 'ga'"),
-        ({"sead": 3}, "Did you mean 'seed'"),
-        ({"evaluation": {"name": "gaits", "round": 3}}, "Did you mean 'evaluation.rounds'"),
+        ({"search": "gaa"}, r"search must be one of auto, bo, .*Did you mean 'ga'"),
+        ({"evaluation": "gait"}, r"evaluation must be one of .*two_gaits"),
+        ({"sead": 3}, r"codesign has no argument 'sead'\. Did you mean 'seed'\? There are task, shape, .*output_dir"),
+        ({"evaluation": {"name": "gaits", "round": 3}}, "Did you mean 'rounds'"),
         ({"training": {"iterations": "many"}}, "training.iterations must be an integer"),
         ({"seed": -1}, "seed must be at least 0"),
         ({"evaluation": wv.Shared(), "training": {**TRAINING, "inherit": True}}, "training.inherit does not go with"),
@@ -136,6 +151,16 @@ def test_an_evaluation_in_a_file(warpvox: Callable, tmp_path: Path, monkeypatch:
     ]:
         keys = wrong.split("=")[0]
         warpvox("codesign", *(word for word in words if not word.startswith(keys)), wrong, *COMMAND, fails=says)
+
+
+def test_names_of_sets_are_those_of_the_command() -> None:
+    for given, words in (
+        ({"search": "auto", "task": "Walker-v0"}, ["search=auto"]),
+        ({"search": "quick", "task": "Lifter-v0", "training": {"envs": 8}}, ["search=quick", "training.envs=8"]),
+        ({"search": "paper", "task": "Lifter-v0"}, ["search=paper"]),
+    ):
+        commanded = load("codesign", [*words, f"task={given['task']}"])
+        assert Codesign(**_without_names(given)) == Codesign.of(vars(commanded))
 
 
 def test_physics_are_a_preset_by_name_or_constants() -> None:

@@ -17,7 +17,7 @@ from warpvox.algos.checkpoints.policy import policy_of
 from warpvox.algos.evaluate import evaluate, evaluator
 from warpvox.algos.policies.layout import FEATURES, INPUTS, VoxelInputs, VoxelLayout, layout_of
 from warpvox.algos.policies.model import VoxelNormalizer
-from warpvox.algos.policies.registry import check_policy, layout_for, make_network
+from warpvox.algos.policies.registry import check_network, check_policy, layout_for, make_network
 from warpvox.algos.training.playing import SampledController
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import Runner, Schedule, adapt
@@ -238,6 +238,9 @@ def test_a_network_of_ones_own_is_imported_only_if_it_is_named(tmp_path: Path) -
         make_network(name, VoxelLayout(2, 3, 2, 5), False, {"unit": 3})
     with pytest.raises(ConfigError, match=r"does not exist.*Did you mean 'Own'"):
         make_network(Code(f"{tmp_path / 'nets.py'}:Owm"), VoxelLayout(2, 3, 2, 5), False)
+    (tmp_path / "narrow.py").write_text(OWN.replace("26", "25"), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"must make \[2, 6\] of cells \[2, 6, 26\] .*shapes cannot be multiplied"):
+        check_network(env_for("grid"), Code(f"{tmp_path / 'narrow.py'}:Own"), None)
 
 
 def test_mistakes_are_explained(env: VoxelVecEnv) -> None:

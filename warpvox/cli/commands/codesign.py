@@ -2,9 +2,8 @@
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -21,11 +20,10 @@ from warpvox.trust import again, as_stored
 
 @dataclass
 class Job:
-    """One search to be made; of the one that it goes on with ``folder`` and configuration."""
+    """One search to be made; ``folder``: of the one that it goes on with."""
 
     config: CodesignConfig
     folder: Path | None = None
-    stored: dict[str, Any] = field(default_factory=dict)
 
     @property
     def settings(self) -> Codesign:
@@ -50,7 +48,7 @@ def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | No
         source = find_codesign(config.resume, config.output_dir)
         check_writable(source.folder)
         config = load("codesign", overrides, config_dir, base=source.config, home=source.folder)
-        job = Job(config, source.folder, source.config)
+        job = Job(config, source.folder)
         check_unchanged(source.config, as_stored(job.settings, source.config), CHANGEABLE)
     check(job.settings, job.folder)
     return job
@@ -71,7 +69,7 @@ def _make(job: Job, console: Console) -> Path:
         from warpvox.algos.codesign.results import Results, film_designs
         from warpvox.algos.codesign.run import run_codesign
     listeners = [SearchProgress(console)]
-    found = run_codesign(job.settings, job.folder, listeners, stored=job.stored, console=console)
+    found = run_codesign(job.settings, job.folder, listeners, console=console)
     with console.status("filming the best"), Archive.read(found.folder / FILE) as archive:
         results = Results(found.folder, archive, job.settings, found.summary.get("pretraining_steps"))
         film_designs(found.folder, results.best(), job.settings)

@@ -4,29 +4,31 @@ import dataclasses
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from rich.console import Console
 
 from warpvox.algos.candidate import DesignEvaluator, Listener, Search
-from warpvox.algos.codesign.evaluations import Custom, Evaluation
+from warpvox.algos.codesign.evaluations import EVALUATIONS, Custom, Evaluation
 from warpvox.algos.codesign.loop import Executor
 from warpvox.algos.codesign.progress import SearchProgress
 from warpvox.algos.codesign.results import Found
 from warpvox.algos.codesign.run import run_codesign
 from warpvox.algos.codesign.settings import Codesign
-from warpvox.algos.search.settings import CustomSearch, SearchSettings
+from warpvox.algos.search.settings import ALGORITHMS, CustomSearch, SearchSettings
+from warpvox.checks import check_known
 from warpvox.code import Code
-from warpvox.errors import ConfigError, did_you_mean
+from warpvox.errors import ConfigError
+from warpvox.keys import changed
 from warpvox.trust import typed, with_code
 
 
 def codesign(
     task: Any = "Walker-v0",
-    shape: Sequence[int] = (5, 5),
+    shape: Sequence[int] | None = None,
     *,
     search: str | SearchSettings | Search = "ga",
-    evaluation: str | Evaluation | DesignEvaluator = "specialist",
+    evaluation: str | Evaluation | DesignEvaluator | None = None,
     executor: str | Executor = "local",
     folder: str | Path | None = "auto",
     progress: bool = True,
@@ -40,10 +42,11 @@ def codesign(
 
     Args:
         task: id, ``FILE.py:NAME``, or a :class:`warpvox.envs.spec.TaskSpec`.
-        shape: rows and columns of the bodies.
-        search: ``GA(population=25)``, ..., a name, or a search of your own, which asks and tells.
+        shape: rows and columns of the bodies; None: 5 x 5, or those of a named ``search``.
+        search: ``GA(population=25)``, ..., a name as on the command line, ``"auto"`` for instance, or a search of your
+            own, which asks and tells.
         evaluation: ``Specialist()``, ``Gaits(rounds=4)``, ..., a name, or an evaluator of your own with a method
-            ``evaluate(candidates, parents, report, checkpoint)``.
+            ``evaluate(candidates, parents, report, checkpoint)``; None: ``Specialist()``, or as named by ``search``.
         executor: ``local``, ``ray``, or one of your own.
         folder: a search that is there is gone on with; ``auto``: a new one in ``outputs/codesign``, ``None``: a
             temporary one, which goes with the process.
@@ -57,17 +60,15 @@ def codesign(
     """
     own = None if isinstance(search, str | Mapping | SearchSettings) else search
     if own is not None:
-        sizes = {name: getattr(own, name) for name in ("population", "max_evaluations") if hasattr(own, name)}
+        has = getattr(own, "settings", own)  # which a BaseSearch has
+        sizes = {name: getattr(has, name) for name in ("population", "max_evaluations") if hasattr(has, name)}
         search = CustomSearch(make=_name(own), **sizes)
-    if not isinstance(evaluation, str | Mapping | Evaluation):
-        evaluation = _Given(evaluation)
+    if not isinstance(evaluation, str | Mapping | Evaluation | None):
+        evaluation = type("_Given", (_Given,), {"evaluator": evaluation})(make=_name(evaluation))
     where: dict[str, Any] = {"executor": executor} if isinstance(executor, str) else {}
-    known = {item.name for item in dataclasses.fields(Codesign)}
-    for name in settings:
-        if name not in known:
-            raise ConfigError(f"codesign() takes no '{name}'.{did_you_mean(name, known)}")
-    how: dict[str, Any] = {"search": search, "evaluation": evaluation}  # names and mappings become settings
-    job = Codesign(task=task, shape=list(shape), **how, **where, **settings)
+    check_known(settings, codesign, Codesign)
+    how = {"task": task, "shape": shape, "search": search, "evaluation": evaluation} | where | settings
+    job = Codesign(**_without_names({key: value for key, value in how.items() if value is not None}))
     job = with_code(job, typed(job))
     kept = tempfile.TemporaryDirectory(prefix="warpvox_") if folder is None else None
     place = None if folder == "auto" else Path(kept.name if kept else str(folder)).expanduser()
@@ -77,12 +78,25 @@ def codesign(
     return dataclasses.replace(found, kept=kept)
 
 
-class _Given(Custom):
-    """An evaluator that was handed over as an object."""
+def _without_names(given: dict[str, Any]) -> dict[str, Any]:
+    """Settings with those that names of sets stand for, ``search="auto"`` for instance; what is given counts more."""
+    texts = {key: given[key] for key in ("search", "evaluation", "training") if isinstance(given.get(key), str)}
+    sets = {key: name for key, name in texts.items() if name not in (*ALGORITHMS, *EVALUATIONS)}
+    if not sets:
+        return given
+    from warpvox.configs.composition import settings_named
 
-    def __init__(self, evaluator: DesignEvaluator) -> None:
-        super().__init__(make=_name(evaluator))
-        self.evaluator = evaluator
+    named = settings_named("codesign", **sets, **({"task": given["task"]} if isinstance(given["task"], str) else {}))
+    for key, value in given.items():
+        if key not in sets:
+            named[key] = changed(named[key], value, key) if key in named and isinstance(value, Mapping) else value
+    return named
+
+
+class _Given(Custom):
+    """An evaluator that was handed over as an object: an attribute of a class of its own, which is no setting."""
+
+    evaluator: ClassVar[DesignEvaluator]
 
     def check(self, search: Codesign) -> None:
         if not callable(getattr(self.evaluator, "evaluate", None)):
