@@ -59,6 +59,7 @@ class Policy(nn.Module):
 
     mean: torch.Tensor
     deviation: torch.Tensor
+    remainder: torch.Tensor
 
     def __init__(self, spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> None:
         super().__init__()
