@@ -1,7 +1,5 @@
 """Trained policies as plain torch modules, and as one text that holds all of a policy."""
 
-from __future__ import annotations
-
 import base64
 import binascii
 import copy
@@ -98,7 +96,7 @@ class Policy(nn.Module):
         dtype = self.mean.dtype
         return self.mlp((obs.to(dtype) - self.mean) / (self.deviation + self.remainder.to(dtype)))
 
-    def in_float64(self) -> Policy:
+    def in_float64(self) -> "Policy":
         """A copy whose network runs in float64, as runs are played: actions do not depend on what is in a batch.
 
         See :class:`warpvox.algos.checkpoints.files.Controller`, which gives the same actions.

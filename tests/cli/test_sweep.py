@@ -105,7 +105,7 @@ def test_resuming_says_why_there_is_nothing_to_do_and_how_to_go_on(train: Callab
     for words in ([], ["max_iterations=2"], ["max_iterations=1"]):
         outcome = warpvox("train", "resume=latest", *words, fails="already made 2 iterations")
         advice = outcome.err.strip().partition("go on with: warpvox ")[2]
-        assert advice == f"train resume={folder.resolve()} max_iterations=4"
+        assert advice == f"train resume={folder} max_iterations=4"
     warpvox(*advice.split())
     assert [row["iteration"] for row in read_metrics(folder)] == [1, 2, 3, 4]
 

@@ -90,7 +90,7 @@ def test_environments_that_do_not_fit_leave_nothing_behind(warpvox: Callable, tm
             *TRAIN, fails=("Memory has run out", "num_envs=4 instead of 8", "8 GiB more could not be had on cuda:0")
         )
     with raised_at(monkeypatch, "warpvox.simulation.Simulation.__init__", 1, ERRORS["numpy"]):
-        warpvox("play", "agent=zero", "window=off", fails=("Memory has run out", "num_envs"))
+        warpvox("play", "agent=sine", "window=off", fails=("Memory has run out", "num_envs"))
     assert list(tmp_path.iterdir()) == []
 
 
