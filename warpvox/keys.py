@@ -131,8 +131,7 @@ def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
     try:
         return dataclasses.replace(usual, **values)
     except ConfigError as error:
-        about_value = str(error).partition(" ")[0].partition(".")[0] in values
-        raise ConfigError(f"{name}{'.' if about_value else ': '}{error}") from None
+        raise ConfigError(f"{name}: {error}") from None
 
 
 def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:

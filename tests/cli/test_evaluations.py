@@ -264,7 +264,7 @@ def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
         ("evaluation=shared executor=ray", "one policy that learns in one process"),
         ("evaluation=shared batch=2", "leave batch away"),
         ("evaluation=shared evaluation.policy=mlp", "evaluation.policy must see voxels"),
-        ("evaluation=shared evaluation.ppo={epochs:two}", "evaluation.ppo.epochs must be an integer, got 'two'"),
+        ("evaluation=shared evaluation.ppo={epochs:two}", "evaluation.ppo: epochs must be an integer, got 'two'"),
         ("evaluation=shared training=paper", "cannot decay linearly"),
         ("evaluation=shared evaluation.iterations=0", "evaluation.iterations must be at least 1"),
     ],
