@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("alone")
 
 
 class Mortal(ToyEvaluator):
-    """Ends its process once at each of some candidates; notes which processes evaluate what."""
+    """Ends its process once at each of some candidates."""
 
     def __init__(self, folder: Path, fatal: Sequence[int]) -> None:
         super().__init__(seconds=0.05)
@@ -39,9 +39,7 @@ class Mortal(ToyEvaluator):
         if number in self.fatal and not mark.exists():
             mark.touch()
             os.kill(os.getpid(), signal.SIGKILL)
-        outcomes = super().evaluate(candidates, *more)
-        (self.folder / f"done_{number}_{os.getpid()}").touch()
-        return outcomes
+        return super().evaluate(candidates, *more)
 
 
 class Failing(ToyEvaluator):
@@ -146,8 +144,6 @@ def test_two_nodes_with_dying_workers_give_the_results_of_one_process(cluster, t
     executor.close()
     assert loop.archive.digest() == undisturbed
     assert [file.name for file in tmp_path.glob("died_*")] == ["died_1"]
-    workers = {file.name.split("_")[2] for file in tmp_path.glob("done_*")}
-    assert len(workers) >= 2  # others after a death; how many more depends on how fast each of them starts
     assert nodes == [nodes[0]]
     assert set(heard) <= {record.id for record in loop.archive.records() if record.reused is None}
 
