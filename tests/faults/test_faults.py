@@ -121,11 +121,12 @@ def test_an_interrupt_leaves_one_of_the_two_files_whenever_it_comes(tmp_path: Pa
                 raise KeyboardInterrupt
             return trace
 
+        before = sys.gettrace()  # what measures coverage goes on
         sys.settrace(trace)
         try:
             write_text(target, "new")
         finally:
-            sys.settrace(None)
+            sys.settrace(before)
 
     write(None)
     for number in range(1, lines + 1):
