@@ -108,7 +108,7 @@ def _stack(lines: Sequence[str]) -> np.ndarray:
 
 
 def _is_row(entry: object) -> bool:
-    """Whether an entry of a list is a row of cells: a list that holds no lists."""
+    """True for a row of cells: an entry of a list that is a list and holds none."""
     return is_list(entry) and not isinstance(entry, str) and not any(map(is_list, entry))
 
 

@@ -193,7 +193,9 @@ def evaluate(
                 raise ConfigError(f"Policy {number} must be {what}; got {policy!r:.80}.")
             given: dict[str, Any] = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
             parts = parts_of(protocol, feedback=getattr(getattr(policy, "spec", None), "gait", None) is None)
-            policy, count = getattr(policy, "in_float64", lambda same=policy: same)(), episodes * len(parts)
+            if hasattr(policy, "in_float64"):
+                policy = policy.in_float64()
+            count = episodes * len(parts)
             env = make_vec(where, load_bodies(body, seed), count, seed=seed, auto_reset=False, **given, **options)
             name = getattr(policy, "__name__", f"policy {number}")
             rows.extend(EvaluatedPolicy.each(name, env, disturbed(policy, env, parts, seed), level, parts))

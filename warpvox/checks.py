@@ -28,12 +28,12 @@ def is_number(value: object) -> TypeGuard[float]:
 
 
 def is_list(value: object) -> TypeGuard[Sequence[Any] | np.ndarray]:
-    """Whether a value is a sequence or an array."""
+    """True for a sequence or an array."""
     return isinstance(value, Sequence | np.ndarray)
 
 
 def is_mapping(value: object) -> TypeGuard[Mapping[str, Any]]:
-    """Whether a value is a mapping, by names."""
+    """True for a mapping, by names."""
     return isinstance(value, Mapping)
 
 

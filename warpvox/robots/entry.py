@@ -81,7 +81,7 @@ class Robot:
 
     @property
     def has_feedback(self) -> bool:
-        """Whether its actions depend on what happens, not on the time alone."""
+        """True if its actions depend on what happens, not on the time alone."""
         return not isinstance(self.policy, Gait)
 
     @property

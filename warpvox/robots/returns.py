@@ -83,7 +83,7 @@ def _episode(env: VoxelEnv, robot: Robot, seed: int) -> tuple[float, int]:
 
 
 def is_better(robot: Robot, entry: Robot) -> bool:
-    """Whether the zoo takes ``robot`` in place of ``entry``.
+    """True if the zoo takes ``robot`` in place of ``entry``.
 
     Its mean under noise is higher. Between feedback and a gait the gait has to be better by more than :data:`EQUAL`, as
     far as the 95 % interval of the difference can tell: other disturbances throw it off its course for good.

@@ -263,7 +263,9 @@ def record(
         raise ConfigError(f"record needs what warpvox.make_vec makes, got {type(env).__name__}.{hint}")
     if num_steps is not None:
         check_integer("num_steps (or None)", num_steps, 1)
-    act = _agent(policy, env) if isinstance(policy, str) else getattr(policy, "in_float64", lambda: policy)()
+    act = _agent(policy, env) if isinstance(policy, str) else policy
+    if hasattr(act, "in_float64"):
+        act = act.in_float64()
     scenes, gather = scenes_of(env.sim)
     limit = env.max_episode_steps if num_steps is None else min(int(num_steps), env.max_episode_steps)
     resets_itself, env.auto_reset = env.auto_reset, False
