@@ -134,7 +134,10 @@ def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) ->
 
 
 def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv, Any]:
-    """Environments and policy of a stored robot; exact, with the recorded seeds, unless asked otherwise."""
+    """Environments and policy of a stored robot; exact, with the recorded seeds, unless asked otherwise.
+
+    ``config.seed`` is that of the first episode; the others follow it, as an entry is judged.
+    """
     if config.stochastic:
         raise ConfigError("stochastic=true goes with a run; a stored robot has no exploration to sample from.")
     if robot.policy is None:
@@ -147,11 +150,11 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
     parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=robot.has_feedback)
     alike = parts == (NOMINAL,) and not get_task(robot.task).is_random
     count = 1 if alike else config.num_envs or SHOWN
-    options = {name: value for name in ("dtype", "arithmetic", "seed") if (value := getattr(config, name)) is not None}
+    options = {name: value for name in ("dtype", "arithmetic") if (value := getattr(config, name)) is not None}
     if config.arithmetic == "fast":
         options.setdefault("dtype", "float32")
     options |= {"threads": config.threads, "memory_check": config.memory_check}
     options |= {"device": resolve_device(config.device, count), "num_envs": count * len(parts)}
-    seeds = [*SEEDS[:count], *range(SEEDS[-1] + 1, SEEDS[-1] + 1 + count - len(SEEDS))]
-    env = robot_env(robot, seeds * len(parts), **options)
-    return env, disturbed(robot.policy, env, parts, SEEDS[0] if config.seed is None else config.seed)
+    first = SEEDS[0] if config.seed is None else config.seed
+    env = robot_env(robot, list(range(first, first + count)) * len(parts), **options)
+    return env, disturbed(robot.policy, env, parts, first)

@@ -18,7 +18,7 @@ from warpvox.algos.disturbance import JUDGED, NOISE, SEARCHED, Disturbed, Draws
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.protocols import COPIES, DISTURBANCES, PROTOCOLS
 from warpvox.errors import ConfigError
-from warpvox.robots.entry import zoo_tasks
+from warpvox.robots.entry import DIGITS, zoo_tasks
 from warpvox.robots.returns import EPISODES, judge_robust
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
@@ -126,6 +126,12 @@ def test_a_training_chooses_by_disturbed_copies(tmp_path: Path) -> None:
     policy = load_controller(run.folder / "model_best.pt")
     assert run.best_return == evaluator(env, 0, "robust")(policy).mean_return
     assert run.best_return != evaluator(env, 0)(policy).mean_return
+
+
+def test_an_evaluation_of_a_robot_has_the_episodes_of_its_entry() -> None:
+    recorded = wv.zoo("Catcher-v0").about["noise"]["returns"]  # a task that draws something in each episode
+    (row,) = wv.evaluate("zoo:Catcher-v0", protocol="noise", episodes=3)
+    assert np.round(row.returns, DIGITS).tolist() == recorded[:3]
 
 
 @pytest.mark.parametrize("episodes", [1, pytest.param(EPISODES, marks=pytest.mark.slow)])
