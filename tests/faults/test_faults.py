@@ -210,14 +210,17 @@ def test_what_vanishes_from_a_search_is_told_of(name: str, warpvox: Callable, tm
         assert "the policies of 3 designs are gone from" in warpvox("codesign", f"resume={run}").out
 
 
-def test_leftovers_of_killed_processes_are_swept_up_and_a_second_writer_is_refused(copied: Callable, warpvox) -> None:
-    run = copied("train")
+@pytest.mark.parametrize(("command", "more"), [("train", ["max_iterations=4"]), ("codesign", [])])
+def test_leftovers_of_killed_processes_are_swept_up_and_a_second_writer_is_refused(
+    command: str, more: list[str], copied: Callable, warpvox
+) -> None:
+    run = copied(command)
     leftover = run / f"{MARK}state-abc.pt"
     leftover.write_text("half")
     with claimed(run):
-        warpvox("train", f"resume={run}", "max_iterations=4", fails="Another process is writing to")
+        warpvox(command, f"resume={run}", *more, fails="Another process is writing to")
     assert leftover.is_file()  # it may be the other's
-    warpvox("train", f"resume={run}", "max_iterations=4")
+    warpvox(command, f"resume={run}", *more)
     assert not leftover.exists()
 
 
