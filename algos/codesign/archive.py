@@ -100,12 +100,12 @@ class Finished:
 class Archive(AbstractContextManager["Archive"]):
     """Reads and writes the file of one experiment; a context manager that closes it.
 
-    Make one with :meth:`create`, :meth:`open` or :meth:`read`. Only the process that has claimed the folder may write.
+    Make one with :meth:`create`, :meth:`open` or :meth:`read`. Only one process at a time may write.
     """
 
-    def __init__(self, path: Path, db: sqlite3.Connection, writable: bool) -> None:
+    def __init__(self, path: Path, db: sqlite3.Connection, lock: sqlite3.Connection | None) -> None:
         self.path = path
-        self._db, self._writable = db, writable
+        self._db, self._lock = db, lock
 
     @classmethod
     def create(cls, path: Path, settings: Mapping[str, Any]) -> Archive:
@@ -121,11 +121,13 @@ class Archive(AbstractContextManager["Archive"]):
             raise RunError(f"{path} exists already: an archive is never overwritten.")
         if hint := repair_hint(path):
             raise RunError(f"{path} is gone.{hint}")
+        lock = _lock_for_writing(path)
         try:
             with atomic_path(path, make_folders=False) as temporary:  # a killed process leaves no empty archive
                 cls._fill(temporary, settings)
-            return cls(path, _connect(path, "rw"), writable=True)
+            return cls(path, _connect(path, "rw"), lock)
         except (sqlite3.Error, StorageError) as error:
+            lock.close()
             raise _write_error(path, error) from None
 
     @staticmethod
@@ -142,8 +144,17 @@ class Archive(AbstractContextManager["Archive"]):
 
     @classmethod
     def open(cls, path: Path) -> Archive:
-        """The archive at ``path`` for writing. RunError: no archive, or a damaged or foreign one."""
-        return cls(path, _checked(path), writable=True)
+        """The archive at ``path`` for writing.
+
+        RunError: no archive, a damaged or foreign one, or another process is writing it.
+        """
+        _check_exists(path)
+        lock = _lock_for_writing(path)
+        try:
+            return cls(path, _checked(path), lock)
+        except RunError:
+            lock.close()
+            raise
 
     @classmethod
     def read(cls, path: Path) -> Archive:
@@ -151,13 +162,16 @@ class Archive(AbstractContextManager["Archive"]):
 
         RunError: no archive, or a damaged or foreign one.
         """
+        _check_exists(path)
         db = _checked(path)
         db.execute("PRAGMA query_only = ON")
-        return cls(path, db, writable=False)
+        return cls(path, db, None)
 
     def close(self) -> None:
         """Close the file; the object is of no use afterwards."""
         self._db.close()
+        if self._lock is not None:
+            self._lock.close()
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -219,7 +233,7 @@ class Archive(AbstractContextManager["Archive"]):
 
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
-        if not self._writable:
+        if self._lock is None:
             raise RunError(f"The archive {self.path} was opened for reading.")
         try:
             with _transaction(self._db):
@@ -426,11 +440,31 @@ def _transaction(db: sqlite3.Connection, kind: str = "IMMEDIATE") -> Iterator[No
     db.execute("COMMIT")
 
 
-def _connect(path: Path, mode: str) -> sqlite3.Connection:
+def _connect(path: Path, mode: str, wait: float = WAIT_SECONDS) -> sqlite3.Connection:
     # transactions are opened by hand: isolation_level=None turns the module's own off
-    options = {"uri": True, "timeout": WAIT_SECONDS, "isolation_level": None, "check_same_thread": False}
+    options = {"uri": True, "timeout": wait, "isolation_level": None, "check_same_thread": False}
     db = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", **options)
     db.row_factory = sqlite3.Row
+    return db
+
+
+def _lock_for_writing(path: Path) -> sqlite3.Connection:
+    """Write lock: an exclusive transaction on a separate file, which ends with the process that holds it.
+
+    The folder's own lock does not hold on Windows, nor on NFS, which locks only what is open for writing (flock(2)).
+    """
+    lock = path.with_name(path.name + ".lock")
+    db = None
+    try:
+        db = _connect(lock, "rwc", wait=0)
+        db.execute("PRAGMA journal_mode = MEMORY")  # nothing is ever written that would need another file
+        db.execute("BEGIN EXCLUSIVE")
+    except sqlite3.Error as error:
+        if db is not None:
+            db.close()
+        if "locked" in str(error):
+            raise RunError(f"Another process is writing {path}; there can be one at a time.") from None
+        raise _write_error(path, error) from None
     return db
 
 
@@ -447,10 +481,13 @@ def _write_error(path: Path, error: Exception) -> StorageError:
     return StorageError(f"The archive {path} cannot be written: {reason}.", cause)
 
 
-def _checked(path: Path) -> sqlite3.Connection:
-    """A connection to a file that is an archive and not damaged. RunError: it is not."""
+def _check_exists(path: Path) -> None:
     if not path.is_file():
         raise RunError(f"There is no archive at {path}.{repair_hint(path)}")
+
+
+def _checked(path: Path) -> sqlite3.Connection:
+    """A connection to a file that is an archive and not damaged. RunError: it is not."""
     db = None
     try:
         # Writable also for reading: SQLite then undoes what a killed process has left half written.

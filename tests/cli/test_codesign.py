@@ -56,7 +56,7 @@ def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) 
     assert folder.name.endswith("_first")
     names = {file.name for file in folder.iterdir()}
     assert names == {
-        "config.yaml", "summary.json", "report.html", "archive.sqlite", "archive.backup.sqlite",
+        "config.yaml", "summary.json", "report.html", "archive.sqlite", "archive.sqlite.lock", "archive.backup.sqlite",
         "designs", "generations", "designs.csv", "structures",
     }  # fmt: skip
     figures = read_summary(folder)

@@ -128,7 +128,9 @@ def test_all_or_nothing_is_written(filled: Archive) -> None:
     assert filled.digest() == before
 
 
-def test_one_writes_and_others_read(filled: Archive, path: Path) -> None:
+def test_one_process_writes_and_others_read(filled: Archive, path: Path) -> None:
+    with pytest.raises(RunError, match="Another process is writing"):
+        Archive.open(path)
     with Archive.read(path) as reader:
         assert reader.count() == 6
         filled.finish([Finished(5, Outcome(9.0))])
@@ -225,7 +227,7 @@ def test_parquet_without_pyarrow_says_what_to_do(filled: Archive, tmp_path: Path
         export(filled, tmp_path, "parquet")
     with pytest.raises(RunError, match="Did you mean 'parquet'"):
         export(filled, tmp_path, "parqet")
-    assert os.listdir(tmp_path) == ["archive.sqlite"]
+    assert sorted(os.listdir(tmp_path)) == ["archive.sqlite", "archive.sqlite.lock"]
 
 
 @pytest.mark.parametrize("name", ["npz", "json"])
