@@ -16,7 +16,7 @@
 #   make charts      draw the charts of docs/performance.md from docs/figures.md
 #   make results     renew docs/results.md from the zoo and from design searches (SEARCHES="FOLDER ...")
 #   make release     build both distributions, check them, and say what an upload would send
-#   make docs        build the documentation into site/ and check its links
+#   make docs        build the documentation into site/ and test it
 #   make clean       remove what builds leave behind (make distclean: .venv as well)
 # PYTHON=python3.12 make demo   chooses the interpreter that .venv is made from.
 
@@ -151,6 +151,7 @@ release: $(UV)
 docs: $(STAMP)
 	$(PIP) --quiet --no-deps --require-hashes -r locks/docs.txt
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+	WARPVOX_SITE=site $(BIN)/python -m pytest tests/docs/test_site.py
 
 tables: $(STAMP)
 	$(BIN)/python docs/key_tables.py

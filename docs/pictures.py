@@ -1,7 +1,7 @@
 """Redraws the pictures of the documentation; ``make pictures`` runs it. Not part of the library.
 
-``python docs/pictures.py RUN`` draws those of a training over many bodies alone: the GIF of held-out bodies under its
-policy, and ``held_out.png``, which it has left.
+``python docs/pictures.py RUN`` draws that of a training over many bodies alone: the GIF of held-out bodies under its
+policy.
 
 Trains a walker from three seeds and searches for one, then draws with the commands that users have. The screenshots
 need Playwright and a Chromium of the system.
@@ -62,14 +62,13 @@ def draw() -> None:
 
 
 def draw_bodies(run: Path) -> None:
-    """Twelve of the held-out bodies of a run, evenly chosen by their returns, and the sheet of all of them."""
+    """Twelve of the held-out bodies of a run, evenly chosen by their returns."""
     from warpvox.cli.exports import tiles_of
 
     command("play", f"run={run}", "num_envs=32", "export=[]", "window=off", f"output_dir={WORK}")
     rollout = Rollout.load(newest("play/*/*") / "rollout.npz")
     film = {"size": (600, 300), "fps": 8, "every": 2, "stop": 260, "voxels": 9}
     write_gif(rollout, IMAGES / "universal.gif", envs=tiles_of(rollout, 12), **film)
-    shutil.copy(run / "held_out.png", IMAGES / "held_out.png")
 
 
 def photograph(page_file: Path, report: Path) -> None:

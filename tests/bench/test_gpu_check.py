@@ -132,6 +132,7 @@ def test_its_parts_run_on_a_device(report: Report, monkeypatch: pytest.MonkeyPat
     assert figures["graph"]["num_envs"] == figures["stream"]["num_envs"] == 8
     assert figures["sizes"][0]["graph"] > 0
     assert {"graph", "stream", "sizes"} <= figures["seconds"].keys()
+    assert cuda.captured
     assert all(graph.replays > 1 for graph in cuda.captured)
 
 

@@ -58,6 +58,7 @@ def test_the_papers_preset(task: str, shape: tuple[int, int]) -> None:
         ("codesign", ["search=bo"], "search.acquisition", "pathwise"),
         ("train", ["ppo=parallel"], "num_envs", 512),
         ("train", ["physics=evogym"], "physics.preset", "evogym"),
+        ("train", ["rules=evogym"], "rules", "evogym"),
     ],
 )
 def test_what_is_typed_goes_before_a_preset(command: str, words: list[str], path: str, value: Any) -> None:

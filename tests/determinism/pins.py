@@ -2,7 +2,8 @@
 
 A rollout is made of IEEE sums, products, quotients and roots, which are the same everywhere, and of a few functions of
 the C library (the hyperbolic tangent of friction, the arc cosine of orientations), which are not. A platform is
-therefore known by the machine and by a fingerprint of that library; which vectors the CPU has does not matter.
+therefore known by the machine, by Warp's version, whose compiler makes the kernels, and by a fingerprint of that
+library; neither the CPU's vectors nor the versions of torch and numpy matter.
 """
 
 import hashlib
@@ -32,8 +33,7 @@ def fingerprint() -> str:
 
 def this_platform() -> dict[str, str]:
     """What the bits of a rollout can depend on."""
-    packages = {name: version(name).split("+")[0] for name in ("warp-lang", "torch", "numpy")}
-    return {"machine": platform.machine(), "libm": fingerprint(), **packages}
+    return {"machine": platform.machine(), "libm": fingerprint(), "warp-lang": version("warp-lang")}
 
 
 def load() -> list[dict[str, Any]]:

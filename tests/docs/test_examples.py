@@ -1,4 +1,4 @@
-"""The scripts of ``examples/`` are up to date: all compile, the quick ones run."""
+"""The scripts of ``examples/`` are up to date: the quick ones run."""
 
 import importlib
 import re
@@ -19,13 +19,6 @@ QUICK: dict[str, dict[str, Any]] = {
     "gymnasium_vector": {"rounds": 1, "num_envs": 2, "steps": 3},
     "sb3_ppo": {"steps": 64, "num_envs": 2},
 }
-
-
-@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.py")), ids=lambda path: path.stem)
-def test_a_script_compiles(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    compile(text, str(path), "exec")
-    assert "set_num_threads(1)" in text or "import torch" not in text or path.stem == "released_robots"
 
 
 @pytest.mark.parametrize("name", QUICK)

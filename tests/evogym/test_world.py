@@ -116,16 +116,16 @@ def test_worlds_are_printed(world: EvoWorld, capsys: pytest.CaptureFixture[str])
     assert second.splitlines()[2] == "0 | F F F"
 
 
+WITHOUT_A_FILE = {"Catcher-v0", "AreaMaximizer-v0", "AreaMinimizer-v0", "WingspanMaximizer-v0", "HeightMaximizer-v0"}
+
+
 def test_the_benchmarks_worlds_are_there_as_files() -> None:
     folder = Path(BenchmarkBase.DATA_PATH)
-    assert folder == Path(BenchmarkBase.DATA_PATH)
-    for task in task_ids():
-        path = folder / f"{task}.json"
-        if path.exists():
-            spec = {obj.name: obj for obj in get_task(task).objects}
-            world = EvoWorld.from_json(str(path))
-            assert all(obj.to_core() == spec[name] for name, obj in world.objects.items())
-            assert set(spec) - set(world.objects) <= {name for name in spec if name.startswith("block_")}
+    for task in set(task_ids()) - WITHOUT_A_FILE:
+        spec = {obj.name: obj for obj in get_task(task).objects}
+        world = EvoWorld.from_json(str(folder / f"{task}.json"))
+        assert all(obj.to_core() == spec[name] for name, obj in world.objects.items())
+        assert set(spec) - set(world.objects) <= {name for name in spec if name.startswith("block_")}
     for name, size in (("package", (3, 2)), ("peg", (5, 1)), ("rigid_2x2", (2, 2)), ("rigid_3x3", (3, 3))):
         obj = WorldObject.from_json(str(folder / f"{name}.json"))
         assert (obj.grid_size.x, obj.grid_size.y) == size

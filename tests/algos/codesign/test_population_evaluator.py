@@ -108,13 +108,6 @@ def test_an_outcome_does_not_depend_on_the_company(preset: str, task: str) -> No
     assert_close(run([found[1], twin, found[2]])[0], together[1])
 
 
-@PRESETS
-def test_the_same_batch_gives_the_same_bits(preset: str, task: str) -> None:
-    first, second = (PopulationEvaluator(factory(task), small(preset), 3).evaluate(candidates(3), {}) for _ in range(2))
-    for one, other in zip(first, second, strict=True):
-        assert_equal(one, other)
-
-
 def test_randomness_follows_from_seed_and_id() -> None:
     body = candidates(1)[0].body
     first, second = outcomes([Candidate(0, body), Candidate(1, body)])

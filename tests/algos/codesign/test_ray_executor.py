@@ -145,6 +145,7 @@ def test_two_nodes_with_dying_workers_give_the_results_of_one_process(cluster, t
     assert loop.archive.digest() == undisturbed
     assert [file.name for file in tmp_path.glob("died_*")] == ["died_1"]
     assert nodes == [nodes[0]]
+    assert heard
     assert set(heard) <= {record.id for record in loop.archive.records() if record.reused is None}
 
 
