@@ -98,7 +98,8 @@ class Gradients:
                 f"{kind} {list(shape)}".removeprefix("torch.") for kind, shape in (expected, got or expected)
             )
             raise SimulationError(f"A state must be a tensor {said}, got {given if got else f'{state!r:.60}'}.")
-        return _Step.apply(self, state, actions)
+        self.sim.take(actions)
+        return _Step.apply(self, state, torch.as_tensor(actions).to(self.sim.device))
 
     def com(self, state: torch.Tensor, name: str) -> torch.Tensor:
         """``[num_envs, 2]``: the centre of mass of an object in a state; SimulationError: it never moves."""
@@ -117,11 +118,11 @@ class Gradients:
 
     # What autograd calls.
 
-    def _forward(self, state: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The next state, and bool ``[num_envs]``: which environments have moved."""
+    def _forward(self, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The state after a step with the actions taken, and bool ``[num_envs]``: which environments have moved."""
         still = self.sim.frozen
         self.sim.set_state(self.sim.state() | _parts(state))
-        self.sim.step(actions)
+        self.sim.advance()
         return self.state(), ~(still | self.sim.unstable)
 
     def _backward(
@@ -157,9 +158,9 @@ class _Step(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, gradients: Gradients, state: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
-        after, moved = gradients._forward(state, actions)
+        after, moved = gradients._forward(state)
         ctx.gradients = gradients
-        ctx.save_for_backward(state, torch.as_tensor(actions), moved, gradients.sim.world_numbers)
+        ctx.save_for_backward(state, actions, moved, gradients.sim.world_numbers)
         return after
 
     @staticmethod
