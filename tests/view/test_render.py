@@ -127,7 +127,8 @@ def test_more_pictures_than_viewers_hold_are_refused_with_what_to_do(rollouts, t
 
 
 @pytest.mark.parametrize(
-    ("every", "fps", "played"), [(1, 25, 4.0), (5, 25, 0.8), (10**6, 25, 0.04), (1, 30, 3.99), (1, 8, 3.96), (2, 45, 2.0)]
+    ("every", "fps", "played"),
+    [(1, 25, 4.0), (5, 25, 0.8), (10**6, 25, 0.04), (1, 30, 3.99), (1, 8, 3.96), (2, 45, 2.0)],
 )
 def test_time_runs_as_fast_as_asked_for(rollouts, tmp_path: Path, every: int, fps: float, played: float) -> None:
     path = render.write_gif(rollouts(200, 1), tmp_path / "film.gif", size=(64, 36), fps=fps, every=every)

@@ -87,8 +87,9 @@ class Batch:
         robot = {obj.name: obj.is_robot for world in worlds for obj in world.objects.values()}
         self.object_names = sorted(robot, key=lambda name: (not robot[name], name))
         self.cut = any(is_cut(obj) for world in worlds for obj in world.objects.values() if obj.is_robot)
-        for world in worlds if self.grid else ():
-            self._check_bodies(world, self.grid)
+        if self.grid is not None:
+            for world in worlds:
+                self._check_bodies(world, self.grid)
 
     def _rank(self, group: int) -> np.ndarray:
         """Which worlds of a group shall lie near each other: a pack is as slow as all of its bodies together."""
