@@ -1,6 +1,6 @@
 """Gradients through the physics: control steps that torch differentiates by their actions and by the state before."""
 
-import itertools
+from functools import partial
 from typing import Any
 
 import torch
@@ -47,8 +47,7 @@ class Gradients:
             raise SimulationError(f"smoothing must be from 1e-9 to 1e9 simulator units, got {smoothing!r:.80}.")
         self.sim, self.smoothing = sim, float(smoothing)
         buffers = sim.buffers
-        substeps = sim.physics.substeps
-        sizes = buffers.sizes | {"trail": (substeps + 1) * buffers.sizes["point"]}
+        sizes = buffers.sizes | {"trail": (sim.physics.substeps + 1) * buffers.sizes["point"]}
         precision = str(sim.dtype).removeprefix("torch.")
         self.tape = allocate(TAPE, sizes, precision, sim.device)
         tape = structs(precision).Tape()
@@ -58,11 +57,7 @@ class Gradients:
         self._by = [wp.to_torch(self.tape[f"by_{name}"]) for name in PARTS]
         self._by_action = wp.to_torch(self.tape["by_action"])
         self._env = tuple(wp.to_torch(array).long() for array in (buffers.env_pack, buffers.env_lane))
-        count = min(sim.threads, buffers.packs) if sim.device == "cpu" else 1
-        cuts = [buffers.packs * k // count for k in range(count + 1)]
-        self._launches = [
-            record_reverse(buffers, tape, substeps, begin, end - begin) for begin, end in itertools.pairwise(cuts)
-        ]
+        self._launches = sim.record_shares(partial(record_reverse, buffers, tape, sim.physics.substeps))
 
     @staticmethod
     def check(sim: Simulation) -> None:
