@@ -6,6 +6,10 @@ apart by rounding and by the order of hash sets of its C++ library. Both are reb
 arithmetic alone.
 """
 
+import heapq
+import itertools
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,8 +20,9 @@ DEEPEST = 40
 """Levels of two trees together that the path of a descent holds (``PATH`` of ``kernels/exact/order.py``)."""
 MOST_OBJECTS = 1024  # whose pairs fit into the 20 bits above the path
 
-# Bucket counts of the library's hash tables, each the first of its prime list that at least doubles the last.
-BUCKETS = (1, 13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753)
+# Bucket counts of the library's hash tables, each the first of its prime list that at least doubles the last: enough
+# for the cells of the largest world.
+BUCKETS = (1, 13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753, 42043, 85229, 172933, 351061, 712697, 1447153)
 CARDINAL = ((-1, 0), (1, 0), (0, -1), (0, 1))  # row and column of neighbours: top, bottom, left, right
 DIAGONAL = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 
@@ -30,33 +35,40 @@ class HashSet:
     """
 
     def __init__(self) -> None:
-        self._size = 0
-        self._order: list[int] = []
+        self._size = self._count = 0
+        self._buckets: dict[int, dict[int, None]] = {}  # they, and the numbers in each, from the last to the first
 
     def __iter__(self):
-        return iter(self._order)
+        return itertools.chain.from_iterable(map(reversed, reversed(self._buckets.values())))
 
     def __len__(self) -> int:
-        return len(self._order)
+        return self._count
+
+    def __contains__(self, number: int) -> bool:
+        return number in self._buckets.get(number % BUCKETS[self._size], ())
 
     def add(self, number: int) -> None:
-        if number in self._order:
+        if number in self:
             return
-        if len(self._order) + 1 > (BUCKETS[self._size] if self._size else 0):
+        self._count += 1
+        if self._count > (BUCKETS[self._size] if self._size else 0):
+            before = list(self)
             self._size += 1
-            before, self._order = self._order, []
+            self._buckets = {}
             for other in before:
                 self._place(other)
         self._place(number)
 
     def _place(self, number: int) -> None:
-        bucket = number % BUCKETS[self._size]
-        at = next((k for k, other in enumerate(self._order) if other % BUCKETS[self._size] == bucket), 0)
-        self._order.insert(at, number)
+        self._buckets.setdefault(number % BUCKETS[self._size], {})[number] = None
 
     def discard(self, number: int) -> None:
-        if number in self._order:
-            self._order.remove(number)
+        if number in self:
+            self._count -= 1
+            bucket = number % BUCKETS[self._size]
+            del self._buckets[bucket][number]
+            if not self._buckets[bucket]:
+                del self._buckets[bucket]
 
 
 @dataclass
@@ -150,14 +162,40 @@ def _area(box) -> float:
 def _merge(tree: Tree, near: list[HashSet]) -> None:
     """Join the two nodes of the smallest common box, neighbours if there are any, until one is left.
 
-    A diagonal neighbour need not know of it, so sets may hold nodes that have been joined.
+    Of equals the first node is joined, with the first of its neighbours. A diagonal neighbour need not know of it, so
+    sets may hold nodes that have been joined.
     """
     open_nodes = dict.fromkeys(range(len(tree.cells)))  # in ascending order
+    have_neighbours = True
+    # Sizes of the smallest common boxes, or less: a size grows, unseen here, when the other node is joined.
+    queue: list[tuple[float, int]] = []
+
+    def smallest(node: int) -> tuple[float, int]:
+        found = math.inf, node
+        for other in near[node] if have_neighbours else open_nodes:
+            if other in open_nodes and other != node:
+                size = _area(_union(tree.boxes[node], tree.boxes[other]))
+                found = (size, other) if size < found[0] else found
+        return found
+
+    def enqueue(nodes: Iterable[int]) -> None:
+        for node in nodes:
+            heapq.heappush(queue, (smallest(node)[0], node))
+
+    enqueue(open_nodes)
     while len(open_nodes) > 1:
-        pairs = [(i, j) for i in open_nodes for j in near[i] if j in open_nodes]
-        pairs = pairs or [(i, j) for i in open_nodes for j in open_nodes if i != j]
-        sizes = [_area(_union(tree.boxes[i], tree.boxes[j])) for i, j in pairs]
-        a, b = pairs[sizes.index(min(sizes))]  # the first of equals
+        expected, a = heapq.heappop(queue)
+        if a not in open_nodes:
+            continue
+        size, b = smallest(a)
+        if size > expected:
+            heapq.heappush(queue, (size, a))
+            continue
+        if size == math.inf:
+            have_neighbours = False
+            queue.clear()
+            enqueue(open_nodes)
+            continue
         merged = tree.add(None, (a, b), _union(tree.boxes[a], tree.boxes[b]))
         around = HashSet()
         for node in [*near[a], *near[b]]:
@@ -171,6 +209,7 @@ def _merge(tree: Tree, near: list[HashSet]) -> None:
         near.append(around)
         del open_nodes[a], open_nodes[b]
         open_nodes[merged] = None
+        enqueue([*around, merged])
 
 
 def order_arrays(design) -> dict[str, np.ndarray]:

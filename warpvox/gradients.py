@@ -1,6 +1,6 @@
 """Gradients through the physics: control steps that torch differentiates by their actions and by the state before."""
 
-import itertools
+from functools import partial
 from typing import Any
 
 import torch
@@ -47,8 +47,7 @@ class Gradients:
             raise SimulationError(f"smoothing must be from 1e-9 to 1e9 simulator units, got {smoothing!r:.80}.")
         self.sim, self.smoothing = sim, float(smoothing)
         buffers = sim.buffers
-        substeps = sim.physics.substeps
-        sizes = buffers.sizes | {"trail": (substeps + 1) * buffers.sizes["point"]}
+        sizes = buffers.sizes | {"trail": (sim.physics.substeps + 1) * buffers.sizes["point"]}
         precision = str(sim.dtype).removeprefix("torch.")
         self.tape = allocate(TAPE, sizes, precision, sim.device)
         tape = structs(precision).Tape()
@@ -58,11 +57,7 @@ class Gradients:
         self._by = [wp.to_torch(self.tape[f"by_{name}"]) for name in PARTS]
         self._by_action = wp.to_torch(self.tape["by_action"])
         self._env = tuple(wp.to_torch(array).long() for array in (buffers.env_pack, buffers.env_lane))
-        count = min(sim.threads, buffers.packs) if sim.device == "cpu" else 1
-        cuts = [buffers.packs * k // count for k in range(count + 1)]
-        self._launches = [
-            record_reverse(buffers, tape, substeps, begin, end - begin) for begin, end in itertools.pairwise(cuts)
-        ]
+        self._launches = sim.record_shares(partial(record_reverse, buffers, tape, sim.physics.substeps))
 
     @staticmethod
     def check(sim: Simulation) -> None:
@@ -98,7 +93,8 @@ class Gradients:
                 f"{kind} {list(shape)}".removeprefix("torch.") for kind, shape in (expected, got or expected)
             )
             raise SimulationError(f"A state must be a tensor {said}, got {given if got else f'{state!r:.60}'}.")
-        return _Step.apply(self, state, actions)
+        self.sim.take(actions)
+        return _Step.apply(self, state, torch.as_tensor(actions).to(self.sim.device))
 
     def com(self, state: torch.Tensor, name: str) -> torch.Tensor:
         """``[num_envs, 2]``: the centre of mass of an object in a state; SimulationError: it never moves."""
@@ -117,11 +113,11 @@ class Gradients:
 
     # What autograd calls.
 
-    def _forward(self, state: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The next state, and bool ``[num_envs]``: which environments have moved."""
+    def _forward(self, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The state after a step with the actions taken, and bool ``[num_envs]``: which environments have moved."""
         still = self.sim.frozen
         self.sim.set_state(self.sim.state() | _parts(state))
-        self.sim.step(actions)
+        self.sim.advance()
         return self.state(), ~(still | self.sim.unstable)
 
     def _backward(
@@ -157,9 +153,9 @@ class _Step(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, gradients: Gradients, state: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
-        after, moved = gradients._forward(state, actions)
+        after, moved = gradients._forward(state)
         ctx.gradients = gradients
-        ctx.save_for_backward(state, torch.as_tensor(actions), moved, gradients.sim.world_numbers)
+        ctx.save_for_backward(state, actions, moved, gradients.sim.world_numbers)
         return after
 
     @staticmethod

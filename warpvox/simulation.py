@@ -5,8 +5,9 @@ from __future__ import annotations
 import itertools
 import os
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -167,7 +168,7 @@ class Simulation(Sensing):
     def advance(self) -> None:
         """The second half of :meth:`step`; on CUDA it goes to torch's current stream, and a graph may capture it."""
         if not self._launches:
-            self._launches = self._record_launches()
+            self._launches = self.record_shares(partial(step_stage.record_step, self._state, self.physics.substeps))
         self.place_actions()
         self.run(self._launches)
 
@@ -190,13 +191,15 @@ class Simulation(Sensing):
         """Begin the threads that :meth:`run` hands work to; a forked process does so by itself."""
         self._pool = ThreadPoolExecutor(self.threads)
 
-    def _record_launches(self) -> list[Recorded]:
-        """On the CPU a launch runs on one core and lets go of the GIL: each thread gets a share of the packs."""
+    def record_shares(self, record: Callable[[int, int], Recorded]) -> list[Recorded]:
+        """Commands for :meth:`run`, from what records one for the packs from a first on and for how many.
+
+        On the CPU a launch runs on one core and lets go of the GIL: each thread gets a share of the packs.
+        """
         packs = self._state.packs
         count = min(self.threads, packs) if self.device == "cpu" else 1
         cuts = [packs * k // count for k in range(count + 1)]
-        state, substeps = self._state, self.physics.substeps
-        return [step_stage.record_step(state, substeps, begin, end - begin) for begin, end in itertools.pairwise(cuts)]
+        return [record(begin, end - begin) for begin, end in itertools.pairwise(cuts)]
 
     def reset(self, mask: torch.Tensor | None = None) -> None:
         """Reset environments to time 0 and unfreeze them; ``mask``: bool ``[num_envs]``; None means all."""

@@ -174,6 +174,7 @@ class World:
         obj = self._find(name).moved(x, y)
         self._check_room(obj)
         self._check_free(obj)
+        del self.objects[name]  # it comes last: read in this order, no box covers what lies there already
         self.objects[name] = obj
         self._grow(obj)
         return obj

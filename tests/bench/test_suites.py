@@ -5,12 +5,13 @@ import shutil
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from warpvox.bench import check, gradients, kernels, machine, reference, scaling
+from warpvox.bench import check, gradients, kernels, machine, reference, runner, scaling
 from warpvox.bench.cases import full_body
 from warpvox.bench.runner import Runner
 from warpvox.configs.bench import BenchConfig
@@ -193,6 +194,14 @@ def test_kernels_names_every_stage(compiled: bool, bench: Callable, monkeypatch:
     assert {name for names in machine.GROUPS.values() for name in names} <= set(DATA)
     assert [name for name, _ in parts] == ["physics alone", "step only"]
     assert (figures["compile"] is not None) is compiled
+
+
+def test_kernels_times_no_stages_of_a_group(bench: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernels, "compile_seconds", lambda *_: None)
+    monkeypatch.setattr(runner, "make", partial(runner.make, layout="group"))
+    said, figures = bench("kernels", "design=walker")
+    assert [table["title"].split(": ")[1].split(",")[0] for table in figures["tables"]] == ["parts", "memory"]
+    assert "Stages" not in said
 
 
 def test_a_document_gets_the_tables(bench: Callable) -> None:

@@ -6,12 +6,13 @@ from hypothesis import given, settings, strategies as st
 from worlds import ground, world
 
 from warpvox import contact_order as order
-from warpvox.compile import compile_world
+from warpvox.compile import compile_world, mesh
 from warpvox.contact_order import BUCKETS, HashSet, order_arrays, tree_of
-from warpvox.design import sample_design
+from warpvox.design import LARGEST_GRID, full_connections, sample_design
 from warpvox.errors import SimulationError
 from warpvox.kernels.exact.order import PATH
 from warpvox.types import Physics
+from warpvox.world import WorldObject
 
 
 class Chained:
@@ -74,6 +75,14 @@ def test_the_set_is_gone_through_as_a_chained_hash_table(changes):
     assert list(ours) == chained.numbers()
 
 
+def test_a_set_holds_the_cells_of_the_largest_world():
+    numbers = HashSet()
+    for number in range(21_000):
+        numbers.add(number)
+    assert sorted(numbers) == list(range(21_000))
+    assert BUCKETS[-1] >= LARGEST_GRID
+
+
 def compiled(seed, shape=(5, 5)):
     robot = sample_design(shape, seed=seed), 1, 1
     made = world(20, 12, ground=ground(20), box=(np.full((2, 2), 1), 12, 1), robot=robot)
@@ -97,6 +106,36 @@ def test_a_tree_holds_every_surface_voxel_once(seed, shape):
                 parts = np.array([tree.boxes[child] for child in pair])
                 assert tree.boxes[n] == (*parts[:, :2].min(0), *parts[:, 2:].max(0))
                 assert (begin[pair[0]], begin[pair[1]]) == (begin[n], middle[n])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_first_of_the_smallest_pairs_is_joined(seed):
+    """Found among all pairs, which are listed anew for each join; with holes and cells that are not connected."""
+    rng = np.random.default_rng(seed)
+    cells = rng.integers(1, 6, (6, 8)) * (rng.random((6, 8)) < rng.choice([0.3, 0.7, 0.9]))
+    pairs = full_connections(cells)
+    pairs = pairs[rng.random(len(pairs)) < rng.choice([0.5, 1.0])]
+    body = mesh(WorldObject.from_array("object", cells, 3, 1, pairs.T), Physics.preset("evogym"))
+    tree = tree_of(body)
+    leaf = {cell: node for node, cell in enumerate(tree.cells) if cell}
+    near, left = [order._neighbours(body, cell, leaf) for cell in leaf], list(range(len(leaf)))
+    for merged in range(len(leaf), len(tree.cells)):
+        pairs = [(i, j) for i in left for j in near[i] if j in left]
+        pairs = pairs or [(i, j) for i in left for j in left if i != j]
+        sides = [np.array([tree.boxes[i], tree.boxes[j]]) for i, j in pairs]
+        sizes = [np.prod(both[:, 2:].max(0) - both[:, :2].min(0)) for both in sides]
+        a, b = pairs[sizes.index(min(sizes))]
+        assert tree.children[merged] == (a, b)
+        near.append(HashSet())
+        for node in [*near[a], *near[b]]:
+            near[merged].add(node)
+        for node in (a, b):
+            near[merged].discard(node)
+        for node in near[merged]:
+            near[node].discard(a)
+            near[node].discard(b)
+            near[node].add(merged)
+        left = [node for node in left if node not in (a, b)] + [merged]
 
 
 def test_trees_deeper_than_a_path_are_refused(monkeypatch):

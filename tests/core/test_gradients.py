@@ -138,6 +138,16 @@ def test_forward_is_the_simulation_and_backward_leaves_it_alone(grads):
     assert all(torch.equal(value, other.state()[name]) for name, value in grads.sim.state().items())
 
 
+def test_actions_of_the_host_are_those_of_the_device(grads):
+    """Arrays are, as every tensor that the simulation takes is brought to its device."""
+    state, actions, found = lifted(grads), 1 + 0.3 * torch.sin(noise(grads.sim.actions)), []
+    for given in (actions, actions.numpy()):
+        start = state.clone().requires_grad_()
+        grads.step(start, given).square().sum().backward()
+        found.append(start.grad)
+    assert torch.equal(*found)
+
+
 def test_threads_and_neighbours_change_nothing():
     def derivative(sim):
         grads = Gradients(sim)

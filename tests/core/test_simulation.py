@@ -73,6 +73,19 @@ def test_bad_worlds_and_names_are_refused():
         sim.com("ground")
 
 
+def test_an_environment_keeps_its_terrain():
+    high, low = (world(6, 4, ground=ground(6, rows), robot=([[3, 4]], 2, rows)) for rows in (2, 1))
+    other = world(6, 4, ground=ground(6), robot=([[4, 3]], 2, 1))
+    sim = Simulation([high, high, low], grid=(2, 2), device="cpu", lanes=8)
+    before = sim.state()
+    for given, mask in (([low], [True, False, False]), ([other, other], [False, True, True])):
+        with pytest.raises(SimulationError, match="can be given worlds that differ from its own in the bodies"):
+            sim.set_worlds(given, torch.tensor(mask))
+    sim.set_worlds([high, other], torch.tensor([True, False, True]))
+    assert [sim.worlds[k] for k in sim.design_index] == [high, high, other]
+    assert all(torch.equal(values, before[name]) for name, values in sim.state().items())
+
+
 def test_a_world_that_is_changed_afterwards_changes_no_simulation():
     changed = world_of(np.array([[3, 4]]))
     sim = Simulation([changed], device="cpu", lanes=8)

@@ -80,11 +80,19 @@ def test_moving() -> None:
     world.add_from_array("box", [[2]], 12, 1)
     moved = world.move_object("robot", 3, 1)  # over cells that it covered itself
     assert (moved.x, moved.y) == (3, 1)
-    assert list(world.objects) == ["ground", "robot", "box"]
+    assert list(world.objects) == ["ground", "box", "robot"]
     for x, y, words in ((9, 1, "overlaps 'box'"), (3, 0, "overlaps 'ground'"), (-1, 1, "negative")):
         with pytest.raises(wv.WorldError, match=words):
             world.move_object("robot", x, y)
         assert world.objects["robot"] is moved
+
+
+def test_what_moved_into_the_box_of_another_can_be_read_back() -> None:
+    world = wv.World()
+    world.add_from_array("robot", [[3, 4]], 5, 0)
+    world.add_from_array("walls", [[5, 0, 0, 5], [5, 5, 5, 5]], 0, 0)
+    world.move_object("robot", 1, 1)
+    assert wv.World.from_json(world.to_json()) == world
 
 
 @pytest.mark.parametrize(

@@ -332,9 +332,10 @@ def test_what_a_gpu_does_not_allow_is_refused(cuda: SimulatedCuda) -> None:
         there.numpy()
     with pytest.raises(RuntimeError, match="generator"):
         torch.rand(3, device="cuda", generator=torch.Generator())
-    kernel = make_vec("Walker-v0", [BODY], 1, device="cuda").sim._record_launches()[0]
+    sim = make_vec("Walker-v0", [BODY], 1, device="cuda").sim
+    sim.advance()
     with pytest.raises(AssertionError, match="current stream"):
-        kernel._command.launch(stream=("warp", 5))
+        sim._launches[0]._command.launch(stream=("warp", 5))
     graph = torch.cuda.CUDAGraph()
     with pytest.raises(RuntimeError, match="capturing"), torch.cuda.graph(graph, torch.cuda.Stream(), "thread_local"):
         there.sum().item()

@@ -148,6 +148,14 @@ def test_a_world_of_several_objects(page: Any, wait_for: Callable, server: Edito
     assert page.evaluate("editor.drawing.names") == ["ground", "robot", "box"]  # nothing was lost meanwhile
     page.locator("#names button").nth(2).click()
     assert page.evaluate("editor.drawing.names") == ["ground", "robot"]
+    page.click("#body")
+    wait_for(page, "document.getElementById('open').options.length === 2")
+    page.select_option("#open", "my_world.json")  # in place of the world; the body waits
+    wait_for(page, "document.getElementById('outcome').textContent === 'Opened my_world.json.'")
+    assert page.evaluate("editor.drawing.names") == ["ground", "robot", "box"]
+    assert page.is_disabled("#undo")
+    page.click("#body")
+    assert cells(page).tolist() == example_designs()["walker"].tolist()
     assert page.problems == []
 
 

@@ -127,6 +127,8 @@ def test_what_cannot_be_given_is_refused_before_anything_changes() -> None:
         make_vec("Walker-v0", sampled(1), 1, device="cpu").set_designs(sampled(1, 5), torch.ones(1, dtype=torch.bool))
     with pytest.raises(SimulationError, match="arithmetic='fast'"):
         make_vec("Walker-v0", sampled(1), 1, device="cpu", dtype="float64", grid=(5, 5))
+    with pytest.raises(SimulationError, match=r"5x5 body .* does not fit the simulation's grid of 4x5"):
+        make_vec("Walker-v0", sampled(1), 1, device="cpu", grid=(4, 5))
     for grid in (5, (5,), "5x5", (0, 5), (5.0, 5)):
         with pytest.raises(ConfigError, match="grid must be two integers"):
             make_vec("Walker-v0", sampled(1), 1, device="cpu", grid=grid)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from warpvox.errors import RolloutError
 from warpvox.types import Cell
@@ -126,11 +126,14 @@ def test_more_pictures_than_viewers_hold_are_refused_with_what_to_do(rollouts, t
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(("every", "count"), [(1, 100), (5, 20), (10**6, 1)])
-def test_time_runs_as_fast_as_asked_for(rollouts, tmp_path: Path, every: int, count: int) -> None:
-    path = render.write_gif(rollouts(200, 1), tmp_path / "film.gif", size=(64, 36), every=every)
+@pytest.mark.parametrize(
+    ("every", "fps", "played"),
+    [(1, 25, 4.0), (5, 25, 0.8), (10**6, 25, 0.04), (1, 30, 3.99), (1, 8, 3.96), (2, 45, 2.0)],
+)
+def test_time_runs_as_fast_as_asked_for(rollouts, tmp_path: Path, every: int, fps: float, played: float) -> None:
+    path = render.write_gif(rollouts(200, 1), tmp_path / "film.gif", size=(64, 36), fps=fps, every=every)
     with Image.open(path) as film:
-        assert film.n_frames == count
+        assert sum(frame.info["duration"] for frame in ImageSequence.Iterator(film)) == round(1000 * played)
 
 
 def test_png_and_filmstrip(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
@@ -168,6 +171,7 @@ def test_mp4(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
         (lambda r, p: render.draw_frame(r, 0, size=(5, 5)), "16 to 8192"),
         (lambda r, p: render.draw_frame(r, 0, voxels=0), "voxels"),
         (lambda r, p: render.write_gif(r, p, every=0), "every must be an integer"),
+        (lambda r, p: render.write_gif(r, p, fps=0), "fps must lie in 1 to 50, got 0"),
         (lambda r, p: render.write_gif(r, p, start=4, stop=4), "no frames from 4 to 4"),
         (lambda r, p: render.filmstrip(r, 0), "1 to 64 frames"),
     ],

@@ -40,8 +40,8 @@ class SimOptions:
             32 threads an environment, with its state on the chip for a whole control step. None: ``group`` on CUDA in
             fast arithmetic where a world's state fits into 48 KiB, else ``lanes``. On the CPU ``group`` is slow, and
             meant for tests.
-        grid: rows and columns up to which other bodies may be put in later; arrays, observations and actions have room
-            for the largest of them. Only in fast arithmetic.
+        grid: rows and columns that bodies have at most, those put in later, too; arrays, observations and actions have
+            room for the largest of them. Only in fast arithmetic.
         cuda_graph: of environments: on CUDA launch a whole control step, from the physics to rewards and resets, as one
             graph (see :mod:`warpvox.envs.graph`). Means nothing on the CPU.
         memory_check: of environments: refuse at once what does not fit into the memory that is free.

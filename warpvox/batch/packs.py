@@ -87,6 +87,9 @@ class Batch:
         robot = {obj.name: obj.is_robot for world in worlds for obj in world.objects.values()}
         self.object_names = sorted(robot, key=lambda name: (not robot[name], name))
         self.cut = any(is_cut(obj) for world in worlds for obj in world.objects.values() if obj.is_robot)
+        if self.grid is not None:
+            for world in worlds:
+                self._check_bodies(world, self.grid)
 
     def _rank(self, group: int) -> np.ndarray:
         """Which worlds of a group shall lie near each other: a pack is as slow as all of its bodies together."""
@@ -121,20 +124,21 @@ class Batch:
             raise SimulationError("Worlds can be exchanged in a simulation made with grid=(rows, columns) only.")
         known = {frame_key(self.worlds[self.group_of.index(k)]): k for k in range(len(self.frames))}
         added: dict[int, list[tuple[bytes, World]]] = {}
-        keys = {id(world): world for world in worlds}
-        keys = {number: world.key() for number, world in keys.items()}
-        seen, chosen = set(self.keys), []
+        different = {id(world): world for world in worlds}
+        keys = {number: world.key() for number, world in different.items()}
+        group_of, chosen = dict(zip(self.keys, self.group_of, strict=True)), []
         for env, world in zip(envs, worlds, strict=True):
             key = keys[id(world)]
             chosen.append(key)
-            if key not in seen:
-                group = known.get(frame_key(world))
-                if group is None or group != self.group_of[self.index[env]]:
-                    raise SimulationError(
-                        f"Environment {env} can be given worlds that differ from its own in the bodies of robots only."
-                    )
+            new = key not in group_of
+            group = known.get(frame_key(world)) if new else group_of[key]
+            if group is None or group != self.group_of[self.index[env]]:
+                raise SimulationError(
+                    f"Environment {env} can be given worlds that differ from its own in the bodies of robots only."
+                )
+            if new:
                 self._check_bodies(world, self.grid)
-                seen.add(key)
+                group_of[key] = group
                 added.setdefault(group, []).append((key, world.copy()))
         for group, new in added.items():
             self.local = np.append(self.local, self.frames[group].add([world for _, world in new]))

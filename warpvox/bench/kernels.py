@@ -34,26 +34,28 @@ STAGES = {
 
 
 def run(config: Any, report: Report) -> None:
-    """Stages of a sub-step, parts of a control step, memory of an environment, seconds of compilation."""
+    """Stages of a sub-step (of the layout ``lanes``), parts of a control step, memory, seconds of compilation."""
     where = f"{config.task}, {config.num_envs} environments, {config.dtype}, {config.device}"
     with report.status("checking, then measuring"):
         runner = Runner(config, [one_body(config)])
         rates = measure({"": runner}, ["bare", *config.columns], config.repeats)[""]
-        stages = stage_times(runner, config)
+        # those of a group are parts of one kernel
+        stages = stage_times(runner, config) if runner.env.sim.layout == "lanes" else {}
     parts = {HEADINGS[column]: MICRO / middle(values) for column, values in rates.items() if values}
     per = f"microseconds of {'CPU time' if config.device == 'cpu' else 'the device'} per control step of an environment"
-    total = sum(stages.values())
-    rows = [[STAGES.get(name, name), t, f"{t / total:.0%}" if total else "-"] for name, t in stages.items()]
-    report.table(f"{where}: stages, {per}", ["stage", "time", "share"], [*rows, ["all stages", total, ""]])
+    if stages:
+        total = sum(stages.values())
+        rows = [[STAGES.get(name, name), t, f"{t / total:.0%}" if total else "-"] for name, t in stages.items()]
+        report.table(f"{where}: stages, {per}", ["stage", "time", "share"], [*rows, ["all stages", total, ""]])
+        report.note(
+            "Stages run one by one over all environments here; in a control step a thread takes one pack through all"
+            " of them, so that it stays in the cache, and their sum is not exactly the time of the physics."
+        )
     report.table(f"{where}: parts, {per}", ["part", "time"], list(parts.items()))
     sizes = memory(runner.env)
     shown = [[name, size / 1000] for name, size in (sizes | {"all": sum(sizes.values())}).items()]
     report.table(f"{where}: memory", ["arrays", "kB an environment"], shown)
     report.note(f"Checked: within {runner.error:.1e} of one environment alone in float64.")
-    report.note(
-        "Stages run one by one over all environments here; in a control step a thread takes one pack through all of"
-        " them, so that it stays in the cache, and their sum is not exactly the time of the physics."
-    )
     report.figures["check_error"] = runner.error
     with report.status("compiling all kernels of a control step"):
         report.figures["compile"] = compile_seconds(config, report)

@@ -140,9 +140,11 @@ class Editor {
     const found = await ask("open", { name });
     if (found.error) { this.say("outcome", found.error, true); return; }
     byId("name").value = name.replace(/\.json$/, "");
-    if (found.kind !== this.drawing.kind) { this.other = this.drawing; this.history = new History(); }
+    if (found.kind === this.drawing.kind) this.history.keep(this.drawing);
+    else { this.other = this.drawing; this.history = new History(); }
     this.active = 0;
-    this.replace(Drawing.from(found));
+    this.drawing = Drawing.from(found);
+    this.changed();
     this.say("outcome", `Opened ${name}.`, false);
   }
 

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from warpvox.types import VOXEL
-from warpvox.view.painter import GRID, INK, SKY
+from warpvox.view.painter import GRID, INK, SKY, seen
 from warpvox.view.palette import colour_index, palette
 from warpvox.view.scene import stretch
 
@@ -54,22 +54,17 @@ def paint(
     places[:, 1] = large[1] - places[:, 1]
     if not hide_voxels:
         quads = places[engine.corners]
-        seen = _seen(quads, large)
-        cells = engine.cells[seen]
-        colours = palette()[colour_index(cells, stretch(cells, points[engine.corners[seen]]))]
-        for quad, colour in zip(quads[seen].reshape(-1, 8).tolist(), colours.tolist(), strict=True):
+        shown = seen(quads, large)
+        cells = engine.cells[shown]
+        colours = palette()[colour_index(cells, stretch(cells, points[engine.corners[shown]]))]
+        for quad, colour in zip(quads[shown].reshape(-1, 8).tolist(), colours.tolist(), strict=True):
             draw.polygon(quad, fill=tuple(colour))
     if not hide_edges:
         sides = places[engine.outlines]
         width = max(1, round(OUTLINE * VOXEL * float(scale.min())))
-        for side in sides[_seen(sides, large)].reshape(-1, 4).tolist():
+        for side in sides[seen(sides, large)].reshape(-1, 4).tolist():
             draw.line(side, fill=INK, width=width)
     return np.asarray(image.reduce(SMOOTH))
-
-
-def _seen(shapes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """bool ``[k]``: which shapes ``[k, corners, 2]`` may touch the picture."""
-    return ((shapes.max(axis=1) >= 0) & (shapes.min(axis=1) <= size)).all(axis=1)
 
 
 def _grid(draw: ImageDraw.ImageDraw, corner: np.ndarray, view: tuple, scale: np.ndarray, size: tuple) -> None:

@@ -144,14 +144,14 @@ class Canvas:
         draw = ImageDraw.Draw(large)
         xy = (points - low) * SMOOTH
         thin, thick = (max(1, round(SMOOTH * self.scale * share)) for share in (1 / 30, 1 / 16))
-        quads = _seen(xy, mesh.corners, large.size, 0)
+        quads = seen(xy[mesh.corners], large.size)
         for quad, colour in zip(xy[mesh.corners[quads]].reshape(-1, 8).tolist(), colours[quads].tolist(), strict=True):
             draw.polygon(quad, fill=self._colours[colour])
-        inner = _seen(xy, mesh.inner, large.size, thin)
+        inner = seen(xy[mesh.inner], large.size, thin)
         inks = mesh.inner_dark[inner].tolist()
         for side, dark in zip(xy[mesh.inner[inner]].reshape(-1, 4).tolist(), inks, strict=True):
             draw.line(side, fill=PALE_INK if dark else INK, width=thin)
-        outer = mesh.outer[_seen(xy, mesh.outer, large.size, thick)]
+        outer = mesh.outer[seen(xy[mesh.outer], large.size, thick)]
         for side in xy[outer].reshape(-1, 4).tolist():
             draw.line(side, fill=INK, width=thick)
         radius = (thick - 1) / 2  # round joints: lines alone would leave notches at corners
@@ -236,10 +236,12 @@ def _mesh(scene: Scene, number: int) -> Mesh:
     )
 
 
-def _seen(xy: np.ndarray, shapes: np.ndarray, size: tuple[int, int], rim: int) -> np.ndarray:
-    """bool ``[shapes]``: those of which some part, with a rim, may lie in the picture. Bridges are longer than it."""
-    ends = xy[shapes]
-    return ((ends.max(axis=1) >= -rim) & (ends.min(axis=1) <= np.array(size) + rim)).all(axis=1)
+def seen(shapes: np.ndarray, size: tuple[int, int], rim: int = 0) -> np.ndarray:
+    """bool ``[k]``: of which shapes ``[k, corners, 2]`` some part, with a rim, may lie in the picture.
+
+    Bridges are longer than it.
+    """
+    return ((shapes.max(axis=1) >= -rim) & (shapes.min(axis=1) <= np.array(size) + rim)).all(axis=1)
 
 
 def _rule(

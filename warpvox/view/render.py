@@ -219,7 +219,8 @@ def write_gif(
     Args:
         rollout, envs, size, hud, voxels: as for :class:`Film`.
         path: where to; written whole or not at all.
-        fps: pictures per second, 1 to 50; time runs as in the simulation, whatever it is.
+        fps: pictures per second, 1 to 50, to whole hundredths of a second a picture; time runs as in the simulation,
+            whatever it is.
         start, stop: frames of the rollout, as in a slice; None: until the last episode ends.
         on_frame: called with the number of pictures drawn and of all there are.
         every: time runs so many times as fast.
@@ -228,7 +229,9 @@ def write_gif(
         RolloutError: no such environment, a size, rate or range that cannot be drawn, or more pictures than viewers
             of GIFs can hold.
     """
-    frames = _frames(rollout, fps, start, stop, every, most=50)
+    _check_rate(fps, 50)
+    pause = round(100 / fps) * 10  # a GIF counts in hundredths of a second
+    frames = _frames(rollout, 1000 / pause, start, stop, every)
     if len(frames) > MOST_OF_GIF:
         least = -(-len(frames) * every // MOST_OF_GIF)
         raise RolloutError(
@@ -248,7 +251,6 @@ def write_gif(
             picture.putpalette(colours)
             yield picture
 
-    pause = round(100 / fps) * 10  # a GIF counts in hundredths of a second
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         write_pictures(file, pictures(), pause)
     return Path(path)
@@ -281,7 +283,8 @@ def write_mp4(
     width, height = _check_size(size)
     if width % 2 or height % 2:
         raise RolloutError(f"The width and the height of an MP4 must be even, got {width} x {height}.")
-    frames = _frames(rollout, fps, start, stop, every, most=240)
+    _check_rate(fps, 240)
+    frames = _frames(rollout, fps, start, stop, every)
     film = Film(rollout, envs, size, hud, voxels)
     options: dict[str, Any] = dict(fps=float(fps), quality=None, output_params=["-crf", "15"], macro_block_size=2)
     with atomic_path(path) as temporary:
@@ -303,11 +306,14 @@ def write_mp4(
     return Path(path)
 
 
-def _frames(rollout: Rollout, fps: float, start: int, stop: int | None, every: int, most: float) -> list[int]:
+def _check_rate(fps: float, most: int) -> None:
+    if not 1 <= fps <= most:
+        raise RolloutError(f"fps must lie in 1 to {most}, got {fps!r}.")
+
+
+def _frames(rollout: Rollout, fps: float, start: int, stop: int | None, every: int) -> list[int]:
     """Frames of the rollout to show, so that time runs as in the simulation, or ``every`` times as fast."""
     check_integer("every", every, 1, error=RolloutError)
-    if not 1 <= fps <= most:
-        raise RolloutError(f"fps must lie in 1 to {most:g}, got {fps!r}.")
     if stop is None:
         stop = int(rollout.lengths.max()) + 1
     begin, end, _ = slice(start, stop).indices(rollout.num_frames)

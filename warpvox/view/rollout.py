@@ -3,24 +3,7 @@
 Pictures, USD and the page of the browser player are all made from a :class:`Rollout`, so that an episode is
 simulated once and can be looked at anywhere later.
 
-The file (version 1) is a compressed ``.npz`` that numpy reads without pickle. T is the number of control
-steps, E of environments, P of points and A of actions (the largest over the designs; padded with 0)::
-
-    header        uint8 [bytes]            JSON in UTF-8, see below
-    positions     float32 [T + 1, E, P, 2] points of all that can move; entry 0 is the state after reset
-    design_index  int32 [E]                which scene an environment has
-    actions       float32 [T, E, A]        as applied, in [0.6, 1.6]
-    rewards       float64 [T, E]           0 after the end of an episode
-    terminated    bool [T, E]              stays True after the end; the points then rest where they ended
-    truncated     bool [T, E]
-
-The header: ``format`` ("warpvox-rollout"), ``version``, ``units`` (``voxel``: side of a voxel in units of
-``positions``; ``dt``: nominal seconds from one entry to the next), ``metadata`` (task, rules, seed and
-whatever the recorder added) and ``scenes``, one for every distinct world: ``width``, ``height`` and
-``objects``, each with ``name``, ``grid`` (cells, row 0 on top), ``x``, ``y`` (cell of its lower left corner),
-``first_point``, ``num_points`` (0 for terrain, which its grid describes completely) and ``corners``, for
-every cell that is not empty, row by row from the top left, its points at the top left, top right, bottom
-right and bottom left.
+``docs/formats.md`` describes the file: its arrays with their shapes and units, and the header with ``metadata``.
 """
 
 from __future__ import annotations
@@ -65,7 +48,7 @@ ARRAYS = {
 
 @dataclass(eq=False)
 class Rollout:
-    """Recorded environments, as the module's text describes arrays and metadata; ``scenes`` are the distinct worlds.
+    """Recorded environments: arrays and metadata as in the file, ``scenes`` are the distinct worlds.
 
     Raises:
         RolloutError: parts that do not fit together.

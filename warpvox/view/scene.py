@@ -139,7 +139,7 @@ def stretch(cells: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def scene_to_json(scene: Scene) -> dict[str, Any]:
-    """A scene as JSON values; the rollout file describes them."""
+    """A scene as JSON values, which ``docs/formats.md`` describes."""
     arrays = [{"grid": obj.grid.tolist(), "corners": obj.corners.tolist()} for obj in scene.objects]
     objects = [vars(obj) | parts for obj, parts in zip(scene.objects, arrays, strict=True)]
     return {"width": scene.width, "height": scene.height, "objects": objects}

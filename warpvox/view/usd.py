@@ -1,17 +1,6 @@
 """Rollouts as USD stages: time-sampled meshes that usdview, Blender and Omniverse open.
 
-Conventions: Y is up, one unit is a metre (a voxel is 0.1, as in the simulator), 50 time codes a second, frame
-k of the rollout at time code k. The default prim ``/World`` holds an Xform ``env_000`` for every environment
-(set apart by a translation, so that points are those of the rollout) with
-
-- ``voxels``: one Mesh, a quad for every cell that moves, counter-clockwise seen from +Z. Its points are
-  time-sampled. ``displayColor`` is a palette that never changes with one time-sampled index for every face,
-  so that shading actuators by their stretch costs next to nothing. A GeomSubset for each cell type binds a
-  material: a constant colour, or for actuators displayColor.
-- ``terrain``: one Mesh of everything that never moves, a hair behind the voxels.
-
-Beside them: ``camera`` (follows the robot of the first environment), ``overview`` (all environments), ``sun``
-and ``sky``. Task, rules and returns are in the custom data of ``/World`` and of every environment.
+``docs/formats.md`` describes the stage.
 """
 
 # pyright: reportAttributeAccessIssue=false
