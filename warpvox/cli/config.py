@@ -60,6 +60,16 @@ def load(
     return with_code(result, typed(result, named), base, home or Path.cwd())
 
 
+def load_start(command: str, overrides: list[str], config_dir: Path | None) -> Any:
+    """The dataclass of a command; with ``resume`` only that key's and ``output_dir``'s overrides are looked at.
+
+    What else is given may be about parts that only the run has which goes on.
+    """
+    keys = {word.partition("=")[0]: word for word in overrides}
+    words = [keys[key] for key in ("resume", "output_dir") if key in keys] if "resume" in keys else overrides
+    return load(command, words, config_dir)
+
+
 def load_values(command: str, values: dict[str, Any]) -> Any:
     """The dataclass of a command from the values of a stored ``config.yaml``; unknown ones are left out.
 
