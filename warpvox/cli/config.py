@@ -128,7 +128,7 @@ def _nodes_of(command: str, values: dict[str, Any]) -> list[str]:
 
 def _set(config: DictConfig, override: Override, command: str) -> None:
     key, keys = override.key_or_group, dict(flat_keys(schema_of(command)))
-    if override.package is not None or not _has(config, key):
+    if override.package is not None or not _has(config, key) or key not in keys:
         raise _unknown(command, override.get_key_element(), config)
     if dataclasses.is_dataclass(keys[key].type):
         hint = did_you_mean(key, [name for name in keys if "." not in name and name != key])
