@@ -118,9 +118,10 @@ class ExportConfig(_RolloutConfig):
 class EvaluateConfig:
     """Keys of ``warpvox evaluate``."""
 
-    runs: list[str] = key(
-        ["latest"],
-        "trained runs: latest, folders, checkpoints, sweeps (their tables), patterns such as 'outputs/train/*/*'",
+    runs: list[str] | None = key(
+        None,
+        "trained runs: latest, folders, checkpoints, sweeps (their tables), patterns such as 'outputs/train/*/*';"
+        " null: latest, unless zoo names robots",
         path="read",
     )
     zoo: list[str] = key(

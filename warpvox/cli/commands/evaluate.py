@@ -49,7 +49,7 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
         raise ConfigError("task names the code of runs of your own tasks (stored, FILE.py:NAME); a run knows its task.")
     widen(console, 200)
     robots = [f"{ZOO}{name}" for name in (zoo_tasks() if config.zoo == ["all"] else config.zoo)]
-    runs = [] if robots and config.runs == ["latest"] else config.runs
+    runs = ([] if robots else ["latest"]) if config.runs is None else config.runs
     found = find_runs([*runs, *robots], config.output_dir)
     rows = {}
     for number, each_run in enumerate(found):
