@@ -71,6 +71,11 @@ class SearchResult:
         """1, 2, ... to the number of designs trained; those that were screened before are counted."""
         return len(self._screened) + np.arange(1, len(self._trained) + 1)
 
+    @property
+    def evaluated(self) -> int:
+        """The number of designs evaluated: the last of ``evaluations``, 0 if there is none."""
+        return int(self.evaluations[-1]) if len(self.evaluations) else 0
+
     @cached_property
     def steps(self) -> np.ndarray:
         """Control steps spent when each of them was done."""
