@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.algos.codesign.archive import Record
+from warpvox.algos.report import FILE
 from warpvox.algos.report.charts import COLOURS, PANEL, Series, chart, legend, sheet
 from warpvox.algos.report.comparison import compare, comparison_html, comparison_sheet
 from warpvox.algos.report.gallery import write_gallery
@@ -23,7 +24,6 @@ from warpvox.envs.registry import known_returns, task_ids
 from warpvox.io.writing import write_table, write_text
 from warpvox.view.body_picture import write_bodies
 
-FILE = "report.html"
 TOP = 4
 """Designs of a generation that are shown."""
 Groups = Mapping[str, Mapping[str, Sequence[SearchResult]]]

@@ -13,9 +13,8 @@ from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.algos.codesign.evaluations import EVALUATIONS
 from warpvox.algos.search.bodies import diversity
-from warpvox.io.reading import read_facts
+from warpvox.runs import read_summary
 
-SUMMARY = "summary.json"
 PLACES = 200
 """Points of a curve, at most."""
 OWN = ("task", "seed", "shape", "search.algorithm", "search.max_evaluations")
@@ -139,7 +138,7 @@ def read_members(archives: Sequence[Path]) -> list[SearchResult]:
             found.append((folder, archive.settings, archive.records(), best[0] if best else None))
     names = _names([(folder, settings) for folder, settings, _, _ in found])
     return [
-        SearchResult(folder, name, settings, records, winner, read_facts(folder / SUMMARY))
+        SearchResult(folder, name, settings, records, winner, read_summary(folder))
         for name, (folder, settings, records, winner) in zip(names, found, strict=True)
     ]
 

@@ -14,12 +14,9 @@ from warpvox.configs.composition import composed, hydras_errors, quoted
 from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean
 from warpvox.io.reading import Unreadable, parse_yaml, read_text
-from warpvox.io.writing import to_yaml
 from warpvox.keys import check_value, check_values, converted
 from warpvox.runs import CONFIG, LARGEST_CONFIG
 from warpvox.trust import check_address, typed, with_code
-
-__all__ = ["load", "load_values", "to_yaml"]
 
 ALIASES = {"env": "task", "lr": "learning_rate", "n_envs": "num_envs", "batch_size": "minibatches", "out": "file"}
 ALIASES |= dict.fromkeys(("steps", "timesteps", "total_timesteps"), "max_iterations")

@@ -13,13 +13,12 @@ from rich.table import Table
 from warpvox.algos.protocols import NOMINAL
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.cli.application import run_command
-from warpvox.cli.config import to_yaml
 from warpvox.cli.run_groups import group_runs
 from warpvox.code import Code, is_code
 from warpvox.configs.show import EvaluateConfig
 from warpvox.errors import ConfigError
 from warpvox.io.console import echo, literal, shown, widen
-from warpvox.io.writing import write_table
+from warpvox.io.writing import to_yaml, write_table
 from warpvox.robots.entry import zoo_tasks
 from warpvox.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
 from warpvox.trust import STORED

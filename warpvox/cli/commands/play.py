@@ -12,12 +12,12 @@ from rich.console import Console
 
 from warpvox.algos.protocols import NOMINAL
 from warpvox.cli.application import run_command
-from warpvox.cli.config import to_yaml
 from warpvox.cli.exports import ROLLOUT, print_returns, record_agent, record_run, tiles_of, write_exports
 from warpvox.code import Code
 from warpvox.configs.show import PlayConfig
 from warpvox.errors import ConfigError, DisplayError, listing
 from warpvox.io.console import echo, escaped, shown
+from warpvox.io.writing import to_yaml
 from warpvox.runs import ZOO, as_name, find_run, new_folder, write_summary
 from warpvox.trust import STORED
 from warpvox.view.window import Window, why_no_window
