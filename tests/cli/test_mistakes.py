@@ -142,7 +142,8 @@ def test_a_run_that_fails_before_any_result_leaves_nothing(warpvox: Callable, tm
 @pytest.mark.parametrize("key", ["threads", "torch_threads"])
 def test_a_million_threads_are_refused_also_where_a_file_asks_for_them(key: str, train: Callable, warpvox) -> None:
     run = train("max_iterations=1")
-    warpvox("train", f"{key}=1000000", fails=f"{key} must be at most 1024")
+    for command in ("train", "evaluate"):
+        warpvox(command, f"{key}=1000000", fails=f"{key} must be at most 1024")
     config = run / "config.yaml"
     lines = [f"{key}: 1000000\n" if line.startswith(f"{key}:") else line for line in config.open()]
     config.write_text("".join(lines))
