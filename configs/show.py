@@ -118,9 +118,10 @@ class ExportConfig(_RolloutConfig):
 class EvaluateConfig:
     """Keys of ``warpvox evaluate``."""
 
-    runs: list[str] = key(
-        ["latest"],
-        "trained runs: latest, folders, checkpoints, sweeps (their tables), patterns such as 'outputs/train/*/*'",
+    runs: list[str] | None = key(
+        None,
+        "trained runs: latest, folders, checkpoints, sweeps (their tables), patterns such as 'outputs/train/*/*';"
+        " null: latest, unless zoo names robots",
         path="read",
     )
     zoo: list[str] = key(
@@ -156,8 +157,8 @@ class EvaluateConfig:
     device: str = key("auto", DEVICES)
     dtype: str | None = _dtype_of_run()
     arithmetic: str | None = arithmetic_key("that of the run, or chosen by dtype")
-    threads: int | None = key(None, "CPU threads of the simulation; null: all cores", low=1)
-    torch_threads: int = key(1, "PyTorch threads", low=1)
+    threads: int | None = key(None, "CPU threads of the simulation; null: all cores", low=1, high=MOST_THREADS)
+    torch_threads: int = key(1, "PyTorch threads", low=1, high=MOST_THREADS)
     name: str | None = key(None, "appended to the name of the result's folder")
     output_dir: str = key("outputs", "folder that runs are written to and looked up in", path="written")
 

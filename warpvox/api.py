@@ -54,7 +54,7 @@ def train(
         folder: of the run; ``auto``: a new one in ``output_dir``; None: nothing is written.
         progress: show messages and a live line.
         resume: a run to go on with: ``latest``, its folder, a checkpoint in it; settings are what changes.
-        sim: how environments are computed; also by name, ``device="cpu"``.
+        sim: how environments are computed; also by name, ``device="cpu"``, which goes before what ``sim`` says.
         settings: fields of :class:`warpvox.Training`; ``ppo`` may be the name of a set, ``ppo="evogym"``.
 
     Raises:
@@ -70,7 +70,7 @@ def train(
 
     given = settings | {key: value for key, value in {"task": task, "design": design}.items() if value is not None}
     base = given.pop("task") if isinstance(task, Training) else None
-    given |= {} if sim is None else _options(sim)
+    given = ({} if sim is None else _options(sim)) | given
     resume = base.resume if resume is None and base is not None else resume
     if resume is not None and folder != AUTO:
         raise ConfigError("A run that is resumed goes on in its folder: folder cannot be given with it.")
@@ -98,12 +98,12 @@ def train(
 
 
 def _options(sim: SimOptions) -> dict[str, Any]:
-    """The settings that options of a simulation stand for.
+    """The settings that options of a simulation stand for: those that are not the default.
 
     Raises:
         ConfigError: some that a training chooses itself.
     """
-    values = {name: value for name, value in vars(sim).items() if value is not None}
+    values = {name: value for name, value in vars(sim).items() if value != getattr(type(sim), name)}
     if "layout" in values:
         raise ConfigError("sim.layout cannot be given: a training chooses it.")
     if "grid" in values:

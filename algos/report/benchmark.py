@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.algos.codesign.archive import Record
+from warpvox.algos.report import FILE
 from warpvox.algos.report.charts import COLOURS, PANEL, Series, chart, legend, sheet
 from warpvox.algos.report.comparison import compare, comparison_html, comparison_sheet
 from warpvox.algos.report.gallery import write_gallery
@@ -23,7 +24,6 @@ from warpvox.envs.registry import known_returns, task_ids
 from warpvox.io.writing import write_table, write_text
 from warpvox.view.body_picture import write_bodies
 
-FILE = "report.html"
 TOP = 4
 """Designs of a generation that are shown."""
 Groups = Mapping[str, Mapping[str, Sequence[SearchResult]]]
@@ -101,7 +101,7 @@ def _figures(members: Sequence[SearchResult], groups: Groups) -> dict[str, str]:
     return {
         "tasks": f"{len(groups)}",
         "runs": f"{len(members)}",
-        "designs": f"{sum(len(one.evaluations) for one in members):,}",
+        "designs": f"{sum(one.evaluated for one in members):,}",
         "control steps": f"{sum(int(one.steps[-1]) for one in members if len(one.steps)):,}",
         "best published return reached": f"{reached} of {len(published)} tasks",
     }
@@ -123,7 +123,7 @@ def _row(task: str, name: str, runs: Sequence[SearchResult]) -> str:
         (best.mean(), f"{best.mean():.3f}" + (f" ± {best.std(ddof=1):.3f}" if len(runs) > 1 else "")),
         (fresh["mean"], _fresh(fresh)) if fresh else ("", ""),
         ("", "") if published is None else (published, f"{published:g}"),
-        (total := sum(len(one.evaluations) for one in runs), f"{total:,}"),
+        (total := sum(one.evaluated for one in runs), f"{total:,}"),
         (total := sum(int(one.steps[-1]) for one in runs), f"{total:,}"),
         (sum(seconds), _duration(sum(seconds))) if seconds else ("", ""),
     ]
@@ -167,7 +167,7 @@ def _write_table(path: Path, members: Sequence[SearchResult]) -> None:
     fresh, rows = ("mean", "low", "high", "episodes"), []
     for one in members:
         winner = [one.winner.fitness, one.winner.id] if one.winner else [None, None]
-        spent = [len(one.evaluations), int(one.steps[-1]) if len(one.steps) else 0, one.seconds]
+        spent = [one.evaluated, int(one.steps[-1]) if len(one.steps) else 0, one.seconds]
         judged = [one.fresh.get(name) for name in fresh]
         rows.append([one.task, one.search, one.seed, *winner, *spent, *one.diversity, *judged, one.folder])
     names = ("task", "search", "seed", "best_return", "design", "evaluations", "steps", "seconds")

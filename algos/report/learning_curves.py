@@ -12,7 +12,7 @@ import numpy as np
 from warpvox.algos.report.members import SearchResult, progress
 from warpvox.algos.statistics import mean_interval
 from warpvox.algos.training.metrics import read_metrics
-from warpvox.errors import ConfigError, RunError, listing
+from warpvox.errors import ConfigError, listing
 from warpvox.io.console import escaped
 from warpvox.io.writing import atomic_path, write_table
 from warpvox.runs import Run
@@ -106,8 +106,6 @@ def evaluations_of(found: Run) -> list[dict[str, float]]:
 def _points(found: Run, x: str) -> np.ndarray:
     """The evaluations of a run, float64 ``[2, k]``: where and what."""
     rows = evaluations_of(found)
-    if not rows:
-        raise RunError(f"The run {found.folder} has no evaluation yet: there is nothing to draw.")
     return np.array([[row[x] for row in rows], [row["eval_return"] for row in rows]], float)
 
 

@@ -13,13 +13,14 @@ from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.algos.codesign.evaluations import EVALUATIONS
 from warpvox.algos.search.bodies import diversity
-from warpvox.io.reading import read_facts
+from warpvox.runs import read_summary
 
-SUMMARY = "summary.json"
 PLACES = 200
 """Points of a curve, at most."""
 OWN = ("task", "seed", "shape", "search.algorithm", "search.max_evaluations")
 """Settings in which runs of one algorithm may differ."""
+SHOWN = 3
+"""Settings that a name tells at most."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,11 @@ class SearchResult:
     def evaluations(self) -> np.ndarray:
         """1, 2, ... to the number of designs trained; those that were screened before are counted."""
         return len(self._screened) + np.arange(1, len(self._trained) + 1)
+
+    @property
+    def evaluated(self) -> int:
+        """The number of designs evaluated: the last of ``evaluations``, 0 if there is none."""
+        return int(self.evaluations[-1]) if len(self.evaluations) else 0
 
     @cached_property
     def steps(self) -> np.ndarray:
@@ -122,7 +128,8 @@ def read_members(archives: Sequence[Path]) -> list[SearchResult]:
     """Design searches by the folders of their archives.
 
     In a folder ``.../<task>/<search>/seed<k>`` a search has the name of that folder. Elsewhere it has that of its
-    algorithm, with the settings that other searches of the same algorithm and task have otherwise.
+    algorithm, with the settings that other searches of the same algorithm and task have otherwise: the three that tell
+    most of them apart, and a number where others differ by more.
     """
     found = []
     for folder in archives:
@@ -131,23 +138,48 @@ def read_members(archives: Sequence[Path]) -> list[SearchResult]:
             found.append((folder, archive.settings, archive.records(), best[0] if best else None))
     names = _names([(folder, settings) for folder, settings, _, _ in found])
     return [
-        SearchResult(folder, name, settings, records, winner, read_facts(folder / SUMMARY))
+        SearchResult(folder, name, settings, records, winner, read_summary(folder))
         for name, (folder, settings, records, winner) in zip(names, found, strict=True)
     ]
 
 
 def _names(found: Sequence[tuple[Path, Mapping[str, Any]]]) -> list[str]:
     flat = [_flat(settings) for _, settings in found]
-    names = []
-    for (folder, _), own in zip(found, flat, strict=True):
-        algorithm = str(own.get("search.algorithm", "search"))
+    kinds = [(own.get("task"), str(own.get("search.algorithm", "search"))) for own in flat]
+    keys = {}
+    for kind in dict.fromkeys(kinds):
+        alike = [own for own, other in zip(flat, kinds, strict=True) if other == kind]
+        keys[kind] = telling(alike, [key for key in differing(alike) if key not in OWN])
+    names, known = [], {}
+    for (folder, _), own, kind in zip(found, flat, kinds, strict=True):
         if re.fullmatch(r"seed\d+", folder.name):
             names.append(folder.parent.name)
             continue
-        alike = [other for other in flat if all(other.get(k) == own.get(k) for k in ("task", "search.algorithm"))]
-        keys = [key for key in own if key not in OWN and any(other.get(key) != own[key] for other in alike)]
-        names.append(", ".join([algorithm, *(f"{key}={own[key]}" for key in keys[:3])]))
+        name = ", ".join([kind[1], *(f"{key}={own[key]}" for key in keys[kind][:SHOWN] if key in own)])
+        values, others = {key: own.get(key) for key in keys[kind]}, known.setdefault(name, [])
+        if values not in others:  # the settings that are shown may be those of another search
+            others.append(values)
+        number = others.index(values) + 1
+        names.append(name if number == 1 else f"{name} #{number}")
     return names
+
+
+def differing(groups: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Keys that groups of settings have other values of, in the order of the configuration."""
+    keys = dict.fromkeys(key for values in groups for key in values)
+    return [key for key in keys if any(values.get(key) != groups[0].get(key) for values in groups)]
+
+
+def telling(groups: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> list[str]:
+    """The keys, the task first, then always the one that tells most groups apart beside those before it, or alone."""
+    first = [key for key in keys if key == "task"]
+    while left := [key for key in keys if key not in first]:
+        kinds = {
+            key: [len({str([one.get(k) for k in names]) for one in groups}) for names in ([*first, key], [key])]
+            for key in left
+        }
+        first.append(max(left, key=lambda key: kinds[key]))
+    return first
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

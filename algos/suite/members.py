@@ -158,8 +158,8 @@ class Table:
 def rises(member: SearchResult) -> list[tuple[int, int, float]]:
     """``(evaluations, control steps, best fitness so far)`` wherever the best rises, and at the end."""
     points = zip(member.evaluations.tolist(), member.steps.tolist(), member.best.tolist(), strict=True)
-    last, kept = len(member.best), []
+    kept = []
     for point in points:
-        if not kept or point[2] > kept[-1][2] or point[0] == last:
+        if not kept or point[2] > kept[-1][2] or point[0] == member.evaluated:
             kept.append(point)
     return kept

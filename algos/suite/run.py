@@ -67,9 +67,6 @@ def make_members(table: Table, members: list[Member], config: Any, console: Cons
                     stopping = True
                 progress.refresh()
             if stopping:
-                for row in table.of(RUNNING):
-                    row.state = WAITING
-                table.write()
                 echo(console, f"stopped, state saved; {len(table.of(DONE))} of {len(table.rows)} members are done")
             if interrupt:
                 interrupt.stop()

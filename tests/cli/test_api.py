@@ -58,11 +58,15 @@ def test_values_of_python_arrive_as_they_are(tmp_path: Path, monkeypatch: pytest
     run = wv.train(
         **(KEYS | {"design": body, "max_iterations": 1}), output_dir=place, name=None, stop_return=-1.5, ppo=PPO,
         physics={"friction": 0.25}, nan_guard="on", cuda_graph=False, progress=False,
+        sim=wv.SimOptions(threads=2, lanes=8),
     )  # fmt: skip
     assert run.folder.is_relative_to(place)
     policy = wv.load_policy(output_dir=place)
     assert policy.metadata["design"] == body.tolist()
-    assert "friction: 0.25" in (run.folder / "config.yaml").read_text()
+    text = (run.folder / "config.yaml").read_text()
+    assert "friction: 0.25" in text
+    for line in ("device: cpu", "threads: 1", "lanes: 8"):  # what is given by name goes before sim, as for make_vec
+        assert f"\n{line}\n" in text
 
 
 @pytest.mark.parametrize(

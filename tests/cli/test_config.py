@@ -13,11 +13,12 @@ from omegaconf.errors import OmegaConfBaseException
 from warpvox.algos import settings
 from warpvox.algos.settings import physics_of
 from warpvox.cli import COMMANDS, main
-from warpvox.cli.config import load, to_yaml
+from warpvox.cli.config import load
 from warpvox.cli.help import flat_keys, flat_values, options_of
 from warpvox.configs import schema
 from warpvox.design import load_design
 from warpvox.errors import ConfigError
+from warpvox.io.writing import to_yaml
 from warpvox.types import Physics
 
 TABLE_6 = {

@@ -139,10 +139,15 @@ def test_a_deterministic_policy_in_a_task_without_chance_has_one_episode(train: 
     assert math.isfinite(run["mean"])
     played = warpvox("play", f"run={folder}", "num_envs=8", "steps=3", "export=[]", "window=off", *FAST)
     assert "the task draws nothing at random" in played.out
-    for words in (["num_envs=1"], ["num_envs=8", "stochastic=true"]):
+    assert "deterministic" in played.out
+    for words, title in (
+        (["num_envs=1"], "deterministic"),
+        (["num_envs=8", "stochastic=true"], "sampled actions"),
+        (["num_envs=8", "protocol=noise"], "protocol noise"),
+    ):
         played = warpvox("play", f"run={folder}", *words, "steps=3", "export=[]", "window=off", *FAST)
         assert "draws nothing" not in played.out
-    assert "sampled actions" in played.out
+        assert f"Walker-v0, {title}" in played.out
 
 
 def test_what_evaluate_refuses(warpvox: Callable, tmp_path: Path) -> None:
@@ -150,6 +155,7 @@ def test_what_evaluate_refuses(warpvox: Callable, tmp_path: Path) -> None:
         (): "no run",
         ("runs=[]",): "runs=[] names none",
         ("runs='nothing*'",): "No run of",
+        ("runs=latest", "zoo=Walker-v0"): "no run",
         ("task=Walker-v0",): "a run knows its task",
         ("level=1",): "at most 0.9999",
         ("episodes=0",): "at least 1",

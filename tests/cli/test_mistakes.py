@@ -1,5 +1,6 @@
 """Every mistake gets one clear line and exit code 2, and leaves nothing behind."""
 
+import errno
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,6 +33,8 @@ MISTAKES = {
     "train ppo.gamma=1.5": "at most 1",
     "train name=a/b": "letters, digits",
     "train --foo": "Unknown option",
+    "suite suite=paper evaluations.easy=100": "Unknown key 'evaluations.easy'. Did you mean 'evaluations'",
+    "suite --multirun training.envs=8,16": "lists several values: all searches of a suite take the same",
     "train --num_envs 4": "Keys have no dashes: num_envs=VALUE",
     "train stop_return=abc": "stop_return must be a number or null",
     "codesign training.ppo.steps=0": "training.ppo.steps must be at least 1",
@@ -105,6 +108,19 @@ def test_no_command_shows_the_help(warpvox: Callable) -> None:
     assert warpvox("--version").out == warpvox("version").out
 
 
+@pytest.mark.parametrize("words", ["play run=locked/run", "codesign resume=locked/run", "curves runs=locked/run"])
+def test_a_folder_that_may_not_be_entered(words: str, warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    exists = Path.exists
+
+    def enter(path: Path) -> bool:
+        if path.parent.name == "locked":  # which root may enter
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return exists(path)
+
+    monkeypatch.setattr(Path, "exists", enter)
+    warpvox(*words.split(), fails="Permission is denied: locked/run.")
+
+
 def test_a_folder_with_another_config_is_not_a_run(warpvox: Callable, tmp_path: Path) -> None:
     for text in ("a: 1\n", "- 1\n", "{", "\0"):
         (tmp_path / "config.yaml").write_text(text)
@@ -126,7 +142,8 @@ def test_a_run_that_fails_before_any_result_leaves_nothing(warpvox: Callable, tm
 @pytest.mark.parametrize("key", ["threads", "torch_threads"])
 def test_a_million_threads_are_refused_also_where_a_file_asks_for_them(key: str, train: Callable, warpvox) -> None:
     run = train("max_iterations=1")
-    warpvox("train", f"{key}=1000000", fails=f"{key} must be at most 1024")
+    for command in ("train", "evaluate"):
+        warpvox(command, f"{key}=1000000", fails=f"{key} must be at most 1024")
     config = run / "config.yaml"
     lines = [f"{key}: 1000000\n" if line.startswith(f"{key}:") else line for line in config.open()]
     config.write_text("".join(lines))

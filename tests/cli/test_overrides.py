@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 import yaml
 
-from warpvox.cli.config import load, to_yaml
+from warpvox.cli.config import load
 from warpvox.cli.overrides import expand, read_overrides
 from warpvox.errors import ConfigError
+from warpvox.io.writing import to_yaml
 
 ODD = ["läufe (1)", "a=b", "~x", "it's", 'a"b,c', "[a]", "日本#;&!", "-a\\b", "$a", "007"]
 """Names of folders that the grammar of Hydra refuses, or reads as something else."""

@@ -10,6 +10,7 @@ import pytest
 
 import warpvox as wv
 from warpvox.algos.training.metrics import read_metrics
+from warpvox.cli import sweep
 from warpvox.cli.sweep import LONGEST_LABEL, label_of
 from warpvox.design import example_design
 from warpvox.devices.startup import LOGGER
@@ -87,6 +88,25 @@ def test_an_interrupt_ends_a_sweep_with_its_table(warpvox: Callable, monkeypatch
     outcome = warpvox("train", "-m", "seed=1,2,3", *TINY, code=130)
     assert [row["status"] for row in table()] == ["interrupted"]
     assert "1 of 3 runs" in outcome.out
+
+
+def test_keys_with_the_name_of_a_column_of_the_table(warpvox: Callable) -> None:
+    words = ("play", "-m", "run=runs/a,runs/b", "steps=1,2", "window=off")
+    warpvox(*words, fails="4 of 4 runs failed, the first of them with: There is no run at runs/a")
+    (file,) = Path("outputs/play").glob("sweep_*.csv")
+    with file.open(encoding="utf-8", newline="") as text:
+        rows = [(row["run"], row["key_run"], row["key_steps"], row["status"]) for row in csv.DictReader(text)]
+    runs = [(run, steps) for run in ("runs/a", "runs/b") for steps in "12"]
+    assert rows == [(str(number + 1), *values, "failed") for number, values in enumerate(runs)]
+
+
+def test_a_sweep_of_searches_has_a_folder_before_its_first_run(warpvox: Callable, monkeypatch) -> None:
+    """Another one that begins in the same second takes another; and a setting may be one of the searches' alone."""
+    found = []
+    monkeypatch.setattr(sweep, "run_hydra", lambda *_: found.extend(Path("out/codesign").glob("sweep_*")))
+    warpvox("codesign", "-m", "search=bo,bo_lbfgs", "search.candidates=500", "output_dir=out")
+    assert [path.name[:6] for path in found] == ["sweep_"]
+    assert not Path("out").exists()
 
 
 def test_a_summary_says_what_made_it(train: Callable, repository: Path) -> None:

@@ -12,9 +12,10 @@ import yaml
 
 import warpvox as wv
 from warpvox.cli import main
-from warpvox.cli.config import load, to_yaml
+from warpvox.cli.config import load
 from warpvox.design import full_connections
 from warpvox.errors import ConfigError
+from warpvox.io.writing import to_yaml
 from warpvox.robots import Gait, Robot, save_robot
 
 EVIL = "from pathlib import Path\nPath({!r}).touch()\n"

@@ -11,9 +11,10 @@ import pytest
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.checkpoints.files import save_checkpoint
 from warpvox.algos.codesign.archive import FILE, Archive, Finished
-from warpvox.cli.config import load, to_yaml
+from warpvox.cli.config import load
 from warpvox.design import sample_design
 from warpvox.envs.registry import known_returns
+from warpvox.io.writing import to_yaml
 from warpvox.robots import Gait, zoo, zoo_tasks
 from warpvox.runs import END
 

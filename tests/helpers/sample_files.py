@@ -68,7 +68,8 @@ def archive_bytes() -> bytes:
 @cache
 def config_text() -> str:
     """The configuration of a run as it is stored."""
-    from warpvox.cli.config import load, to_yaml
+    from warpvox.cli.config import load
+    from warpvox.io.writing import to_yaml
     from warpvox.runs import END
 
     return to_yaml(load("train", [])) + END

@@ -1,5 +1,6 @@
 """Files of robots, and their policies in numpy."""
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -54,6 +55,12 @@ def test_a_change_of_any_array_is_found(tmp_path: Path) -> None:
             read_robot(path)
 
 
+def say(arrays: dict[str, np.ndarray], **about: object) -> None:
+    header = json.loads(arrays["header"].tobytes())
+    header["about"] |= about
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
+
+
 @pytest.mark.parametrize(
     ("damage", "words"),
     [
@@ -64,6 +71,13 @@ def test_a_change_of_any_array_is_found(tmp_path: Path) -> None:
         (lambda arrays: arrays.update(deviation=arrays["deviation"] * 0), "not positive"),
         (lambda arrays: arrays.update(mean=arrays["mean"] * np.float32("nan")), "not finite"),
         (lambda arrays: arrays.update(header=np.frombuffer(b'{"format": "x"}', np.uint8)), "not one of warpvox robot"),
+        (lambda arrays: say(arrays, returns=1.0), "the returns in its header is 1.0, not a list"),
+        (lambda arrays: say(arrays, lengths=500), "the lengths in its header is 500, not a list"),
+        (lambda arrays: say(arrays, seeds=["a"]), "the seeds in its header is .'a'., not a list"),
+        (lambda arrays: say(arrays, start=[1]), "the start in its header"),
+        (lambda arrays: say(arrays, control_steps="1"), "the control_steps in its header is '1', not a number"),
+        (lambda arrays: say(arrays, noise=0.9), "the noise in its header is 0.9, not a return and returns"),
+        (lambda arrays: say(arrays, noise={"return": [1]}), r"the return in its header is \[1\], not a number"),
     ],
 )
 def test_a_file_that_is_no_robot_is_refused(damage, words: str, tmp_path: Path) -> None:

@@ -70,6 +70,8 @@ def _run(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         print("warpvox: interrupted", file=sys.stderr)
         return INTERRUPTED
+    except PermissionError as error:
+        return _complain(f"Permission is denied: {error.filename or error}. Name a place that you may use.")
     except OSError as error:
         if error.errno not in OF_DISKS:
             raise

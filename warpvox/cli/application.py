@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 from rich.console import Console
 
 from warpvox.cli import COMMANDS
-from warpvox.cli.config import load
+from warpvox.cli.config import load, load_start
 from warpvox.cli.help import add_keys, flat_keys, flat_values
 from warpvox.cli.overrides import expand, read_overrides
 from warpvox.cli.sweep import make_runs, run_hydra
@@ -84,15 +84,12 @@ def run_command(
             for job in jobs:
                 check(job)
         make = functools.partial(_make, command, given.config_dir, do, prepare)
-        make_runs(command, parsed, plugins, given.config_dir, make, len(jobs))
+        make_runs(command, parsed, plugins, given.config_dir, make, runs)
 
 
 def prepared(command: str, overrides: list[str], config_dir: Path | None, prepare: Prepare) -> Any:
     """Argument of a command's ``do`` for a run with these overrides."""
-    keys = {word.partition("=")[0]: word for word in overrides}
-    # what else is given may be about parts that only the run has which goes on, and which `prepare` finds
-    words = [keys[key] for key in ("resume", "output_dir") if key in keys] if "resume" in keys else overrides
-    config = load(command, words, config_dir)
+    config = load_start(command, overrides, config_dir)
     check_output(config)
     return prepare(config, overrides, config_dir)
 

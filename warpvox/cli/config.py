@@ -14,12 +14,9 @@ from warpvox.configs.composition import composed, hydras_errors, quoted
 from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean
 from warpvox.io.reading import Unreadable, parse_yaml, read_text
-from warpvox.io.writing import to_yaml
 from warpvox.keys import check_value, check_values, converted
 from warpvox.runs import CONFIG, LARGEST_CONFIG
 from warpvox.trust import check_address, typed, with_code
-
-__all__ = ["load", "load_values", "to_yaml"]
 
 ALIASES = {"env": "task", "lr": "learning_rate", "n_envs": "num_envs", "batch_size": "minibatches", "out": "file"}
 ALIASES |= dict.fromkeys(("steps", "timesteps", "total_timesteps"), "max_iterations")
@@ -58,6 +55,16 @@ def load(
     result = dataclasses.replace(result, config=None) if file else result
     check_address(result, base, named)
     return with_code(result, typed(result, named), base, home or Path.cwd())
+
+
+def load_start(command: str, overrides: list[str], config_dir: Path | None) -> Any:
+    """The dataclass of a command; with ``resume`` only that key's and ``output_dir``'s overrides are looked at.
+
+    What else is given may be about parts that only the run has which goes on.
+    """
+    keys = {word.partition("=")[0]: word for word in overrides}
+    words = [keys[key] for key in ("resume", "output_dir") if key in keys] if "resume" in keys else overrides
+    return load(command, words, config_dir)
 
 
 def load_values(command: str, values: dict[str, Any]) -> Any:
@@ -118,7 +125,7 @@ def _nodes_of(command: str, values: dict[str, Any]) -> list[str]:
 
 def _set(config: DictConfig, override: Override, command: str) -> None:
     key, keys = override.key_or_group, dict(flat_keys(schema_of(command)))
-    if override.package is not None or not _has(config, key):
+    if override.package is not None or not _has(config, key) or key not in keys:
         raise _unknown(command, override.get_key_element(), config)
     if dataclasses.is_dataclass(keys[key].type):
         hint = did_you_mean(key, [name for name in keys if "." not in name and name != key])

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.status import Status
 from rich.table import Table
 
+from warpvox.algos.protocols import NOMINAL
 from warpvox.io.console import echo, literal, shown
 from warpvox.runs import Run
 
@@ -41,18 +42,20 @@ LARGE = (960, 540)
 """Size of pictures of more than :data:`TILES`, in pixels."""
 
 
-def record_run(run: Run, env: Any, controller: Any, steps: int | None, stochastic: bool = False) -> Rollout:
+def record_run(
+    run: Run, env: Any, controller: Any, steps: int | None, stochastic: bool = False, protocol: str = NOMINAL
+) -> Rollout:
     """One episode of every environment; of several bodies the best first.
 
-    ``stochastic``: whether ``controller`` samples its actions.
+    ``stochastic``: whether ``controller`` samples its actions; ``protocol``: by which it is disturbed.
     """
     from warpvox.view.rollout import record
 
-    about: dict[str, Any] = {"run": run.folder.name, "stochastic": stochastic}
+    about: dict[str, Any] = {"run": run.folder.name, "stochastic": stochastic, "protocol": protocol}
     if env.num_designs > 1:
         about["names"] = [f"body {design}" for design in env.design_index.tolist()]
     rollout = record(env, controller, steps, metadata=about)
-    rollout.metadata["drawn"] = stochastic or env.spec.is_random
+    rollout.metadata["drawn"] = stochastic or protocol != NOMINAL or env.spec.is_random
     return rollout.best_first() if env.num_designs > 1 else rollout
 
 
@@ -128,8 +131,9 @@ def print_returns(rollout: Rollout, console: Console) -> None:
     returns, lengths = rollout.returns[-1], rollout.lengths
     several = len(rollout.scenes) > 1 and "names" not in rollout.metadata
     agent = rollout.metadata.get("agent", "policy")
-    kind = "sampled actions" if rollout.metadata.get("stochastic") else "deterministic"
-    kind = kind if agent == "policy" else f"agent {agent}"
+    sampled, protocol = rollout.metadata.get("stochastic"), rollout.metadata.get("protocol", NOMINAL)
+    kinds = ["sampled actions"] * bool(sampled) + [f"protocol {protocol}"] * (protocol != NOMINAL)
+    kind = (", ".join(kinds) or "deterministic") if agent == "policy" else f"agent {agent}"
     if rollout.metadata.get("diverged"):
         kind = f"up to the step in which environment {rollout.metadata.get('environment')} diverged"
     table = Table(title=literal(f"{rollout.title}, {kind}"))

@@ -24,14 +24,20 @@ RENAMED = {"finalists": "evaluation.finalists", "pretrained": "evaluation.pretra
 """Keys of design searches as they were written before evaluations had settings of their own."""
 FILES = {"export": "format", "format": "export"}
 """Names of one list: what a command writes beside its results, and what ``export`` itself writes."""
+SWEEP = "add --multirun to run them one after another"
 QUOTED = re.compile(r"""'(\\.|[^'\\])*'|"(\\.|[^"\\])*\"""", re.DOTALL)
 
 
-def read_overrides(command: str, words: list[str], sweeps: bool = False) -> list[Override]:
-    """Overrides as Hydra takes them; ``sweeps``: several values may be listed. Keys may still be unknown."""
+def read_overrides(command: str, words: list[str], sweeps: bool = False, instead: str = SWEEP) -> list[Override]:
+    """Overrides as Hydra takes them. Keys may still be unknown.
+
+    Args:
+        sweeps: several values may be listed.
+        instead: where they may not: what to do.
+    """
     keys = dict(flat_keys(schema_of(command)))
     no_preset = f"{PRESET}=null" if PRESET in keys else None  # which is the default, and no choice of Hydra's
-    parsed = [_read(command, word, keys, sweeps) for word in words if word != no_preset]
+    parsed = [_read(command, word, keys, sweeps, instead) for word in words if word != no_preset]
     names = [override.key_or_group for override in parsed]
     for override in parsed:
         if names.count(override.key_or_group) > 1:
@@ -60,11 +66,13 @@ def key_and_value(given: Override | str) -> tuple[str, str]:
 
 
 def key_and_word(word: str) -> tuple[str, str]:
-    """The key of an override of ``warpvox codesign``, and the override as Hydra takes it.
+    """The key of an override of ``warpvox codesign`` for the searches of a suite, and the override as Hydra takes it.
 
     ConfigError: see :func:`read_overrides`.
     """
-    (override,) = read_overrides("codesign", [word])
+    (override,) = read_overrides(
+        "codesign", [word], instead="all searches of a suite take the same; make a suite for each"
+    )
     return override.key_or_group, str(override.input_line)
 
 
@@ -76,7 +84,7 @@ def parse(word: str) -> Override | None:
         return None
 
 
-def _read(command: str, word: str, keys: dict[str, Key], sweeps: bool) -> Override:
+def _read(command: str, word: str, keys: dict[str, Key], sweeps: bool, instead: str) -> Override:
     name, given, value = word.partition("=")
     if name == "designs" and given:  # short for the bodies
         name = next((key for key in ("designs.bodies", name, "design") if key in keys), name)
@@ -95,8 +103,8 @@ def _read(command: str, word: str, keys: dict[str, Key], sweeps: bool) -> Overri
         raise ConfigError(f"'{word}': keys cannot be added or removed; write {name}=VALUE.")
     if override.is_sweep_override() and not sweeps:
         raise ConfigError(
-            f"'{word}' lists several values: add --multirun to run them one after another (a value that is itself a"
-            f" list is written {name}=[a,b], one that has commas {name}=\"'a,b'\")."
+            f"'{word}' lists several values: {instead} (a value that is itself a list is written {name}=[a,b], one"
+            f" that has commas {name}=\"'a,b'\")."
         )
     return _as_list(override) if key is not None and _takes_list(key) else override
 

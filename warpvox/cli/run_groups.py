@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from warpvox.algos.report.learning_curves import Group
+from warpvox.algos.report.members import SHOWN, differing, telling
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values
 from warpvox.configs.bench import PPO
@@ -17,8 +18,6 @@ NOT_SETTINGS = (
     "nan_guard", "cuda_graph",
 )  # fmt: skip
 """Keys that do not make a run another experiment."""
-SHOWN = 3
-"""Settings that a label names at most."""
 LONGEST = 28
 """Characters of a value in a label."""
 
@@ -43,43 +42,25 @@ def settings(run: Run) -> dict[str, Any]:
 
 def _labels(groups: list[dict[str, Any]]) -> list[str]:
     """A label for each group of settings: what differs; of a single one the task."""
-    differing = _differing(groups)
-    if not differing:
+    keys = differing(groups)
+    if not keys:
         return [str(values.get("task", "run")) for values in groups]
-    named = [_presets(values, differing) for values in groups]
-    short = _differing(named)
-    labels = [_label(values, _telling(named, short)) for values in named]
+    named = [_presets(values, keys) for values in groups]
+    short = differing(named)
+    labels = [_label(values, telling(named, short)) for values in named]
     if len(set(labels)) < len(labels):  # the first few settings do not distinguish them
         labels = [f"{label} #{number + 1}" for number, label in enumerate(labels)]
     return labels
 
 
-def _differing(groups: list[dict[str, Any]]) -> list[str]:
-    """Keys that groups have other values of, in the order of the configuration."""
-    keys = dict.fromkeys(key for values in groups for key in values)
-    return [key for key in keys if any(values.get(key) != groups[0].get(key) for values in groups)]
-
-
-def _telling(groups: list[dict[str, Any]], keys: list[str]) -> list[str]:
-    """The keys, the task first, then always the one that tells most groups apart beside those before it, or alone."""
-    first = [key for key in keys if key == "task"]
-    while left := [key for key in keys if key not in first]:
-        kinds = {
-            key: [len({str([one.get(k) for k in names]) for one in groups}) for names in ([*first, key], [key])]
-            for key in left
-        }
-        first.append(max(left, key=lambda key: kinds[key]))
-    return first
-
-
-def _presets(values: dict[str, Any], differing: list[str]) -> dict[str, Any]:
+def _presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
     """Settings with the name of a preset in the place of what it has set."""
     result = dict(values)
-    if "physics.preset" in differing:  # the constants follow from it
+    if "physics.preset" in keys:  # the constants follow from it
         result = {key: value for key, value in result.items() if not key.startswith("physics.")}
         if values.get("physics.preset") != values.get("rules"):
             result["physics"] = values.get("physics.preset")
-    if sum(key.startswith("ppo.") for key in differing) > SHOWN:
+    if sum(key.startswith("ppo.") for key in keys) > SHOWN:
         name = _ppo_preset(values)
         if name is not None:
             result = {key: value for key, value in result.items() if not key.startswith("ppo.")}

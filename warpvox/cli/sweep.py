@@ -9,6 +9,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -20,14 +21,14 @@ from rich.console import Console
 from rich.table import Table
 
 from warpvox.cli import COMMANDS as NAMES
-from warpvox.cli.config import load
+from warpvox.cli.config import load_start
 from warpvox.cli.overrides import key_and_value
 from warpvox.configs.composition import hydras_errors, quoted, register
 from warpvox.configs.schema import COMMANDS
 from warpvox.errors import ConfigError, RunError, WarpvoxError
 from warpvox.io.console import duration, echo, literal, shell_argument
 from warpvox.io.writing import write_table, write_text
-from warpvox.runs import CODESIGN, STAMP, TRAINING, label, read_summary
+from warpvox.runs import CODESIGN, STAMP, TRAINING, label, make_folder, read_summary
 
 LONGEST_LABEL = 80
 """Characters of a folder's name that say what its run differs by."""
@@ -36,28 +37,34 @@ INTERRUPTED = "interrupted"
 """Status of a run that was ended by a signal."""
 FIGURES = ("best_return", "best_fitness", "mean_return", "evaluations", "steps", "elapsed_seconds")
 """Entries of ``summary.json`` that the table shows, where there are any."""
-RESULTS = ("status", *FIGURES, "folder", "error")
+NUMBER, RESULTS = "run", ("status", *FIGURES, "folder", "error")
+"""Columns of the table beside the keys that differ, which are written ``key_run`` where one of these has their name."""
 QUIET = ("hydra/job_logging=none", "hydra/hydra_logging=none", "hydra.output_subdir=null", "hydra.sweep.subdir=.")
 Make = Callable[[list[str], Console], "Path | None"]
 
 
 def make_runs(
-    command: str, overrides: Sequence[Override], plugins: list[str], config_dir: Path | None, make: Make, total: int
+    command: str,
+    overrides: Sequence[Override],
+    plugins: list[str],
+    config_dir: Path | None,
+    make: Make,
+    runs: Sequence[list[str]],
 ) -> None:
     """Have Hydra make the runs of a sweep; their table is ``<output_dir>/<command>/sweep_<date_time>.csv``.
 
     Args:
         overrides: those of all runs, and those that list several values.
-        total: number of runs; 0 if the sweeper chooses it.
+        runs: the overrides of each; none if the sweeper chooses them.
 
     Raises:
         RunError: runs have failed; the others are made all the same.
     """
-    fixed = [str(override.input_line) for override in overrides if not override.is_sweep_override()]
-    output_dir = getattr(load(command, fixed, config_dir), "output_dir", "outputs")
-    folder, stamp = Path(output_dir).absolute() / command, datetime.now().strftime(STAMP)
-    names = (f"sweep_{stamp}{'' if number == 1 else f'-{number}'}" for number in range(1, 1000))
-    table = next(folder / name for name in names if not (folder / name).exists())
+    fixed, total = [str(override.input_line) for override in overrides if not override.is_sweep_override()], len(runs)
+    output_dir = getattr(load_start(command, runs[0] if runs else fixed, config_dir), "output_dir", "outputs")
+    folder = Path(output_dir).absolute() / command
+    made = [place for place in (folder, *folder.parents) if not place.exists()]
+    table = make_folder(folder, f"sweep_{datetime.now().strftime(STAMP)}")
     words = [*QUIET, f"hydra.sweep.dir={quoted(str(table))}", *plugins, *(str(one.input_line) for one in overrides)]
     task = functools.partial(_run, frozenset(key_and_value(word)[0] for word in fixed), table, make, total, time.time())
     try:
@@ -70,6 +77,9 @@ def make_runs(
             _print(rows, total, table)
             if command in (*TRAINING, CODESIGN):
                 echo(Console(), f"compare: warpvox curves {shell_argument('runs', table)}")
+        for empty in () if rows else (table, *made):
+            with suppress(OSError):
+                empty.rmdir()
     failed = [row for row in rows if row["status"] == "failed"]
     if failed:
         raise RunError(
@@ -79,18 +89,36 @@ def make_runs(
 
 
 def _run(fixed: frozenset[str], table: Path, make: Make, total: int, began: float, _: Any) -> float | None:
-    """Make the run whose overrides Hydra gives; returns what a sweeper that optimises looks at."""
+    """Make the run whose overrides Hydra gives; returns what a sweeper that optimises looks at.
+
+    Its result is noted in the table, whatever happens; only an interrupt is passed on.
+    """
     hydra, console = HydraConfig.get(), Console()
-    words = list(hydra.overrides.task)
-    row = {"run": hydra.job.num + 1}
+    words, number = list(hydra.overrides.task), hydra.job.num + 1
     varied = {key: value for key, value in map(key_and_value, words) if key not in fixed}
     done, of = len(list(table.glob("run_*.json"))), f" of {total}" if total else ""
     if done and total:
         of += f", left {duration((time.time() - began) / done * (total - done))}"
+    console.rule(literal(f"run {number}{of}: {' '.join(f'{key}={value}' for key, value in varied.items())}"))
+    settings = {f"key_{key}" if key in (NUMBER, *RESULTS) else key: value for key, value in varied.items()}
+    row: dict[str, Any] = {NUMBER: number, **settings, "status": INTERRUPTED}
+    token = label.set(label_of(varied))
     try:
-        attempt(row, varied, lambda: make(words, console), console, of)
+        folder = make(words, console)
+        summary = {} if folder is None else read_summary(folder)
+        figures = {name: summary[name] for name in FIGURES if summary.get(name) is not None}
+        row |= {"status": "done", **figures, "folder": "" if folder is None else str(folder)}
+    except BrokenPipeError:
+        raise
+    except WarpvoxError as error:
+        row |= {"status": "failed", "error": " ".join(str(error).split())}
+        echo(console, f"failed: {row['error']}")
+    except Exception as error:  # a defect; the others have nothing to do with it
+        row |= {"status": "failed", "error": f"{type(error).__name__}: {error}"}
+        traceback.print_exc()
     finally:
-        write_text(table / f"run_{row['run']:05}.json", json.dumps(row))
+        label.reset(token)
+        write_text(table / f"run_{number:05}.json", json.dumps(row))
         _write(table)
     if row["status"] == "failed" and hydra.runtime.choices["hydra/sweeper"] != "basic":
         raise RunError(row["error"])
@@ -109,36 +137,6 @@ def _safe(value: str) -> str:
     place = Path(value)
     short = place.stem if place.suffix and len(place.parts) > 1 else value  # of a file: its name
     return UNSAFE.sub("-", short).strip("-") or "x"
-
-
-def attempt(
-    row: dict[str, Any], varied: dict[str, str], do: Callable[[], Path | None], console: Console, total: str = ""
-) -> None:
-    """Make one run of several and note its result in ``row``; only an interrupt is passed on.
-
-    Args:
-        varied: keys that have other values in other runs, with the values of this one.
-    """
-    values = " ".join(f"{key}={value}" for key, value in varied.items())
-    console.rule(literal(f"run {row['run']}{total}: {values}"))
-    row |= {**varied, "status": INTERRUPTED}
-    token = label.set(label_of(varied))
-    try:
-        folder = do()
-    except BrokenPipeError:
-        raise
-    except WarpvoxError as error:
-        row |= {"status": "failed", "error": " ".join(str(error).split())}
-        echo(console, f"failed: {row['error']}")
-    except Exception as error:  # a defect; the others have nothing to do with it
-        row |= {"status": "failed", "error": f"{type(error).__name__}: {error}"}
-        traceback.print_exc()
-    else:
-        summary = {} if folder is None else read_summary(folder)
-        figures = {name: summary[name] for name in FIGURES if summary.get(name) is not None}
-        row |= {"status": "done", **figures, "folder": "" if folder is None else str(folder)}
-    finally:
-        label.reset(token)
 
 
 def _write(table: Path) -> list[dict[str, Any]]:

@@ -33,6 +33,8 @@ DIGITS = 9
 """Decimals of recorded returns. Rewards are sums over points, which round differently (about 1e-15) on other CPUs."""
 GAIT = {"kind": "gait"}
 """The header of a file with an open-loop policy, whose numbers are in the arrays."""
+LISTED: dict[str, Any] = {"returns": int | float, "lengths": int | float, "seeds": int | float, "start": dict}
+"""Entries of ``about`` that are lists, and of what."""
 LARGEST, LARGEST_HEADER = 1 << 26, 1 << 20
 """Bytes of a file's arrays, and of its header."""
 
@@ -77,7 +79,8 @@ class Robot:
     @property
     def robust_return(self) -> float:
         """The recorded mean return under noise, by which the zoo ranks; NaN: none is known."""
-        return float(self.about.get("noise", {}).get("return", "nan"))
+        value = self.about.get("noise", {}).get("return")
+        return float("nan") if value is None else float(value)
 
     @property
     def has_feedback(self) -> bool:
@@ -180,11 +183,15 @@ def _check_header(header: Any) -> None:
         raise Unreadable(f"version {header.get('version')!r:.20} of the format; this warpvox reads {VERSION}")
     if not isinstance(header.get("task"), str) or not isinstance(header.get("about"), dict):
         raise Unreadable("its header names no task")
-    about = header["about"]
-    for name in ("return", "returns", "lengths", "seeds", "control_steps", "wall_s"):
-        values = about.get(name) if isinstance(about.get(name), list) else [about.get(name)]
-        if not all(value is None or isinstance(value, int | float) for value in values):
-            raise Unreadable(f"the {name} in its header is {about[name]!r:.40}, not numbers")
+    about: dict[str, Any] = {"noise": {}} | header["about"]
+    if not isinstance(about["noise"], dict):
+        raise Unreadable(f"the noise in its header is {about['noise']!r:.40}, not a return and returns")
+    for name, value in [*about.items(), *about["noise"].items()]:
+        if name in ("return", "control_steps", "wall_s") and not isinstance(value, int | float | None):
+            raise Unreadable(f"the {name} in its header is {value!r:.40}, not a number")
+        kind = LISTED.get(name)
+        if kind and not (isinstance(value, list) and all(isinstance(one, kind) for one in value)):
+            raise Unreadable(f"the {name} in its header is {value!r:.40}, not a list")
 
 
 def _robot(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Robot:

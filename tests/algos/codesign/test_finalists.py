@@ -12,8 +12,11 @@ from codesign_toys import SEED, ToyEvaluator, ToySearch, make_loop
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome
 from warpvox.algos.codesign.finalists import Finalists, TwoStages
 from warpvox.algos.codesign.loop import LocalExecutor
+from warpvox.algos.report.benchmark import write_benchmark
 from warpvox.algos.report.members import read_members
 from warpvox.algos.search import ALGORITHMS, make_search
+from warpvox.algos.suite.members import rises
+from warpvox.io.reading import read_table
 
 NEEDS = {"map_elites": "ribs"}
 QUICK = {"bo": {"optimizer_restarts": 1, "optimizer_iterations": 5, "candidates": 10}}
@@ -98,4 +101,7 @@ def test_the_archive_tells_both_values_apart_and_the_winner_is_a_finalist(tmp_pa
     assert member.best.tolist() == np.maximum.accumulate([record.fitness for record in finals]).tolist()
     spent = np.cumsum([record.steps for record in records]).tolist()
     assert member.steps.tolist() == spent[-3:]
-    assert member.evaluations[-1] == loop.archive.trained()
+    assert member.evaluations[-1] == loop.archive.trained() == rises(member)[-1][0]
+    write_benchmark(tmp_path, [tmp_path])
+    (row,) = read_table(tmp_path / "results.csv")
+    assert row["evaluations"] == str(loop.archive.trained())

@@ -245,6 +245,23 @@ def test_runs_of_one_algorithm_are_told_apart_by_their_settings(tmp_path: Path) 
     assert names == ["ga, search.population=5", "ga, search.population=7", "ga"]
 
 
+def test_searches_that_differ_by_anything_are_never_seeds_of_one(tmp_path: Path) -> None:
+    for seed in range(18):  # four settings of two values, of which a name tells three; the last two are more seeds
+        bits = {name: seed >> k & 1 for k, name in enumerate("abcd")}
+        make_search(tmp_path / f"{seed:02}", "Walker-v0", seed, [1.0], **bits)
+    names = [one.search for one in read_members(archives_in(tmp_path))]
+    assert names[:2] == names[16:] == [f"ga, search.a={a}, search.b=0, search.c=0" for a in (0, 1)]
+    assert names[8:10] == [f"{name} #2" for name in names[:2]]
+    assert len(set(names)) == 16
+
+
+def test_a_name_tells_first_what_separates_most(tmp_path: Path) -> None:
+    for number, other in enumerate(({"a": 0, "b": 0, "c": 0}, {}, {"d": 2})):  # ga, auto, auto dtype=float32
+        make_search(tmp_path / str(number), "Walker-v0", number, [1.0], **{"a": 1, "b": 1, "c": 1, "d": 1} | other)
+    names = [one.search for one in read_members(archives_in(tmp_path))]
+    assert names == [f"ga, search.a={a}, search.d={d}, search.b={a}" for a, d in ((0, 1), (1, 1), (1, 2))]
+
+
 def test_a_suite_that_has_only_begun_has_a_report(tmp_path: Path) -> None:
     empty = make_search(tmp_path / "members/Walker-v0/ga/seed0", "Walker-v0", 0, [])
     assert "No design is evaluated yet" in write_benchmark(tmp_path, [empty]).read_text()

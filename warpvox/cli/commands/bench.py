@@ -11,9 +11,9 @@ from typing import Any
 from rich.console import Console
 
 from warpvox.cli.application import run_command
-from warpvox.cli.config import to_yaml
 from warpvox.errors import SimulationError, listing
 from warpvox.io.console import echo
+from warpvox.io.writing import to_yaml
 from warpvox.runs import new_folder
 
 

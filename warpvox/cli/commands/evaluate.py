@@ -13,13 +13,12 @@ from rich.table import Table
 from warpvox.algos.protocols import NOMINAL
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.cli.application import run_command
-from warpvox.cli.config import to_yaml
 from warpvox.cli.run_groups import group_runs
 from warpvox.code import Code, is_code
 from warpvox.configs.show import EvaluateConfig
 from warpvox.errors import ConfigError
 from warpvox.io.console import echo, literal, shown, widen
-from warpvox.io.writing import write_table
+from warpvox.io.writing import to_yaml, write_table
 from warpvox.robots.entry import zoo_tasks
 from warpvox.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
 from warpvox.trust import STORED
@@ -49,7 +48,7 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
         raise ConfigError("task names the code of runs of your own tasks (stored, FILE.py:NAME); a run knows its task.")
     widen(console, 200)
     robots = [f"{ZOO}{name}" for name in (zoo_tasks() if config.zoo == ["all"] else config.zoo)]
-    runs = [] if robots and config.runs == ["latest"] else config.runs
+    runs = ([] if robots else ["latest"]) if config.runs is None else config.runs
     found = find_runs([*runs, *robots], config.output_dir)
     rows = {}
     for number, each_run in enumerate(found):

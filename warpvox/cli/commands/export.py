@@ -10,11 +10,11 @@ from rich.console import Console
 
 from warpvox.cli.application import run_command
 from warpvox.cli.commands.play import check_source, play_run, write_results
-from warpvox.cli.config import to_yaml
 from warpvox.configs.schema import EXPORTS
 from warpvox.configs.show import POLICY_EXPORTS
 from warpvox.errors import ConfigError, listing
 from warpvox.io.console import echo, shown
+from warpvox.io.writing import to_yaml
 from warpvox.runs import ZOO, as_name, new_folder, write_summary
 
 if TYPE_CHECKING:

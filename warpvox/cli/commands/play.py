@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
+from warpvox.algos.protocols import NOMINAL
 from warpvox.cli.application import run_command
-from warpvox.cli.config import to_yaml
 from warpvox.cli.exports import ROLLOUT, print_returns, record_agent, record_run, tiles_of, write_exports
 from warpvox.code import Code
 from warpvox.configs.show import PlayConfig
 from warpvox.errors import ConfigError, DisplayError, listing
 from warpvox.io.console import echo, escaped, shown
+from warpvox.io.writing import to_yaml
 from warpvox.runs import ZOO, as_name, find_run, new_folder, write_summary
 from warpvox.trust import STORED
 from warpvox.view.window import Window, why_no_window
@@ -85,7 +86,8 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
         prepare(config.torch_threads, config.seed or 0)
         env, controller = load_run(source, config, getattr(config, "design", None))
     with console.status("simulating"):
-        rollout = record_run(source, env, controller, config.steps, config.stochastic)
+        protocol = getattr(config, "protocol", NOMINAL)
+        rollout = record_run(source, env, controller, config.steps, config.stochastic, protocol)
     echo(console, f"run: {shown(source.folder)}")
     return rollout, str(source.checkpoint or source.folder)
 

@@ -112,7 +112,7 @@ def _policy(policy: Network | Gait | None) -> str:
 
 def _returns(about: Mapping[str, Any]) -> str:
     returns, seeds = about.get("returns", []), about.get("seeds", [])
-    if len(returns) < 2:
+    if min(len(returns), len(seeds)) < 2:
         return f"{about.get('return')}"
     return f"{about.get('return')}, the mean over the seeds {seeds[0]} to {seeds[-1]}: {listing(returns)}"
 
