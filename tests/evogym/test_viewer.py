@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+import warpvox.evogym.envs  # noqa: F401  registers the tasks
 from warpvox.errors import DisplayError
 from warpvox.evogym import EvoSim, EvoViewer, EvoWorld
 from warpvox.evogym.simulator_cpp import Camera, Viewer
