@@ -208,7 +208,7 @@ def _best_design(folder: Path) -> Path:
     with Archive.read(folder / ARCHIVE) as archive:
         best = [record for record in archive.best() if record.policy is not None]
     if not best:
-        raise RunError(f"The design search {folder} has no evaluated design yet.")
+        raise RunError(f"The design search {folder} has no design with a policy yet.")
     return (folder / str(best[0].policy)).parent
 
 

@@ -138,15 +138,18 @@ class Results(Listener):
 
 
 def evaluate_winner(folder: Path, settings: Codesign) -> dict[str, Any]:
-    """Mean return of a search's best design over episodes that its training never met; empty if nothing is random.
+    """Mean return of a search's best design over episodes that its training never met.
 
     Each design is judged by few episodes, always the same, and the best of many is chosen by them: that return is too
     good for what else the task may draw.
 
     Returns:
-        ``mean``, ``low`` and ``high`` (95 % interval, Student's t), ``episodes``, ``seed``.
+        ``mean``, ``low`` and ``high`` (95 % interval, Student's t), ``episodes``, ``seed``; empty if nothing is
+        random, or the best design has no policy.
     """
-    if not get_task(settings.task).under(settings.rules).is_random:
+    with Archive.read(folder / ARCHIVE) as archive:
+        has_policy = any(best.policy for best in archive.best())
+    if not has_policy or not get_task(settings.task).under(settings.rules).is_random:
         return {}
     seed = FRESH_SEED + (settings.seed == FRESH_SEED)  # which the search has compared its designs by
     device = settings.device if settings.executor == "local" else "cpu"

@@ -209,8 +209,8 @@ def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[
         # a search that has failed may have failed because nothing can be written; that is the error to report
         with suppress(StorageError, RunError) if status == "failed" else nullcontext():
             summary = run.results.write(status)
-            if status == "done" and summary["best_design"] is not None:
-                run.results.fresh = evaluate_winner(run.results.folder, settings)
+            if status == "done" and (fresh := evaluate_winner(run.results.folder, settings)):
+                run.results.fresh = fresh
                 summary = run.results.write(status)
         for listener in listeners:
             listener.ended(summary)

@@ -86,9 +86,12 @@ class Judge(ToyEvaluator):
 
 
 def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
-    found = wv.codesign(search=ToySearch(), evaluation=Judge(), folder=tmp_path / "run", **SMALL)
+    task = "BidirectionalWalker-v0"  # draws at random: a winner with a policy would be judged again
+    found = wv.codesign(task, search=ToySearch(), evaluation=Judge(), folder=tmp_path / "run", **SMALL)
     assert len(found.designs) == found.summary["evaluations"] > 20
     assert found.summary["search"] == "custom"
+    with pytest.raises(wv.ConfigError, match="no design with a policy"):
+        wv.codesign(task, start=[str(found.folder)], **SMALL)
     # the same by a loop of one's own
     with Archive.create(tmp_path / FILE, {}) as archive:
         Loop(ToySearch(), LocalExecutor(Judge()), archive, seed=0).run()
