@@ -45,7 +45,7 @@ OF_DESIGNS = (
     "network",
 )  # fmt: skip
 """Settings that the training of a design has from its search."""
-BEFORE = (CONFIG, "log.txt", "training", "code", "designs")
+BEFORE = (CONFIG, "log.txt", "training", "code", "designs", f"{ARCHIVE}.lock")
 """Files and folders that a search has before its archive."""
 
 

@@ -1,6 +1,5 @@
 """Design search from Python: from objects, with parts of one's own, and as the command makes it."""
 
-import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -8,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from codesign_toys import ToyEvaluator, ToySearch
+from codesign_toys import Judge, ToySearch
 from fault_cases import digest
 
 import warpvox as wv
-from warpvox.algos.candidate import Listener, Outcome
+from warpvox.algos.candidate import Listener
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.codesign.settings import Codesign
@@ -76,13 +75,6 @@ def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_p
         with pytest.raises(wv.RunError, match=f"{folder.name} is a search with {says}"):
             wv.codesign(**{"search": wv.GA(**GA), "training": TRAINING, "folder": folder, "seed": 3, **SMALL, **other})
     assert files == {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
-
-
-class Judge(ToyEvaluator):
-    """An evaluation without policies."""
-
-    def evaluate(self, *given: Any) -> list[Outcome]:
-        return [dataclasses.replace(outcome, policy=None) for outcome in super().evaluate(*given)]
 
 
 def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
