@@ -91,7 +91,7 @@ def test_a_search_by_one_shared_policy(warpvox: Callable) -> None:
     one = max(screened, key=lambda record: abs(record.fitness))
     assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
     # and a search that is done stays so
-    outcome = warpvox("codesign", f"resume={folder}")
+    outcome = warpvox("codesign", f"resume={folder}", "evaluation.save_interval=7")
     assert "nothing is left to do" in outcome.out
 
 
