@@ -63,7 +63,7 @@ class Results(Listener):
         self._began = time.monotonic() - (before if is_number(before) else 0.0)  # as if it had not been interrupted
 
     def told(self, generation: int, fresh: bool) -> None:
-        self.draw(generation)
+        self.draw(generation, keep=not fresh)
         if fresh:
             self.write("running")
 
@@ -72,11 +72,11 @@ class Results(Listener):
         best = self.archive.best(self.settings.top, until)
         return [record for record in best if record.candidate.origin == FINALIST] or best
 
-    def draw(self, generation: int) -> Path:
-        """The best designs up to and including a generation as PNG; one that is there already stays."""
+    def draw(self, generation: int, keep: bool = True) -> Path:
+        """The best designs up to and including a generation as PNG; ``keep``: one that is there already stays."""
         path = self.folder / "generations" / f"{generation:03}.png"
         best = self.best(generation)
-        if path.is_file() or not best:
+        if not best or (keep and path.is_file()):
             return path
         captions = [(f"{one.fitness:.3f}", f"#{one.id}  generation {one.candidate.generation}") for one in best]
         title = f"{self.settings.task} · {self.search} · best designs after generation {generation}"
