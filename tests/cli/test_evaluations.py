@@ -229,6 +229,7 @@ def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path
     [
         ("", 3 * 8),
         ("evaluation=shared evaluation.envs=16", 3 * 16),
+        ("evaluation=few_shot evaluation.envs=16 batch=2", 2 * 16),
         ("evaluation=gaits evaluation.gaits=7 evaluation.final_passes=0", 3 * 7),
         (
             "evaluation=gaits evaluation.gaits=7 task=Catcher-v0 evaluation.final_passes=0",
