@@ -243,9 +243,7 @@ class Found:
     @property
     def report(self) -> Path:
         """The page ``report.html``."""
-        from warpvox.algos.report import FILE
-
-        return self.folder / FILE
+        return self.folder / REPORT
 
     def __repr__(self) -> str:
         best = f"best {self.summary['best_fitness']:.3f}" if self.summary["best_fitness"] is not None else "no result"
