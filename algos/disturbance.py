@@ -11,8 +11,6 @@ from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["JUDGED", "SEARCHED", "Disturbed", "Draws", "as_judged", "with_noise"]
-
 JUDGED, SEARCHED = 0x7E57, 0x5EED
 """Streams of random numbers: no seed makes the disturbances of a search those of a judgement."""
 GRID = 2.0**20

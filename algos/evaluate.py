@@ -11,8 +11,6 @@ from warpvox.algos.protocols import NOMINAL
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 
-__all__ = ["EpisodeReturns", "Evaluator", "Policy", "StatefulEvaluator", "evaluate", "evaluator"]
-
 Policy = Callable[[torch.Tensor], torch.Tensor]
 """Observations ``[num_envs, num_obs]`` to actions ``[num_envs, num_actions]`` in [0.6, 1.6]."""
 

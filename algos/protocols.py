@@ -4,10 +4,6 @@ from dataclasses import dataclass
 
 from warpvox.errors import ConfigError
 
-__all__ = [
-    "COPIES", "DISTURBANCES", "FITNESS", "NOMINAL", "PROTOCOLS", "ROBUST", "Disturbance", "episodes_of", "parts_of",
-]  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Disturbance:

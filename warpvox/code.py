@@ -44,6 +44,13 @@ def is_code(text: object) -> bool:
     return isinstance(text, str) and ":" in text
 
 
+def check_code(text: str | None, needs: str, made: str) -> None:
+    """Raise ConfigError, which says what ``needs`` the code and what is ``made`` by it, unless ``text`` names some."""
+    place, _, name = (text or "").rpartition(":")
+    if not place or not name.isidentifier():
+        raise ConfigError(f"{needs}=FILE.py:NAME or MODULE:NAME, where NAME makes {made}; got {text!r}.")
+
+
 def load_code(code: str, is_wanted: Callable[[Any], bool] = callable, kind: str = "class or function") -> Any:
     """Import what ``code`` names.
 

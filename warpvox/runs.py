@@ -208,7 +208,7 @@ def _best_design(folder: Path) -> Path:
     with Archive.read(folder / ARCHIVE) as archive:
         best = [record for record in archive.best() if record.policy is not None]
     if not best:
-        raise RunError(f"The design search {folder} has no evaluated design yet.")
+        raise RunError(f"The design search {folder} has no design with a policy yet.")
     return (folder / str(best[0].policy)).parent
 
 
@@ -329,13 +329,14 @@ def run_folder(
 
     Args:
         place: of a new one; None: it lies in ``output_dir`` and is named by the time.
-        known: files that may be there, of a run that was stopped when it began.
+        known: files that may be there, of a run that was stopped when it began, besides what it left half written.
     """
     if folder is not None:
         return going_on(folder, text)
     if place is None:
         return new_folder(config.output_dir, command, config.task, config.name, text)
-    if place.exists() and (not place.is_dir() or any(file.name not in known for file in place.iterdir())):
+    is_ours = lambda file: file.name in known or file.name.startswith(MARK)  # noqa: E731
+    if place.exists() and not (place.is_dir() and all(map(is_ours, place.iterdir()))):
         raise RunError(f"{place} exists already: name another folder, or resume={place} to go on with a run.")
     place.mkdir(parents=True, exist_ok=True)
     return going_on(place, text)

@@ -15,8 +15,6 @@ from warpvox.envs.episodes import state_rows
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.types import Cell
 
-__all__ = ["actions_of_gaits", "begin_alike", "play"]
-
 AT_ONCE = 1 << 20
 """Actions that are computed at once, about: those of many control steps, if environments are few."""
 NOISE = DISTURBANCES["noise"].noise

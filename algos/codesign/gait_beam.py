@@ -14,8 +14,6 @@ from warpvox.algos.disturbance import Draws
 from warpvox.envs.episodes import state_rows
 from warpvox.envs.vec_env import VoxelVecEnv
 
-__all__ = ["Beam"]
-
 KEPT = 0.125
 """Share of the beginnings of an episode that is continued after each stage."""
 SIBLINGS = 0.25

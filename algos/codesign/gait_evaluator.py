@@ -26,8 +26,6 @@ from warpvox.errors import RunError
 from warpvox.io.writing import write_text
 from warpvox.types import Cell
 
-__all__ = ["GaitEvaluator"]
-
 FRESH = 0.125
 """Share of the first gaits of a design with a parent that owe nothing to it."""
 KEPT = 0.5

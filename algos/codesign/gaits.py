@@ -8,11 +8,6 @@ import numpy as np
 from warpvox.design import Design
 from warpvox.types import Cell
 
-__all__ = [
-    "Gait", "Motion", "draw_gait", "draw_motion", "gait_of", "motions_of", "mutate_gait", "mutate_motion",
-    "with_stages",
-]  # fmt: skip
-
 PERIODS = (5.0, 40.0)
 """Control steps of a travelling wave."""
 SLOW_PERIODS = (8.0, 200.0)

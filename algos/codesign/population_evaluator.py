@@ -83,19 +83,14 @@ class _Generation:
         self.training = self._start()
 
     def _start(self) -> PopulationTraining:
-        prepare: Any = None
-        if self.settings.inherit:
-            chosen = [best_parent(self.candidates[k], self.parents) for k in self.active]
-
-            def inherit(design: int, env: VoxelVecEnv, networks: Networks) -> None:
-                parent = chosen[design]
-                if parent is not None:
-                    inherit_policy(self.factory, parent, env, design, networks)
-
-            prepare = inherit
-
+        inherit = self._inherit if self.settings.inherit else None
         bodies, seeds = zip(*((self.candidates[k].body, self.seeds[k]) for k in self.active), strict=True)
-        return PopulationTraining(self.factory, bodies, seeds, self.settings, prepare, self.seed)
+        return PopulationTraining(self.factory, bodies, seeds, self.settings, inherit, self.seed)
+
+    def _inherit(self, design: int, env: VoxelVecEnv, networks: Networks) -> None:
+        parent = best_parent(self.candidates[self.active[design]], self.parents)
+        if parent is not None:
+            inherit_policy(self.factory, parent, env, design, networks)
 
     @property
     def going(self) -> bool:

@@ -37,7 +37,9 @@ class _Worker:
         return os.getpid()
 
     def evaluate(self, candidates: Sequence[Candidate], parents: Parents, checkpoint: Path | None) -> list[Outcome]:
-        """Outcomes of the candidates."""
+        """Outcomes of the candidates; not saved on the way where the run's folder is not on this machine's disks."""
+        if checkpoint is not None and not checkpoint.parent.parent.is_dir():
+            checkpoint = None
         # made in this thread: some settings of torch belong to the thread that sets them
         self._evaluator = self._evaluator or self._make()
         return self._evaluator.evaluate(candidates, parents, self._events.append, checkpoint)
@@ -130,7 +132,8 @@ class RayExecutor:
             batch = work[worker.place]
             own = {parent: parents[parent] for item in batch.candidates for parent in item.parents if parent in parents}
             method = worker.actor.evaluate.options(concurrency_group="train")
-            worker.task = method.remote(list(batch.candidates), own, batch.checkpoint)
+            checkpoint = batch.checkpoint and batch.checkpoint.absolute()  # a worker has a current folder of its own
+            worker.task = method.remote(list(batch.candidates), own, checkpoint)
 
     def _collect(self, worker: _Handle) -> list[Outcome] | None:
         """The outcomes of a finished task; None and a new worker if it was lost."""

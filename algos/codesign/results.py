@@ -63,7 +63,7 @@ class Results(Listener):
         self._began = time.monotonic() - (before if is_number(before) else 0.0)  # as if it had not been interrupted
 
     def told(self, generation: int, fresh: bool) -> None:
-        self.draw(generation)
+        self.draw(generation, keep=not fresh)
         if fresh:
             self.write("running")
 
@@ -72,11 +72,11 @@ class Results(Listener):
         best = self.archive.best(self.settings.top, until)
         return [record for record in best if record.candidate.origin == FINALIST] or best
 
-    def draw(self, generation: int) -> Path:
-        """The best designs up to and including a generation as PNG; one that is there already stays."""
+    def draw(self, generation: int, keep: bool = True) -> Path:
+        """The best designs up to and including a generation as PNG; ``keep``: one that is there already stays."""
         path = self.folder / "generations" / f"{generation:03}.png"
         best = self.best(generation)
-        if path.is_file() or not best:
+        if not best or (keep and path.is_file()):
             return path
         captions = [(f"{one.fitness:.3f}", f"#{one.id}  generation {one.candidate.generation}") for one in best]
         title = f"{self.settings.task} · {self.search} · best designs after generation {generation}"
@@ -138,15 +138,18 @@ class Results(Listener):
 
 
 def evaluate_winner(folder: Path, settings: Codesign) -> dict[str, Any]:
-    """Mean return of a search's best design over episodes that its training never met; empty if nothing is random.
+    """Mean return of a search's best design over episodes that its training never met.
 
     Each design is judged by few episodes, always the same, and the best of many is chosen by them: that return is too
     good for what else the task may draw.
 
     Returns:
-        ``mean``, ``low`` and ``high`` (95 % interval, Student's t), ``episodes``, ``seed``.
+        ``mean``, ``low`` and ``high`` (95 % interval, Student's t), ``episodes``, ``seed``; empty if nothing is
+        random, or the best design has no policy.
     """
-    if not get_task(settings.task).under(settings.rules).is_random:
+    with Archive.read(folder / ARCHIVE) as archive:
+        has_policy = any(best.policy for best in archive.best())
+    if not has_policy or not get_task(settings.task).under(settings.rules).is_random:
         return {}
     seed = FRESH_SEED + (settings.seed == FRESH_SEED)  # which the search has compared its designs by
     device = settings.device if settings.executor == "local" else "cpu"
@@ -240,9 +243,7 @@ class Found:
     @property
     def report(self) -> Path:
         """The page ``report.html``."""
-        from warpvox.algos.report import FILE
-
-        return self.folder / FILE
+        return self.folder / REPORT
 
     def __repr__(self) -> str:
         best = f"best {self.summary['best_fitness']:.3f}" if self.summary["best_fitness"] is not None else "no result"

@@ -50,7 +50,7 @@ def _robots(text: str, settings: Codesign) -> list[Robot]:
     if folder.is_dir() and not has_designs(folder):
         robot = next(robots_of(folder, 1), None)
         if robot is None:
-            raise ConfigError(f"start={text}: this search has evaluated no design yet.")
+            raise ConfigError(f"start={text}: this search has no design with a policy yet.")
         return [robot]
     bodies = read_bodies(text, settings.seed, "start")
     return [Robot(settings.task, body, full_connections(body).T, None) for body in bodies]

@@ -45,7 +45,7 @@ OF_DESIGNS = (
     "network",
 )  # fmt: skip
 """Settings that the training of a design has from its search."""
-BEFORE = (CONFIG, "log.txt", "training", "code", "designs")
+BEFORE = (CONFIG, "log.txt", "training", "code", "designs", f"{ARCHIVE}.lock")
 """Files and folders that a search has before its archive."""
 
 
@@ -141,9 +141,9 @@ def run_codesign(
         if executor is None:
             executor = make_executor(settings, known)
             opened.callback(executor.close)
-        settings = dataclasses.replace(settings, batch=_batch(settings, executor))
         with Archive.read(resumed / ARCHIVE) if resumed else nullcontext() as archive:
             known_settings = archive.settings if archive else {}
+        settings = dataclasses.replace(settings, batch=_batch(settings, executor, known_settings))
         written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), known_settings)
         kept = _kept(written)
         if resumed:
@@ -209,8 +209,8 @@ def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[
         # a search that has failed may have failed because nothing can be written; that is the error to report
         with suppress(StorageError, RunError) if status == "failed" else nullcontext():
             summary = run.results.write(status)
-            if status == "done" and summary["best_design"] is not None:
-                run.results.fresh = evaluate_winner(run.results.folder, settings)
+            if status == "done" and (fresh := evaluate_winner(run.results.folder, settings)):
+                run.results.fresh = fresh
                 summary = run.results.write(status)
         for listener in listeners:
             listener.ended(summary)
@@ -230,14 +230,14 @@ def _check_same(known: Mapping[str, Any], values: Mapping[str, Any], folder: Pat
         old, new, key = known.get(name), values.get(name), prefix + name
         if isinstance(old, dict) and isinstance(new, dict):
             _check_same(old, new, folder, f"{key}.")
-        elif old != new:
+        elif old != new and key not in CHANGEABLE:
             raise RunError(f"{folder} is a search with {key}={old}, asked for {key}={new}: give that another folder.")
 
 
-def _batch(settings: Codesign, executor: Executor) -> int | None:
-    """How many designs are trained together; see the key ``batch``."""
-    if settings.batch is not None:
-        return settings.batch
+def _batch(settings: Codesign, executor: Executor, known: Mapping[str, Any]) -> int | None:
+    """How many designs are trained together, see the key ``batch``; ``known``: settings of a search that is resumed."""
+    if settings.batch is not None or known:
+        return settings.batch or known.get("batch")
     if settings.training.method == "sequential" and not settings.evaluation.finalists:
         return 1
     return -(-settings.search.population // cast(Any, executor).size) if settings.executor == "ray" else None

@@ -72,7 +72,6 @@ class BaseSearch(ABC):
         self.bodies: list[np.ndarray] = []
         self.fitness: list[float] = []
         self._seen: set[bytes] = set()
-        self._told: set[bytes] = set()
         self._asked: list[Candidate] | None = None
         self._start: list[Proposal] = []
 
@@ -193,7 +192,6 @@ class BaseSearch(ABC):
                 raise SearchError(f"The fitness of candidate {candidate.id} must be a finite number, got {value}.")
         self.bodies += [candidate.body for candidate in asked]
         self.fitness += values
-        self._told |= {body_key(candidate.body) for candidate in asked}
         self.learn(asked, values)
         self._asked = None
         self.generation += 1
@@ -243,7 +241,7 @@ class BaseSearch(ABC):
         if len(proposals) > wanted:
             raise SearchError(f"{who} {len(proposals)} bodies where {wanted} were wanted.")
         keys = {body_key(proposal.body) for proposal in proposals}
-        if len(keys) < len(proposals) or keys & self._told:
+        if len(keys) < len(proposals) or not keys.isdisjoint(map(body_key, self.bodies)):
             raise SearchError(f"{who} a body twice: use those for which claim() is true.")
         self._seen |= keys
         for proposal in proposals:

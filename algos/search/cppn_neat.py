@@ -124,7 +124,14 @@ class CppnNeatSearch(BaseSearch):
 
     def _breed(self) -> dict[int, neat.DefaultGenome]:
         if self.generation:
-            bred = self.reproduction.reproduce(self.config, self.species, self.settings.population, self.generation - 1)
+            size = self.settings.population
+            try:
+                bred = self.reproduction.reproduce(self.config, self.species, size, self.generation - 1)
+            except RuntimeError as error:
+                raise SearchError(
+                    f"neat-python cannot breed {size} networks ({str(error).rstrip('.')}): lower elitism or"
+                    " min_species_size in neat_config, or raise its compatibility_threshold or search.population."
+                ) from error
             if bred:
                 return bred
             # all species have stagnated (reset_on_extinction): a new beginning

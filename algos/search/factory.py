@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any
+from typing import Any, cast
 
 from warpvox.algos.candidate import Search
 from warpvox.algos.search.settings import CustomSearch, SearchSettings
-from warpvox.code import load_code
+from warpvox.code import check_code, load_code
 from warpvox.design import Design
 from warpvox.errors import ConfigError, listing
 
@@ -47,14 +47,8 @@ def make_search(
 
 def make_custom(settings: CustomSearch, shape: tuple[int, int], seed: int) -> Search:
     """Call what ``settings.make`` names with settings, shape and seed."""
-    make = settings.make or ""
-    place, _, name = make.rpartition(":")
-    if not place or not name.isidentifier():
-        raise ConfigError(
-            "The search 'custom' needs make=FILE.py:NAME or make=MODULE:NAME, where NAME makes a search of settings,"
-            f" shape and seed; got {settings.make!r}."
-        )
-    search: Any = load_code(make)(settings, shape, seed)
+    check_code(settings.make, "search=custom needs search.make", "a search of settings, shape and seed")
+    search: Any = load_code(cast(str, settings.make))(settings, shape, seed)
     missing = [verb for verb in VERBS if not callable(getattr(search, verb, None))]
     if missing:
         raise ConfigError(

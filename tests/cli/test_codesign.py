@@ -132,10 +132,12 @@ def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
     folder = search("search.max_evaluations=5")
     page = (folder / "report.html").read_text()
     (folder / "report.html").unlink()
-    (folder / "generations" / "000.png").unlink()
+    picture = folder / "generations" / "000.png"
+    drawn = picture.read_bytes()
+    picture.write_bytes(b"of other designs")
     warpvox("codesign", "report=latest", "export=[json,csv]")
     assert (folder / "report.html").read_text() == page
-    assert (folder / "generations" / "000.png").is_file()
+    assert picture.read_bytes() == drawn
     films = sorted(folder.glob("designs/*/film.webp"))
     assert all(Image.open(film).is_animated for film in films)
     assert page.count("data:image/webp;base64,") == 5
@@ -145,6 +147,14 @@ def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
     assert len(files) == 5
     for file in files:
         assert load_design(file).shape == (3, 3)
+    with Archive.open(folder / FILE) as archive:  # the best after a generation are not known while it is under way
+        archive.propose([Candidate(5, example_design("walker"), (), "random", 1)], 0)
+        warpvox("codesign", "report=latest")
+        assert list(picture.parent.iterdir()) == [picture]
+        for fresh in False, True:
+            picture.write_bytes(b"of other designs")
+            Results(folder, archive, Codesign()).told(0, fresh)
+            assert (picture.read_bytes() == b"of other designs") != fresh
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from warpvox.algos.candidate import FINALIST, START
+from warpvox.algos.candidate import FINALIST, START, Candidate, Outcome
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.algos.codesign.evaluations import Shared
 from warpvox.algos.codesign.robots import read_start
@@ -16,7 +16,7 @@ from warpvox.algos.codesign.run import check, environments
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.training.bodies import draw_bodies
 from warpvox.cli.config import load
-from warpvox.design import load_design, save_design
+from warpvox.design import example_design, load_design, save_design
 from warpvox.envs import registry
 from warpvox.errors import ConfigError
 from warpvox.robots import read_robot
@@ -91,7 +91,7 @@ def test_a_search_by_one_shared_policy(warpvox: Callable) -> None:
     one = max(screened, key=lambda record: abs(record.fitness))
     assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
     # and a search that is done stays so
-    outcome = warpvox("codesign", f"resume={folder}")
+    outcome = warpvox("codesign", f"resume={folder}", "evaluation.save_interval=7")
     assert "nothing is left to do" in outcome.out
 
 
@@ -229,6 +229,7 @@ def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path
     [
         ("", 3 * 8),
         ("evaluation=shared evaluation.envs=16", 3 * 16),
+        ("evaluation=few_shot evaluation.envs=16 batch=2", 2 * 16),
         ("evaluation=gaits evaluation.gaits=7 evaluation.final_passes=0", 3 * 7),
         (
             "evaluation=gaits evaluation.gaits=7 task=Catcher-v0 evaluation.final_passes=0",
@@ -243,6 +244,24 @@ def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path
 )
 def test_environments_that_are_stepped_together(words: str, count: int) -> None:
     assert environments(settings(*tiny(*words.split()))) == count
+
+
+@pytest.mark.parametrize(
+    ("words", "count"),
+    [
+        ("", 1),
+        ("task=Catcher-v0", 4),
+        ("fitness=robust", 4),
+        ("fitness=robust evaluation.episodes=6", 6),
+        ("fitness=robust training.eval_envs=2", 2),
+    ],
+)
+def test_a_training_is_compared_with_a_gait_by_as_many_episodes(words: str, count: int) -> None:
+    job = settings(*tiny("evaluation=gaits", *words.split()))
+    training = job.evaluation.build(job, {}).final.training
+    assert training.factory.episodes(training.settings.eval_envs) == count
+    finalist = Candidate(0, example_design("walker"), (), FINALIST)
+    assert job.evaluation.run_of(job, finalist, Outcome(1.0))["eval_envs"] == count
 
 
 @pytest.mark.slow

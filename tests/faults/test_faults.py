@@ -7,6 +7,7 @@ import pathlib
 import resource
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from codesign_toys import Judge, ToySearch
 from fault_cases import (
     CODESIGN,
     TRAIN,
@@ -26,6 +28,7 @@ from fault_cases import (
     only,
 )
 
+import warpvox as wv
 from warpvox import system
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.codesign.archive import BACKUP, FILE, Archive
@@ -292,6 +295,23 @@ def test_damaged_curves_say_what_to_do(copied: Callable, warpvox: Callable) -> N
     metrics = copied("train") / "metrics.csv"
     metrics.write_text(metrics.read_text().replace("\n2,", "\n2x,"))
     warpvox("train", "resume=latest", "max_iterations=4", fails=("metrics.csv is damaged", "move it away"))
+
+
+def test_a_search_that_could_not_make_its_archive_is_made_when_it_is_repeated(tmp_path: Path, monkeypatch) -> None:
+    def refuse(path: Path, _: Any) -> None:
+        shutil.copy(path, tmp_path / "run" / f"{MARK}archive-1.sqlite")  # as of a process that was killed here
+        raise sqlite3.OperationalError("database or disk is full")
+
+    def search() -> dict[str, Any]:
+        options = dict(folder=tmp_path / "run", progress=False, shape=(3, 3), device="cpu", threads=1)
+        return wv.codesign(search=ToySearch(), evaluation=Judge(), **options).summary
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Archive, "_fill", refuse)
+        with pytest.raises(StorageError, match="disk is full"):
+            search()
+    assert search()["status"] == "done"
+    assert not list(tmp_path.rglob(f"{MARK}*"))
 
 
 def test_a_damaged_archive_names_its_copy_and_the_search_goes_on_from_it(copied, warpvox, runs) -> None:

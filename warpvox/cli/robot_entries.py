@@ -52,7 +52,7 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[
     """
     robots = list(robots_of(source, top))
     if not robots:
-        raise RunError(f"The design search {source} has no evaluated design yet.")
+        raise RunError(f"The design search {source} has no design with a policy yet.")
     home = source if source.is_dir() else source.parent
     robots = [dataclasses.replace(robot, task=allowed("task", robot.task, task, home)) for robot in robots]
     command = _command(robots[0].about)

@@ -38,6 +38,8 @@ class CommonPolicy(Screened):
     """Settings of a policy that controls all designs."""
 
     comparable = False
+    fewer = "search.population"
+    """The key that sets how many designs the policy learns on at once."""
 
     policy: str = key("grid", "network of the policy: grid, transformer, cpg, module:Class, file.py:Class", path="read")
     network: Any = key(None, "settings of this network, {width:32} for instance; null: its defaults")
@@ -94,8 +96,9 @@ class CommonPolicy(Screened):
         return each + episodes_of(self.eval_envs, search.fitness) * task.max_episode_steps, last
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        population, ppo = search.search.population, self.ppo_of(search)
-        batch = Workload(population, self.envs, "evaluation.envs", self.envs, "voxel", ppo, "search.population")
+        designs = min(search.batch or search.search.population, search.search.population)
+        ppo = self.ppo_of(search)
+        batch = Workload(designs, self.envs, "evaluation.envs", self.envs, "voxel", ppo, self.fewer)
         return [*super().workloads(search), batch]
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
@@ -146,6 +149,8 @@ class Shared(CommonPolicy):
 @dataclass
 class FewShot(CommonPolicy):
     """A pretrained policy is tuned for each generation, each time from the same weights."""
+
+    fewer = "batch"
 
     name: str = key("few_shot", "a pretrained policy is tuned for each generation", choices=("few_shot",))
     iterations: int = key(10, "training iterations on the designs of each generation; 0: none", low=0)

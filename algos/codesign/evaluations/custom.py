@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 from warpvox.algos.codesign.evaluations.base import Evaluation
-from warpvox.code import load_code
+from warpvox.code import check_code, load_code
 from warpvox.errors import ConfigError
 from warpvox.keys import key
 
@@ -30,12 +30,7 @@ class Custom(Evaluation):
     settings: Any = key(None, "settings of your own, by name: {episodes:3}")
 
     def check(self, search: Codesign) -> None:
-        place, _, name = (self.make or "").rpartition(":")
-        if not place or not name.isidentifier():
-            raise ConfigError(
-                "evaluation=custom needs evaluation.make=FILE.py:NAME or MODULE:NAME, where NAME makes an evaluator of"
-                f" the search's settings; got {self.make!r}."
-            )
+        check_code(self.make, "evaluation=custom needs evaluation.make", "an evaluator of the search's settings")
         self.build(search, None)
 
     def inherits(self, search: Codesign) -> bool:

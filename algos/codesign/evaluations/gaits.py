@@ -13,6 +13,7 @@ from warpvox.algos.codesign.evaluations.base import Workload, steps_of_training
 from warpvox.algos.codesign.evaluations.specialist import Screened
 from warpvox.algos.protocols import ROBUST
 from warpvox.algos.settings import MLP
+from warpvox.batch.options import lanes_for
 from warpvox.errors import ConfigError
 from warpvox.keys import key
 
@@ -94,6 +95,9 @@ class Gaits(Screened):
 
         return self.episodes or (COPIES if search.fitness == ROBUST or get_task(search.task).is_random else 1)
 
+    def _final_episodes(self, search: Codesign) -> int:
+        return search.training.eval_envs or self._episodes(search)
+
     @property
     def _final_gaits(self) -> int:
         return self.final_gaits or self.gaits
@@ -106,17 +110,19 @@ class Gaits(Screened):
         return GaitEvaluator(search.factory(), count=self.gaits, **fixed, **own)
 
     def final(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """More gaits, and a training."""
+        """More gaits, and a training that is judged by as many episodes: the better of both counts."""
         from warpvox.algos.codesign.finalists import BestOf
 
         changes = {"count": self._final_gaits, "rounds": self.final_rounds, "passes": self.final_passes}
         more = dataclasses.replace(self.screening(search, known), beam=self.final_beam, **changes)
-        return BestOf(more, super().final(search, known))
+        training = dataclasses.replace(search.training, eval_envs=self._final_episodes(search))
+        return BestOf(more, super().final(dataclasses.replace(search, training=training), known))
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
         """A gait is played in simulations like those that have found its fitness."""
         if not (outcome.spec and outcome.spec.get("gait")):
-            return {}
+            episodes = self._final_episodes(search)
+            return {"eval_envs": episodes, "lanes": lanes_for(episodes)}
         count = self._final_gaits if candidate.origin == FINALIST else self.gaits
         lanes = search.factory().shared_lanes(count * self._episodes(search))
         return {"policy": MLP, "network": None, "obs": "timed", "lanes": lanes, "eval_envs": self._episodes(search)}

@@ -1,6 +1,5 @@
 """Design search from Python: from objects, with parts of one's own, and as the command makes it."""
 
-import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -8,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from codesign_toys import ToyEvaluator, ToySearch
+from codesign_toys import Judge, ToySearch
 from fault_cases import digest
 
 import warpvox as wv
-from warpvox.algos.candidate import Listener, Outcome
+from warpvox.algos.candidate import Listener
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.codesign.settings import Codesign
@@ -53,7 +52,7 @@ def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_p
     torch.manual_seed(7)
     state, threads, ear = torch.get_rng_state(), torch.get_num_threads(), Ear()
     found = wv.codesign(
-        "Walker-v0", search=wv.GA(**GA), training=TRAINING, folder=None, listeners=[ear], seed=3, **SMALL
+        "Walker-v0", search=wv.GA(**GA), training=TRAINING, folder=None, listeners=[ear], seed=3, batch=2, **SMALL
     )
     assert not list(tmp_path.iterdir())
     assert torch.equal(torch.get_rng_state(), state)
@@ -66,10 +65,11 @@ def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_p
     assert found.policy(env.reset()[0]).shape == (2, env.num_actions)
     assert f"{found.best.fitness:.3f}" in found._repr_html_()
     assert len(wv.evaluate(found, episodes=1, device="cpu")) == 1
-    warpvox("codesign", "seed=3", *COMMAND)
+    warpvox("codesign", "seed=3", "batch=2", *COMMAND)
     (folder,) = Path("outputs/codesign/Walker-v0").iterdir()
     assert digest(folder) == digest(found.folder)
-    again = wv.codesign(search=wv.GA(**GA), training=TRAINING, folder=folder, seed=3, **SMALL)  # nothing is left
+    # nothing is left; the batch, which may have been a worker's share, is that of the archive
+    again = wv.codesign(search=wv.GA(**GA), training=TRAINING, folder=folder, seed=3, **SMALL)
     assert (again.summary["evaluations"], digest(folder)) == (5, digest(found.folder))
     files = {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
     for other, says in (({"seed": 4}, "seed=3, asked for seed=4"), ({"training": {}}, "training.envs=8, .*=32")):
@@ -78,17 +78,13 @@ def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_p
     assert files == {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
 
 
-class Judge(ToyEvaluator):
-    """An evaluation without policies."""
-
-    def evaluate(self, *given: Any) -> list[Outcome]:
-        return [dataclasses.replace(outcome, policy=None) for outcome in super().evaluate(*given)]
-
-
 def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
-    found = wv.codesign(search=ToySearch(), evaluation=Judge(), folder=tmp_path / "run", **SMALL)
+    task = "BidirectionalWalker-v0"  # draws at random: a winner with a policy would be judged again
+    found = wv.codesign(task, search=ToySearch(), evaluation=Judge(), folder=tmp_path / "run", **SMALL)
     assert len(found.designs) == found.summary["evaluations"] > 20
     assert found.summary["search"] == "custom"
+    with pytest.raises(wv.ConfigError, match="no design with a policy"):
+        wv.codesign(task, start=[str(found.folder)], **SMALL)
     # the same by a loop of one's own
     with Archive.create(tmp_path / FILE, {}) as archive:
         Loop(ToySearch(), LocalExecutor(Judge()), archive, seed=0).run()

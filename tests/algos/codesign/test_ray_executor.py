@@ -47,7 +47,7 @@ class Failing(ToyEvaluator):
 
     def evaluate(self, candidates: Sequence[Candidate], *more: Any) -> list[Outcome]:
         if candidates[0].id == 0:
-            raise RunError("Learning diverged.")
+            raise RunError(f"Learning diverged, saved at {more[-1]}.")
         if candidates[0].id == 1:
             raise ZeroDivisionError("a defect")
         os.kill(os.getpid(), signal.SIGKILL)
@@ -112,15 +112,18 @@ def cluster() -> Iterator[tuple]:
 
 def test_errors_of_an_evaluator_come_through_as_they_are(cluster: tuple, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(ray_executor, "MAX_ATTEMPTS", 1)
+    monkeypatch.chdir(tmp_path)  # workers have another current folder
     body = make_loop(tmp_path / "x").search.ask()[0].body
     executor = ray_executor.RayExecutor(Failing, workers=1, address=cluster[0].address)
-    for number, error, said in (
-        (0, RunError, "Learning diverged"),
-        (1, ZeroDivisionError, "a defect"),
-        (2, RunError, r"candidates \[2\] has ended its worker 1 times"),
+    for number, error, said, folder in (
+        (0, RunError, f"Learning diverged, saved at {tmp_path / 'x' / 'training' / 'a.pt'}", "x"),
+        (0, RunError, "Learning diverged, saved at None", "of_another_machine"),
+        (1, ZeroDivisionError, "a defect", "x"),
+        (2, RunError, r"candidates \[2\] has ended its worker 1 times", "x"),
     ):
         with pytest.raises(error, match=said):
-            list(executor.run([Batch([Candidate(number, body)])], {}, lambda place, event: None))
+            batch = Batch([Candidate(number, body)], Path(folder, "training", "a.pt"))
+            list(executor.run([batch], {}, lambda place, event: None))
     executor.close()
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from warpvox.algos.search import CppnNeat, make_search
 from warpvox.algos.search.cppn_neat import CppnNeatSearch, inputs, neat_config, own_random, paint
-from warpvox.errors import ConfigError
+from warpvox.errors import ConfigError, SearchError
 
 TABLE_5 = {
     "num_inputs": 3, "num_hidden": 1, "num_outputs": 5, "initial_connection": "partial_direct",
@@ -129,3 +129,7 @@ def test_mistakes_in_an_own_configuration(repository: Path, tmp_path: Path) -> N
         make_search(own_config(repository, tmp_path, "num_outputs = 5", "num_outputs = 4"))
     with pytest.raises(ConfigError, match=r"neat-python cannot read '.*own\.cfg': .*'conn_add_prob'"):
         make_search(own_config(repository, tmp_path, "conn_add_prob", "conn_ad_prob"))
+    search = make_search(own_config(repository, tmp_path, "min_species_size = 1", "min_species_size = 11"))
+    search.tell([0.0] * len(search.ask()))
+    with pytest.raises(SearchError, match=r"cannot breed 10 networks .*lower elitism .*search\.population"):
+        search.ask()

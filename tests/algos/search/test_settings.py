@@ -129,7 +129,7 @@ def test_what_does_not_ask_is_no_search(tmp_path: Path) -> None:
     path.write_text(
         "class Half:\n    def __init__(self, *args): pass\n    def ask(self): return []\n", encoding="utf-8"
     )
-    with pytest.raises(ConfigError, match="'custom' needs make=FILE"):
+    with pytest.raises(ConfigError, match=r"search=custom needs search\.make=FILE"):
         make_search(CustomSearch(make=None))
     with pytest.raises(ConfigError, match="makes a Half, which cannot tell, replay"):
         make_search(CustomSearch(make=Code(f"{path}:Half")))

@@ -104,7 +104,8 @@ def _report(config: CodesignConfig, console: Console) -> Path:
         settings = dataclasses.replace(stored, top=config.top)
         results = Results(source.folder, archive, settings, summary.get("pretraining_steps"))
         for row in archive.generations():
-            results.draw(row["generation"])
+            if row["evaluated"] == row["designs"]:
+                results.draw(row["generation"], keep=False)
         if not again(stored):  # code of the user's own, which a file does not bring
             film_designs(source.folder, results.best(), stored)
         echo(console, shown(results.report(summary)))
