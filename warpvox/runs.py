@@ -335,8 +335,9 @@ def run_folder(
         return going_on(folder, text)
     if place is None:
         return new_folder(config.output_dir, command, config.task, config.name, text)
-    is_ours = lambda file: file.name in known or file.name.startswith(MARK)  # noqa: E731
-    if place.exists() and not (place.is_dir() and all(map(is_ours, place.iterdir()))):
+    if place.exists() and not (
+        place.is_dir() and all(file.name in known or file.name.startswith(MARK) for file in place.iterdir())
+    ):
         raise RunError(f"{place} exists already: name another folder, or resume={place} to go on with a run.")
     place.mkdir(parents=True, exist_ok=True)
     return going_on(place, text)
