@@ -1,5 +1,6 @@
 """Training by gradients through the physics: it climbs, resumes exactly, and refuses what has no derivative."""
 
+import copy
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 import torch
 from learning import assert_same_weights, ppo_settings, small_env
 
+from warpvox.algos.checkpoints.policy import policy_of
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.policies.registry import layout_for
 from warpvox.algos.training.ascent import AscentRunner, Targets
@@ -101,6 +103,20 @@ def test_weights_that_are_kept_are_those_of_the_body_and_of_what_was_learned() -
         for parameter in actor.network.parameters():
             parameter.mul_(0.5)
         assert not torch.equal(actor.eval()(obs), first)
+
+
+def test_a_loaded_policy_that_is_trained_further_acts_by_what_it_has_learned() -> None:
+    runner = make_runner()
+    policy, obs = policy_of(runner.controller).requires_grad_(), runner.env.reset()["policy"]
+    optimizer, known = torch.optim.SGD(policy.parameters(), 0.1), copy.deepcopy(policy.state_dict())
+    exact = policy.in_float64().act(obs.numpy())
+    first = policy.act(obs.numpy())
+    assert np.array_equal(policy.in_float64().act(obs.numpy()), exact)  # not by weights in float32
+    policy(obs).sum().backward()
+    optimizer.step()
+    assert not np.array_equal(policy.act(obs.numpy()), first)
+    policy.load_state_dict(known)
+    assert np.array_equal(policy.act(obs.numpy()), first)
 
 
 def test_what_moves_does_not_matter() -> None:
