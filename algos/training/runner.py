@@ -386,7 +386,8 @@ class Runner(OnPolicyRunner):
         """Go on from a checkpoint file.
 
         From ``state.pt`` learning goes on exactly as if it had not been stopped; any other checkpoint
-        restores the networks, the optimiser and the schedule, with new episodes.
+        restores the networks, the optimiser and the schedule, with new episodes. The best policy of its folder stays
+        until there is a better one.
         """
         content = load_checkpoint(path, self.device)
         processes = content.get("processes", 1)
@@ -397,6 +398,10 @@ class Runner(OnPolicyRunner):
         if (found := spec_of(content["policy"])) != self.spec:
             raise RunError(f"{path} holds another kind of policy: {found}, not {self.spec}.")
         self.set_state(content)
+        if "env" not in content:
+            with contextlib.suppress(RunError):  # there may be none
+                best = load_checkpoint(path.with_name(BEST))
+                self.best_return, self.best_iteration = best["eval_return"], best["iter"]
 
     def begin_with(self, learned: Mapping[str, Any], optimizer: bool = False) -> None:
         """Begin with the networks of a checkpoint that another training has left, at the beginning of the schedule.
