@@ -117,6 +117,15 @@ def test_a_new_body_is_one_that_was_not_there_until_there_are_no_others() -> Non
     assert not every & {cropped(body) for body in held_out}
 
 
+def test_a_resumed_run_knows_that_bodies_may_come_again() -> None:
+    first, second = make_runner("new", 1), make_runner("new", 1)
+    first.bodies.shape = (1, 3)
+    first.bodies._new(100)  # more than there are
+    first.bodies.shape = SHAPE
+    second.bodies.set_state(first.bodies.state(first.env), second.env)
+    assert second.bodies._digests == first.bodies._digests
+
+
 def cropped(body: np.ndarray) -> tuple:
     """A body wherever it lies in its grid."""
     rows, columns = (np.flatnonzero(body.any(axis)) for axis in (1, 0))
