@@ -2,6 +2,7 @@
 
 import copy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -71,6 +72,25 @@ def test_the_rollout_is_what_the_policy_does() -> None:
     runner._collect()
     total = float(sum(rewards).mean()) / runner.ppo.reward_scale
     assert runner._found["return_mean"] == pytest.approx(total, abs=1e-6)
+
+
+def test_stopped_episodes_say_of_a_body_that_it_does_badly_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    runner = make_runner("performance")
+    roll_out, stops = runner._roll_out, torch.arange(ENVS) < 3
+
+    def stopped(*given: Any) -> tuple[torch.Tensor, ...]:
+        returns, slope, _ = roll_out(*given)
+        return returns.masked_fill(stops, 0.0), slope.masked_fill(stops[:, None, None], 0.0), stops
+
+    monkeypatch.setattr(runner, "_roll_out", stopped)
+    runner._improve()
+    whole = runner.bodies._returns[3:]
+    assert runner._found["return_mean"] == pytest.approx(whole.mean())
+    assert runner.bodies._returns[:3].tolist() == [-3.0] * 3
+    stops[:] = True
+    runner._improve()
+    runner._check(runner.logger.losses)  # no divergence
+    assert np.isnan(runner._found["return_mean"])
 
 
 @pytest.mark.parametrize("refresh", ["none", pytest.param("new", marks=pytest.mark.slow)])
