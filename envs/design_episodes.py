@@ -217,7 +217,8 @@ class DesignVecEnv:
     ) -> None:
         self.env, self.layout, self.design_steps, self.auto_reset = env, layout, design_steps, auto_reset
         self.num_envs, self.num_obs, self.num_actions = env.num_envs, layout.num_obs, layout.num_actions
-        self.spec, self.rules, self.device, self.dtype = env.spec, env.rules, env.device, env.dtype
+        self.spec, self.rules, self.sim = env.spec, env.rules, env.sim
+        self.device, self.dtype = env.device, env.dtype
         self._start, self._invalid, self._penalty = start, invalid, penalty
         self._prices = torch.tensor(prices, dtype=torch.float64, device=self.device)
         self._starts = RandomStream(env.seed, self.num_envs, "cpu")
