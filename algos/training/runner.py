@@ -23,11 +23,12 @@ from warpvox.algos.checkpoints.files import (
     spec_for,
     spec_of,
 )
-from warpvox.algos.evaluate import EpisodeReturns, Evaluator, StatefulEvaluator
+from warpvox.algos.evaluate import EpisodeReturns, Evaluator
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
+from warpvox.algos.training.held_out import HeldOut
 from warpvox.algos.training.metrics import Metrics
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
@@ -106,7 +107,7 @@ class Runner(OnPolicyRunner):
         env: see :func:`adapt`.
         folder: of the run; must exist.
         evaluator: says how good the policy is without exploration; None: no evaluations. The state of a
-            :class:`StatefulEvaluator` is saved and restored with that of training.
+            :class:`HeldOut` is saved and restored with that of training.
         on_save: called where ``state.pt`` would be written, instead; :meth:`state` is what there is to save.
         logger: where metrics go besides ``metrics.csv``, :data:`warpvox.algos.settings.LOGGERS`.
         group: the processes that train this policy together, each with its own ``env``. The first evaluates, writes
@@ -374,7 +375,7 @@ class Runner(OnPolicyRunner):
         }
         if self.bodies is not None:
             own["bodies"] = self.bodies.state(self.env)
-        if isinstance(self.evaluator, StatefulEvaluator):
+        if isinstance(self.evaluator, HeldOut):
             own["evaluator"] = self.evaluator.state()
         return self._policy_content() | own
 
@@ -433,7 +434,7 @@ class Runner(OnPolicyRunner):
         torch.set_rng_state(content["random"]["cpu"].cpu())
         if "cuda" in content["random"] and torch.device(self.device).type == "cuda":
             torch.cuda.set_rng_state(content["random"]["cuda"].cpu(), self.device)
-        if isinstance(self.evaluator, StatefulEvaluator) and "evaluator" in content:
+        if isinstance(self.evaluator, HeldOut) and "evaluator" in content:
             self.evaluator.set_state(content["evaluator"])
         self.elapsed = content["elapsed"]
         self.best_return, self.best_iteration = content["best_return"], content["best_iteration"]
