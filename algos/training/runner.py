@@ -34,10 +34,7 @@ from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
 from warpvox.io.writing import check_folder
-
-BEST = "model_best.pt"
-STATE = "state.pt"
-"""Everything that learning depends on, from before the first iteration on; only the newest is kept."""
+from warpvox.runs import BEST, STATE
 
 
 @dataclass(frozen=True)

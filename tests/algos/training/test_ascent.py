@@ -14,9 +14,10 @@ from warpvox.algos.evaluate import evaluator
 from warpvox.algos.policies.registry import layout_for
 from warpvox.algos.training.ascent import AscentRunner, Targets
 from warpvox.algos.training.bodies import Bodies, draw_bodies
-from warpvox.algos.training.runner import STATE, Schedule, adapt
+from warpvox.algos.training.runner import Schedule, adapt
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
+from warpvox.runs import STATE
 
 ENVS, SHAPE, STEPS = 8, (3, 3), 40
 SETTINGS = {"width": 8, "heads": 2, "layers": 1}

@@ -13,9 +13,10 @@ from warpvox.algos.policies.layout import layout_of
 from warpvox.algos.training.bodies import Bodies, draw_bodies
 from warpvox.algos.training.held_out import HeldOut
 from warpvox.algos.training.metrics import read_metrics
-from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
+from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError
+from warpvox.runs import STATE
 
 LIMIT, SHAPE = 8, (3, 3)
 HELD_OUT = draw_bodies(3, SHAPE, np.random.default_rng(9))

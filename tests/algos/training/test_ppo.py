@@ -12,9 +12,10 @@ from warpvox.algos.evaluate import evaluate, evaluator
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training import metrics
 from warpvox.algos.training.metrics import Metrics, check_logger, read_metrics
-from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
+from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError, RunError
+from warpvox.runs import STATE
 
 STEPS, LIMIT = 6, 14
 
