@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol
 
 import torch
 
@@ -50,18 +50,6 @@ class Evaluator(Protocol):
     def __call__(self, policy: Policy) -> EpisodeReturns:
         """Evaluate ``policy``; must not touch the environments that it is trained in."""
         ...
-
-
-@runtime_checkable
-class StatefulEvaluator(Evaluator, Protocol):
-    """An evaluator whose results depend on earlier evaluations; a checkpoint stores its state."""
-
-    def state(self) -> dict[str, Any]:
-        """The state, as tensors, numbers and strings."""
-        ...
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from :meth:`state`."""
 
 
 def evaluate(

@@ -24,7 +24,8 @@ from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import StepResult, VoxelVecEnv, make_vec
-from warpvox.errors import ActionError, ConfigError, DesignError
+from warpvox.errors import ConfigError, DesignError
+from warpvox.simulation import checked_actions
 from warpvox.types import Cell
 
 NUM_TYPES = 5
@@ -217,7 +218,8 @@ class DesignVecEnv:
     ) -> None:
         self.env, self.layout, self.design_steps, self.auto_reset = env, layout, design_steps, auto_reset
         self.num_envs, self.num_obs, self.num_actions = env.num_envs, layout.num_obs, layout.num_actions
-        self.spec, self.rules, self.device, self.dtype = env.spec, env.rules, env.device, env.dtype
+        self.spec, self.rules, self.sim = env.spec, env.rules, env.sim
+        self.device, self.dtype = env.device, env.dtype
         self._start, self._invalid, self._penalty = start, invalid, penalty
         self._prices = torch.tensor(prices, dtype=torch.float64, device=self.device)
         self._starts = RandomStream(env.seed, self.num_envs, "cpu")
@@ -340,9 +342,11 @@ class DesignVecEnv:
             repair).
 
         Raises:
-            ActionError: wrong shape; on the CPU also entries that count and are not finite.
+            ActionError: wrong shape, no plain numbers; on the CPU also entries that count and are not finite.
         """
-        actions = self._check_actions(actions)
+        counts = self.action_mask
+        actions = checked_actions(actions, (self.num_envs, self.num_actions), self.device, counts)
+        actions = torch.where(counts, actions, AT_REST)
         control = self.layout.control
         designing = self.designing & ~self.terminated
         going = ~self.designing & ~(self.terminated | self.truncated)
@@ -374,22 +378,6 @@ class DesignVecEnv:
             self.terminated, self.truncated = self.terminated | terminated, self.truncated | truncated
             terminated, truncated = self.terminated.clone(), self.truncated.clone()
         return obs, (reward + paid).to(self.dtype), terminated, truncated, info
-
-    def _check_actions(self, actions: torch.Tensor | np.ndarray) -> torch.Tensor:
-        """Actions whose entries that do not count are at rest."""
-        try:
-            actions = torch.as_tensor(actions, device=self.device)
-        except Exception as error:  # `as_tensor` may raise anything for what is no array
-            raise ActionError(f"Actions must be a tensor or array of numbers: {str(error)[:200]}.") from None
-        expected = [self.num_envs, self.num_actions]
-        if list(actions.shape) != expected:
-            got = list(actions.shape)
-            raise ActionError(f"Actions must have the shape {expected} [num_envs, num_actions], got {got}.")
-        actions = torch.where(self.action_mask, actions, AT_REST)
-        if actions.device.type == "cpu" and not bool(torch.isfinite(actions).all()):
-            bad = int((~torch.isfinite(actions)).nonzero()[0, 0])
-            raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")
-        return actions
 
     def _revised(self, actions: torch.Tensor) -> torch.Tensor:
         """int8 ``[num_envs, rows, columns]``: the cells after a design step with these actions everywhere."""

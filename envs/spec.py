@@ -235,6 +235,9 @@ class TaskSpec:
         if not isinstance(self.id, str) or not ID.fullmatch(self.id):
             raise TaskError(f"The id of a task may hold letters, digits and . _ + - only, got {self.id!r}.")
         check_choice(f"difficulty of the task '{self.id}'", self.difficulty, DIFFICULTIES, TaskError)
+        names = [item.name for item in fields(self) if item.name != "paper"]
+        for name in self.paper:
+            check_choice(f"paper of the task '{self.id}' changes fields; each", name, names, TaskError)
         self._check_parts()
         check_integer(f"max_episode_steps of the task '{self.id}'", self.max_episode_steps, 1, error=TaskError)
         if not self.observations:

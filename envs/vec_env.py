@@ -83,6 +83,7 @@ def make_vec(
         ConfigError: a count or name out of range, an unknown argument, or both ``body`` and ``designs``.
         SimulationError, DeviceError: an option that cannot be. MemoryLimitError: more environments than fit.
     """
+    check_choice("obs", obs, OBSERVATIONS)
     sim = SimOptions.of(sim, options, make_vec)
     spec = get_task(task).under(rules)
     if max_episode_steps is not None:
@@ -138,7 +139,6 @@ class VoxelVecEnv:
         auto_reset: bool = True,
         obs: str = "task",
     ) -> None:
-        check_choice("obs", obs, OBSERVATIONS)
         self.episodes = Episodes(sim.num_envs, sim.device, spec.max_episode_steps)
         if obs.endswith("voxel"):
             spec = replace(spec, observations=voxel_observations(spec.observations, tuple(spec.robots), sim))

@@ -31,7 +31,9 @@ LARGEST_CONFIG = 1_000_000
 """Bytes that the former may have."""
 ZOO = "zoo:"
 """How the name of a stored robot begins where a run or a design is expected."""
-STATE, BEST = "state.pt", "model_best.pt"
+BEST = "model_best.pt"
+STATE = "state.pt"
+"""Everything that learning depends on, from before the first iteration on; only the newest is kept."""
 TRAINING = ("train",)
 CODESIGN = "codesign"
 NEEDED = {

@@ -139,22 +139,7 @@ class Simulation(Sensing):
 
     def take(self, actions: object) -> None:
         """The first half of :meth:`step`: check the actions and keep them for :meth:`advance`."""
-        try:
-            actions = torch.as_tensor(actions)
-        except Exception as error:  # `as_tensor` may raise anything for non-array input
-            raise ActionError(f"Actions must be a tensor or array of numbers: {str(error)[:200]}.") from None
-        if tuple(actions.shape) != tuple(self._actions.shape):
-            expected = list(self._actions.shape)
-            raise ActionError(
-                f"Actions must have the shape {expected} [num_envs, num_actions], got {list(actions.shape)}."
-            )
-        if actions.dtype not in NUMBERS or actions.layout is not torch.strided or actions.device.type == "meta":
-            raise ActionError(
-                f"Actions must be plain numbers, got {actions.dtype}, {actions.layout} on {actions.device.type}."
-            )
-        if actions.device.type == "cpu" and not bool(torch.isfinite(actions).all()):
-            bad = int((~torch.isfinite(actions)).nonzero()[0, 0])
-            raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")
+        actions = checked_actions(actions, (self.num_envs, self.num_actions))
         if actions.dtype == torch.float64 and self.dtype != torch.float64:
             most = torch.finfo(self.dtype).max
             actions = actions.clamp(-most, most)  # beyond it a finite number would become infinite
@@ -512,6 +497,33 @@ class Simulation(Sensing):
 
 
 STATE_FIELDS = ("pos", "vel", "true_vel", "frozen", "status", "time")
+
+
+def checked_actions(
+    actions: object, shape: tuple[int, int], device: str | None = None, counts: torch.Tensor | None = None
+) -> torch.Tensor:
+    """``actions`` as a tensor ``[num_envs, num_actions]``, on ``device`` if one is given.
+
+    Raises:
+        ActionError: they are no plain numbers of this ``shape``; on the CPU also values that are not finite, where they
+            count (bool of this shape; None: everywhere).
+    """
+    try:
+        actions = torch.as_tensor(actions, device=device)
+    except Exception as error:  # `as_tensor` may raise anything for what is no array
+        raise ActionError(f"Actions must be a tensor or array of numbers: {str(error)[:200]}.") from None
+    if tuple(actions.shape) != shape:
+        got = list(actions.shape)
+        raise ActionError(f"Actions must have the shape {list(shape)} [num_envs, num_actions], got {got}.")
+    if actions.dtype not in NUMBERS or actions.layout is not torch.strided or actions.device.type == "meta":
+        got = f"{actions.dtype}, {actions.layout} on {actions.device.type}"
+        raise ActionError(f"Actions must be plain numbers, got {got}.")
+    if actions.device.type == "cpu":
+        fine = torch.isfinite(actions) if counts is None else torch.isfinite(actions) | ~counts
+        if not bool(fine.all()):
+            bad = int((~fine).nonzero()[0, 0])
+            raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")
+    return actions
 
 
 def _torch(array: wp.array) -> torch.Tensor:

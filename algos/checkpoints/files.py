@@ -24,8 +24,6 @@ from warpvox.errors import RunError
 from warpvox.io.writing import atomic_path
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-KINDS = ("voxels", "gait", "rnn")
-"""Of :class:`PolicySpec`: what a policy of fully connected layers has not."""
 RNN = {"rnn_type": "lstm", "rnn_hidden_dim": 256, "rnn_num_layers": 1}
 """Settings of rsl-rl's ``RNNModel``, with its defaults."""
 WIDEST = 1 << 16
@@ -270,7 +268,7 @@ def check_fits(ours: PolicySpec, pretrained: PolicySpec) -> None:
 
 def spec_dict(spec: PolicySpec) -> dict[str, Any]:
     """The form in which a checkpoint stores a specification."""
-    values = {name: value for name, value in asdict(spec).items() if name not in KINDS or value is not None}
+    values = {name: value for name, value in asdict(spec).items() if value is not None}
     if spec.voxels is not None:  # of code the name alone, as a plain text
         values["voxels"] |= {"network": str(spec.voxels["network"])}
     return values

@@ -10,8 +10,8 @@ import torch
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.checkpoints.files import load_checkpoint, save_checkpoint, spec_dict, spec_for
 from warpvox.algos.settings import Ppo
-from warpvox.algos.training.runner import BEST
 from warpvox.io.writing import check_folder, write_text, writing
+from warpvox.runs import BEST
 
 DESIGNS = "designs"
 """The folder of all policies."""

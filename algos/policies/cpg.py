@@ -56,7 +56,7 @@ class CpgNetwork(nn.Module):
             raise ConfigError(f"The width of policy=cpg must be a multiple of its heads ({heads}), got {width}.")
         self.shape, self.oscillations = (layout.rows, layout.columns), len(layout.periods)
         self.value = GridNetwork(layout, critic) if critic else None
-        self._known: tuple[torch.Tensor, torch.Tensor] | None = None
+        self._known: tuple[list[tuple[int, int]], torch.Tensor, torch.Tensor] | None = None
         if critic:
             return
         self.response = LinearResponse(layout.rows, layout.columns, layout.periods)
@@ -92,13 +92,15 @@ class CpgNetwork(nn.Module):
         return super().train(mode)
 
     def _weights_once(self, cells: torch.Tensor) -> torch.Tensor:
-        """:meth:`weights`; those of the last call, while nothing learns and the bodies are the same."""
+        """:meth:`weights`; those of the last call, while nothing has learned and the bodies are the same."""
         bodies = cells[..., MOVING:]
         if self.training or torch.is_grad_enabled() or _becomes_a_file():
             return self.weights(bodies)
-        if self._known is None or not torch.equal(self._known[0], bodies):
-            self._known = bodies.clone(), self.weights(bodies)
-        return self._known[1]
+        # what was learned, by place and number of writes; those to tensors of inference mode torch does not count
+        learned = [(one.data_ptr(), 0 if one.is_inference() else one._version) for one in self.parameters()]
+        if self._known is None or self._known[0] != learned or not torch.equal(self._known[1], bodies):
+            self._known = learned, bodies.clone(), self.weights(bodies)
+        return self._known[2]
 
     def weights(self, bodies: torch.Tensor) -> torch.Tensor:
         """``[rows, cells, 1 + clock]`` of what does not move in the inputs, ``[rows, cells, 10]``."""

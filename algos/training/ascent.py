@@ -201,7 +201,8 @@ class AscentRunner(Runner):
     def _improve(self) -> None:
         self._collect()
         distance = self.alg.ascend(self._targets) if len(self._targets) else 0.0
-        self.logger.losses = {"value": distance, "surrogate": -self._found["return_mean"], "entropy": 0.0}
+        reached = 0.0 if self._found["unstable"] == self.env.num_envs else self._found["return_mean"]
+        self.logger.losses = {"value": distance, "surrogate": -reached, "entropy": 0.0}
         self._exchange()
 
     def _collect(self) -> None:
@@ -214,7 +215,10 @@ class AscentRunner(Runner):
         targets = weights + (STEP * size / norm.clamp(min=TINY))[:, None, None] * slope
         if bool(known.any()):
             self._targets.add(bodies[known], targets[known])
-        self._found = {"return_mean": float(returns.mean()), "unstable": int(stopped.sum())}
+        if self.bodies is not None:
+            self.bodies.record(torch.ones_like(stopped), returns + self.env.env.spec.unstable_penalty * stopped)
+        # NaN where all were stopped
+        self._found = {"return_mean": float(returns[~stopped].mean()), "unstable": int(stopped.sum())}
         self.logger.means = {"Gradient/norm": float(norm.median()), "Episode/unstable": float(stopped.float().mean())}
         self.logger.ended = torch.ones_like(stopped)
 

@@ -63,7 +63,7 @@ class HeldOut:
         return result
 
     def state(self) -> dict[str, Any]:
-        """Best returns so far, as :class:`warpvox.algos.evaluate.StatefulEvaluator` has it."""
+        """Best returns so far, for :meth:`set_state`."""
         return {"best": torch.from_numpy(self.best.copy())}
 
     def set_state(self, state: dict[str, Any]) -> None:

@@ -338,13 +338,15 @@ def _share(settings: Training, group: ProcessGroup) -> Training:
 @contextmanager
 def own_torch(threads: int) -> Iterator[None]:
     """Training sets torch's threads and seed for its process; the caller's are restored."""
-    known, state = torch.get_num_threads(), torch.get_rng_state()
+    known, gpus = torch.get_num_threads(), range(torch.cuda.device_count()) if torch.cuda.is_initialized() else ()
     torch.set_num_threads(threads)
     try:
-        yield
+        with torch.random.fork_rng(gpus, device_type="cuda"):
+            yield
     finally:
         torch.set_num_threads(known)
-        torch.set_rng_state(state)
+        if not gpus:  # they begin, if they do, with the caller's seed
+            torch.cuda.manual_seed_all(torch.initial_seed())
 
 
 def continued(settings: Training, source: Run) -> tuple[Training, Path]:

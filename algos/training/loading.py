@@ -14,7 +14,7 @@ import torch
 from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.policy import Policy, read_policy
 from warpvox.algos.protocols import NOMINAL, parts_of
-from warpvox.algos.training.metrics import read_metrics
+from warpvox.algos.training.metrics import COLUMNS, read_metrics
 from warpvox.algos.training.playing import SHOWN, Playing, disturbed, load_trained
 from warpvox.code import Code, is_code
 from warpvox.devices.names import resolve_device
@@ -123,7 +123,7 @@ class TrainedRun:
     @property
     def metrics(self) -> dict[str, np.ndarray]:
         """The columns of ``metrics.csv``, float64 ``[iterations]`` each; NaN where an iteration has no such value."""
-        return {name: np.array([row.get(name, np.nan) for row in self.rows]) for name in self.rows[0]}
+        return {name: np.array([row.get(name, np.nan) for row in self.rows], float) for name in COLUMNS}
 
 
 def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:

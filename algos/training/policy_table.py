@@ -23,7 +23,7 @@ from warpvox.runs import Run
 
 @dataclass(frozen=True)
 class EvaluatedPolicy:
-    """A row: the returns of all episodes, and of those that are independent; 1 where all are the same episode."""
+    """A row: the returns of all episodes, and of those that are independent; of equal ones of a body the mean."""
 
     name: str
     task: str
@@ -45,11 +45,12 @@ class EvaluatedPolicy:
         """A row of each disturbance, after one episode in each environment; ``drawn``: all of them differ by chance."""
         found = evaluate(env, policy)
         designs = int(found.design_index.max()) + 1
-        blocks = found.returns.view(designs, len(parts), -1).transpose(0, 1).flatten(1)
+        blocks = found.returns.view(designs, len(parts), -1).transpose(0, 1)
         rows = []
-        for part, returns in zip(parts, blocks.tolist(), strict=True):
+        for part, block in zip(parts, blocks.tolist(), strict=True):
+            returns = [value for body in block for value in body]
             differ = drawn or part != NOMINAL or env.spec.is_random
-            independent = returns if differ else [sum(returns) / len(returns)]
+            independent = returns if differ else [sum(body) / len(body) for body in block]
             rows.append(cls(name, env.spec.id, returns, independent, level, part))
         return rows
 
@@ -108,7 +109,7 @@ def evaluate_run(run: Run, config: Any, designs: Any = None, level: float = 0.95
     """
     env, policy = load_run(run, config, designs, every=True)
     parts = policy.parts if isinstance(policy, Disturbed) else (NOMINAL,)
-    return EvaluatedPolicy.each(str(run.folder), env, policy, level, parts, config.stochastic or run.is_many)
+    return EvaluatedPolicy.each(str(run.folder), env, policy, level, parts, config.stochastic)
 
 
 @dataclass(frozen=True)

@@ -23,20 +23,18 @@ from warpvox.algos.checkpoints.files import (
     spec_for,
     spec_of,
 )
-from warpvox.algos.evaluate import EpisodeReturns, Evaluator, StatefulEvaluator
+from warpvox.algos.evaluate import EpisodeReturns, Evaluator
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
+from warpvox.algos.training.held_out import HeldOut
 from warpvox.algos.training.metrics import Metrics
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
 from warpvox.io.writing import check_folder
-
-BEST = "model_best.pt"
-STATE = "state.pt"
-"""Everything that learning depends on, from before the first iteration on; only the newest is kept."""
+from warpvox.runs import BEST, STATE
 
 
 @dataclass(frozen=True)
@@ -106,7 +104,7 @@ class Runner(OnPolicyRunner):
         env: see :func:`adapt`.
         folder: of the run; must exist.
         evaluator: says how good the policy is without exploration; None: no evaluations. The state of a
-            :class:`StatefulEvaluator` is saved and restored with that of training.
+            :class:`HeldOut` is saved and restored with that of training.
         on_save: called where ``state.pt`` would be written, instead; :meth:`state` is what there is to save.
         logger: where metrics go besides ``metrics.csv``, :data:`warpvox.algos.settings.LOGGERS`.
         group: the processes that train this policy together, each with its own ``env``. The first evaluates, writes
@@ -374,7 +372,7 @@ class Runner(OnPolicyRunner):
         }
         if self.bodies is not None:
             own["bodies"] = self.bodies.state(self.env)
-        if isinstance(self.evaluator, StatefulEvaluator):
+        if isinstance(self.evaluator, HeldOut):
             own["evaluator"] = self.evaluator.state()
         return self._policy_content() | own
 
@@ -386,7 +384,8 @@ class Runner(OnPolicyRunner):
         """Go on from a checkpoint file.
 
         From ``state.pt`` learning goes on exactly as if it had not been stopped; any other checkpoint
-        restores the networks, the optimiser and the schedule, with new episodes.
+        restores the networks, the optimiser and the schedule, with new episodes. The best policy of its folder stays
+        until there is a better one.
         """
         content = load_checkpoint(path, self.device)
         processes = content.get("processes", 1)
@@ -397,6 +396,10 @@ class Runner(OnPolicyRunner):
         if (found := spec_of(content["policy"])) != self.spec:
             raise RunError(f"{path} holds another kind of policy: {found}, not {self.spec}.")
         self.set_state(content)
+        if "env" not in content:
+            with contextlib.suppress(RunError):  # there may be none
+                best = load_checkpoint(path.with_name(BEST))
+                self.best_return, self.best_iteration = best["eval_return"], best["iter"]
 
     def begin_with(self, learned: Mapping[str, Any], optimizer: bool = False) -> None:
         """Begin with the networks of a checkpoint that another training has left, at the beginning of the schedule.
@@ -428,7 +431,7 @@ class Runner(OnPolicyRunner):
         torch.set_rng_state(content["random"]["cpu"].cpu())
         if "cuda" in content["random"] and torch.device(self.device).type == "cuda":
             torch.cuda.set_rng_state(content["random"]["cuda"].cpu(), self.device)
-        if isinstance(self.evaluator, StatefulEvaluator) and "evaluator" in content:
+        if isinstance(self.evaluator, HeldOut) and "evaluator" in content:
             self.evaluator.set_state(content["evaluator"])
         self.elapsed = content["elapsed"]
         self.best_return, self.best_iteration = content["best_return"], content["best_iteration"]

@@ -19,6 +19,7 @@ import torch
 import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint, load_controller
 from warpvox.algos.codesign.stored_policies import policy_sha256
+from warpvox.algos.training.job import own_torch
 from warpvox.cli.config import load
 from warpvox.configs.composition import settings_named
 from warpvox.envs.registry import get_task
@@ -49,6 +50,23 @@ def test_it_trains_as_the_command_does(train: Callable[..., Path], capfd: pytest
     env.step(run.policy(env.reset()[0]))
     resumed = wv.train(resume=run.folder, max_iterations=3, progress=False)
     assert (resumed.folder, resumed.summary["iterations"]) == (run.folder, 3)
+
+
+@pytest.mark.parametrize("in_use", [False, True])
+def test_random_numbers_of_gpus_are_as_before(in_use: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    states = []  # what GPUs are set to, the seed for that of one not in use
+    for name, fake in {
+        "is_initialized": lambda: in_use,
+        "device_count": lambda: 2,
+        "get_rng_state": lambda device: f"state of {device}",
+        "set_rng_state": lambda state, _: states.append(state),
+        "manual_seed_all": states.append,
+    }.items():
+        monkeypatch.setattr(torch.cuda, name, fake)
+    with own_torch(1):
+        torch.manual_seed(123456789)
+    assert states == [123456789, *(["state of 0", "state of 1"] if in_use else [torch.initial_seed()])]
+    assert torch.initial_seed() != 123456789
 
 
 def test_values_of_python_arrive_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,6 +122,7 @@ def test_without_a_folder_nothing_is_written_and_the_same_is_learned(tmp_path: P
     one, other = (run.policy.state_dict() for run in runs)
     assert all(torch.equal(value, other[name]) for name, value in one.items())
     assert runs[0].best_return == runs[1].best_return
+    assert list(runs[0].metrics) == list(runs[1].metrics)
     assert np.allclose(*(run.metrics["eval_return"] for run in runs), rtol=1e-8)
     assert wv.train(own, resume=tmp_path / "mine", max_iterations=3, progress=False).summary["iterations"] == 3
     with pytest.raises(wv.RunError, match="exists already"):

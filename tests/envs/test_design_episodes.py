@@ -231,6 +231,7 @@ def test_what_is_not_valid_is_refused() -> None:
     for actions, words in [
         (torch.zeros(ENVS, 3), "shape"),
         (torch.full((ENVS, env.num_actions), torch.nan), "finite"),
+        (torch.ones(ENVS, env.num_actions, dtype=torch.bool), "plain numbers, got torch.bool"),
         ("x", "numbers"),
     ]:
         with pytest.raises(ActionError, match=words):

@@ -59,6 +59,8 @@ def test_a_specification_can_be_copied_and_sent(task: str) -> None:
         ({"rewards": (rewards(displacement, axis="x"), rewards(displacement, axis="x", weight=2.0))}, "several"),
         ({"id": "mine/Walker-v0"}, "letters, digits"),
         ({"randomized": ("ground",)}, "no memory named 'offset'"),
+        ({"paper": {"reward": ()}}, "'reward'. Did you mean 'rewards'"),
+        ({"paper": {"paper": {}}}, "paper of the task 'Mine-v0'"),
     ],
 )
 def test_specifications_that_make_no_sense_are_refused(changes: dict, words: str) -> None:

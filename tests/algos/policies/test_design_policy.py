@@ -139,9 +139,14 @@ def test_types_are_drawn_as_often_as_they_are_likely() -> None:
 @pytest.mark.parametrize("revise", ["all", "one"])
 def test_rsl_rls_own_runner_trains_both_stages(revise: str) -> None:
     env = make(revise)
+    chosen = settings(env)
+    if revise == "all":  # with intrinsic rewards
+        chosen["obs_groups"]["rnd_state"] = ["policy"]
+        layers = {"num_outputs": 3, "predictor_hidden_dims": [4], "target_hidden_dims": [4]}
+        chosen["algorithm"]["rnd_cfg"] = {"weight": 1.0, **layers}
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        runner = OnPolicyRunner(env, settings(env), log_dir=None, device="cpu")
+        runner = OnPolicyRunner(env, chosen, log_dir=None, device="cpu")
         actor = runner.alg.get_policy()
         before = {name: value.clone() for name, value in actor.named_parameters()}
         runner.learn(2, init_at_random_ep_len=True)

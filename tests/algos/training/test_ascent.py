@@ -1,19 +1,23 @@
 """Training by gradients through the physics: it climbs, resumes exactly, and refuses what has no derivative."""
 
+import copy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from learning import assert_same_weights, ppo_settings, small_env
 
+from warpvox.algos.checkpoints.policy import policy_of
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.policies.registry import layout_for
 from warpvox.algos.training.ascent import AscentRunner, Targets
 from warpvox.algos.training.bodies import Bodies, draw_bodies
-from warpvox.algos.training.runner import STATE, Schedule, adapt
+from warpvox.algos.training.runner import Schedule, adapt
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
+from warpvox.runs import STATE
 
 ENVS, SHAPE, STEPS = 8, (3, 3), 40
 SETTINGS = {"width": 8, "heads": 2, "layers": 1}
@@ -71,6 +75,25 @@ def test_the_rollout_is_what_the_policy_does() -> None:
     assert runner._found["return_mean"] == pytest.approx(total, abs=1e-6)
 
 
+def test_stopped_episodes_say_of_a_body_that_it_does_badly_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    runner = make_runner("performance")
+    roll_out, stops = runner._roll_out, torch.arange(ENVS) < 3
+
+    def stopped(*given: Any) -> tuple[torch.Tensor, ...]:
+        returns, slope, _ = roll_out(*given)
+        return returns.masked_fill(stops, 0.0), slope.masked_fill(stops[:, None, None], 0.0), stops
+
+    monkeypatch.setattr(runner, "_roll_out", stopped)
+    runner._improve()
+    whole = runner.bodies._returns[3:]
+    assert runner._found["return_mean"] == pytest.approx(whole.mean())
+    assert runner.bodies._returns[:3].tolist() == [-3.0] * 3
+    stops[:] = True
+    runner._improve()
+    runner._check(runner.logger.losses)  # no divergence
+    assert np.isnan(runner._found["return_mean"])
+
+
 @pytest.mark.parametrize("refresh", ["none", pytest.param("new", marks=pytest.mark.slow)])
 def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path, refresh: str) -> None:
     whole = make_runner(refresh)
@@ -101,6 +124,20 @@ def test_weights_that_are_kept_are_those_of_the_body_and_of_what_was_learned() -
         for parameter in actor.network.parameters():
             parameter.mul_(0.5)
         assert not torch.equal(actor.eval()(obs), first)
+
+
+def test_a_loaded_policy_that_is_trained_further_acts_by_what_it_has_learned() -> None:
+    runner = make_runner()
+    policy, obs = policy_of(runner.controller).requires_grad_(), runner.env.reset()["policy"]
+    optimizer, known = torch.optim.SGD(policy.parameters(), 0.1), copy.deepcopy(policy.state_dict())
+    exact = policy.in_float64().act(obs.numpy())
+    first = policy.act(obs.numpy())
+    assert np.array_equal(policy.in_float64().act(obs.numpy()), exact)  # not by weights in float32
+    policy(obs).sum().backward()
+    optimizer.step()
+    assert not np.array_equal(policy.act(obs.numpy()), first)
+    policy.load_state_dict(known)
+    assert np.array_equal(policy.act(obs.numpy()), first)
 
 
 def test_what_moves_does_not_matter() -> None:

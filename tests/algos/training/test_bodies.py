@@ -13,9 +13,10 @@ from warpvox.algos.policies.layout import layout_of
 from warpvox.algos.training.bodies import Bodies, draw_bodies
 from warpvox.algos.training.held_out import HeldOut
 from warpvox.algos.training.metrics import read_metrics
-from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
+from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError
+from warpvox.runs import STATE
 
 LIMIT, SHAPE = 8, (3, 3)
 HELD_OUT = draw_bodies(3, SHAPE, np.random.default_rng(9))
@@ -115,6 +116,15 @@ def test_a_new_body_is_one_that_was_not_there_until_there_are_no_others() -> Non
     every = {cropped(body) for body in bodies._new(100)}  # more than there are
     assert {*drawn, *map(cropped, pool)} < every
     assert not every & {cropped(body) for body in held_out}
+
+
+def test_a_resumed_run_knows_that_bodies_may_come_again() -> None:
+    first, second = make_runner("new", 1), make_runner("new", 1)
+    first.bodies.shape = (1, 3)
+    first.bodies._new(100)  # more than there are
+    first.bodies.shape = SHAPE
+    second.bodies.set_state(first.bodies.state(first.env), second.env)
+    assert second.bodies._digests == first.bodies._digests
 
 
 def cropped(body: np.ndarray) -> tuple:

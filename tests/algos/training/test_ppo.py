@@ -7,14 +7,15 @@ import pytest
 import torch
 from learning import ENVS, assert_same_weights, ppo_settings, rows, small_env, weights
 
-from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.checkpoints.files import load_checkpoint, save_checkpoint
 from warpvox.algos.evaluate import evaluate, evaluator
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training import metrics
 from warpvox.algos.training.metrics import Metrics, check_logger, read_metrics
-from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
+from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError, RunError
+from warpvox.runs import STATE
 
 STEPS, LIMIT = 6, 14
 
@@ -105,14 +106,18 @@ def test_resumed_learning_is_the_same_bit_for_bit(tmp_path: Path, task: str, cha
     assert [row["iteration"] for row in read_metrics(whole.folder)] == [1, 2, 3, 4]
 
 
-def test_rows_beyond_the_checkpoint_are_written_again(tmp_path: Path) -> None:
+def test_a_resumed_checkpoint_writes_later_rows_again_and_keeps_the_best_policy(tmp_path: Path) -> None:
     first = make_runner(3, folder=tmp_path, save=1)
     first.run()
     (tmp_path / "metrics.csv").open("a").write("4,19")  # cut short by a crash
+    best = load_checkpoint(tmp_path / "model_best.pt") | {"eval_return": 1e9}  # which nothing will reach
+    save_checkpoint(tmp_path / "model_best.pt", best)
     second = make_runner(4, folder=tmp_path)
     second.resume(tmp_path / "model_2.pt")
     second.run()
     assert [row["iteration"] for row in read_metrics(tmp_path)] == [1, 2, 3, 4]
+    assert load_checkpoint(tmp_path / "model_best.pt")["eval_return"] == 1e9
+    assert (second.best_return, second.best_iteration) == (1e9, best["iter"])
 
 
 def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:

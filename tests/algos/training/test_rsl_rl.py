@@ -13,9 +13,10 @@ from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.checkpoints.policy import parse_policy, policy_of, policy_text
 from warpvox.algos.evaluate import evaluate, evaluator
 from warpvox.algos.training.playing import SampledController
-from warpvox.algos.training.runner import STATE, Runner, Schedule, adapt
+from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.code import Code
 from warpvox.errors import ConfigError, RunError
+from warpvox.runs import STATE
 
 LIMIT = 14
 GRU = {"rnn_type": "gru", "rnn_hidden_dim": 6}

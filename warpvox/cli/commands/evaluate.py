@@ -131,14 +131,14 @@ def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]
 
 
 def _say_alike(rows: list[EvaluatedPolicy], config: EvaluateConfig, console: Console) -> None:
-    """Report runs whose episodes are all the same, so that more of them add no information."""
+    """Report runs whose episodes with a body are all the same, so that more of them add no information."""
     alike = [row for row in rows if len(row.independent) < len(row.returns)] if config.protocol == NOMINAL else []
     if alike:
         which = "all runs" if len(alike) == len(rows) else f"{len(alike)} of {len(rows)} runs"
         echo(
             console,
-            f"The {config.episodes} episodes of {which} are one: the task draws nothing at random and the policy is"
-            " deterministic. episodes=1 says as much, stochastic=true samples actions.",
+            f"The {config.episodes} episodes of {which} are one for each body: the task draws nothing at random and the"
+            " policy is deterministic. One each says as much, stochastic=true samples actions.",
         )
 
 
