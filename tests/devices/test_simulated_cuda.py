@@ -18,6 +18,7 @@ import torch
 import warp as wp
 from rsl_rl.algorithms import PPO as StockPPO
 from simulated_cuda import SimulatedCuda, Stream
+from tiny import tiny
 
 from warpvox.algos import evaluate as evaluation
 from warpvox.algos.candidate import Candidate
@@ -40,10 +41,6 @@ from warpvox.view.rollout import record
 
 ENVS, LIMIT, STEPS = 4, 4, 6
 BODY = example_design("mini")
-TRAIN = (
-    "train task=Walker-v0 design=mini num_envs=4 device=cuda max_iterations=2 eval_interval=2 ppo.steps=4"
-    " ppo.minibatches=1 ppo.epochs=1"
-).split()
 
 
 @pytest.fixture
@@ -218,7 +215,7 @@ def test_a_training_ends_and_no_step_of_it_waits(words, graphs: int, cuda: Simul
     watched(PPO, "process_env_step")
     watched(RslRlVecEnv, "step")
     monkeypatch.setattr(evaluation, "evaluate", evaluate)
-    warpvox(*TRAIN, *words.split())
+    warpvox(*tiny("train", "device=cuda", "num_envs=4", "max_iterations=2", "ppo.minibatches=1", *words.split()))
     assert evaluated == ["cpu"]
     assert len(cuda.captured) == graphs
     later = waits[len(waits) // 2 :]  # in the first iteration kernels are loaded, and a graph is captured
