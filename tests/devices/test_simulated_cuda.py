@@ -16,7 +16,7 @@ import gymnasium
 import pytest
 import torch
 import warp as wp
-from rsl_rl.algorithms import PPO as StockPPO
+from learning import stock_ppo
 from simulated_cuda import SimulatedCuda, Stream
 from tiny import tiny
 
@@ -25,7 +25,7 @@ from warpvox.algos.candidate import Candidate
 from warpvox.algos.codesign import sequential_evaluator
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.population.training import PopulationTraining
-from warpvox.algos.training.ppo import PPO, rsl_rl_config
+from warpvox.algos.training.ppo import PPO
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.batch.options import SimOptions
 from warpvox.cli.config import load
@@ -233,17 +233,6 @@ def runner(num_envs: int = ENVS) -> Runner:
     return Runner(adapt(env, settings()), settings(), Schedule(total=10, evaluate=10**9))
 
 
-def stock(env: RslRlVecEnv) -> StockPPO:
-    """rsl-rl's own PPO with the same settings."""
-    config = rsl_rl_config(settings(), 10) | {"multi_gpu": None}
-    wanted = set(StockPPO.__init__.__code__.co_varnames)
-    config["algorithm"] = {k: v for k, v in config["algorithm"].items() if k in wanted} | {"class_name": "PPO"}
-    for name in ("actor", "critic"):
-        config[name] |= {"class_name": "MLPModel"}
-    config["actor"]["distribution_cfg"] = {"class_name": "GaussianDistribution", "init_std": 1.0}
-    return StockPPO.construct_algorithm(env.get_observations(), env, config, "cuda:0")
-
-
 def counted(cuda: SimulatedCuda, part: Callable[[], Any]) -> tuple[int, int, int]:
     """Waits, operations and launches, once buffers are made."""
     part()
@@ -255,7 +244,7 @@ def counted(cuda: SimulatedCuda, part: Callable[[], Any]) -> tuple[int, int, int
 
 def test_an_update_waits_no_more_often_than_rsl_rls(cuda: SimulatedCuda) -> None:
     found, env = [], runner().env
-    for algorithm in (runner().alg, stock(env)):
+    for algorithm in (runner().alg, stock_ppo(env, settings(), "cuda:0")):
 
         def update(algorithm: Any = algorithm) -> None:
             obs = env.get_observations()
