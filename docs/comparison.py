@@ -16,7 +16,7 @@ from pathlib import Path
 
 from warpvox.envs.registry import known_returns
 from warpvox.io.reading import read_table
-from warpvox.io.writing import write_text
+from warpvox.io.writing import write_table, write_text
 
 FOLDER = Path(__file__).resolve().parent
 TABLE, PAGE = FOLDER / "results" / "searches.csv", FOLDER / "search.md"
@@ -81,19 +81,13 @@ def with_suite(rows: Sequence[Row], folder: Path) -> list[Row]:
     return [by_name[key] for key in sorted(by_name)]
 
 
-def write_table(rows: Sequence[Row]) -> None:
-    """Replace the committed rows."""
-    lines = [",".join(COLUMNS), *(",".join(row[name] for name in COLUMNS) for row in rows)]
-    write_text(TABLE, "\n".join(lines) + "\n")
-
-
 def main(words: Sequence[str]) -> None:
     """See the top of this file."""
     if words[:1] == ["add"]:
         rows: list[Row] = list(read_table(TABLE))
         for folder in words[1:]:
             rows = with_suite(rows, Path(folder))
-        write_table(rows)
+        write_table(TABLE, COLUMNS, ([row[name] for name in COLUMNS] for row in rows))
     elif words:
         raise SystemExit(__doc__)
     write_text(PAGE, page(PAGE.read_text(encoding="utf-8"), read_table(TABLE)))

@@ -70,6 +70,17 @@ def narrow_packs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("warpvox.algos.env_factory.MAX_WIDTH", 8)
 
 
+@pytest.fixture(scope="module")
+def one_thread() -> Iterator[None]:
+    """Tensors of tests are tiny: a pool of threads only costs time on a busy machine."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
 @pytest.fixture(autouse=True)
 def interrupts_arrive() -> Iterator[None]:
     """Tests send SIGINT, to themselves and to their children; a shell script's background jobs ignore it."""

@@ -1,18 +1,9 @@
-"""Precision and threads of torch, for tests that compare trainings."""
+"""Precision of torch, for tests that compare trainings."""
 
 from collections.abc import Iterator
 
 import pytest
 import torch
-
-
-@pytest.fixture
-def one_thread() -> Iterator[None]:
-    """Two threads would only be slower."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture

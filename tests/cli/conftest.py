@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tiny import tiny
 
 from warpvox.envs import registry
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
-
-SMALL = "design=mini num_envs=8 threads=1 device=cpu ppo.steps=4 ppo.hidden=[8] ppo.epochs=1 eval_interval=2".split()
 
 
 @pytest.fixture(autouse=True)
@@ -34,9 +33,8 @@ def train(warpvox: Callable[..., Any]) -> Callable[..., Path]:
 
     def call(*words: str) -> Path:
         before = set(Path("outputs").glob("train/*/*"))
-        keys = [word.split("=")[0] for word in words]
-        keys += ["design"] if any(key.startswith("designs") for key in keys) else []
-        warpvox("train", *(word for word in SMALL if word.split("=")[0] not in keys), *words)
+        many = any(word.startswith("designs") for word in words)
+        warpvox(*(word for word in tiny("train", *words) if not many or word != "design=mini"))
         (folder,) = set(Path("outputs").glob("train/*/*")) - before
         return folder
 

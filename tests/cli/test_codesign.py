@@ -12,6 +12,7 @@ import yaml
 from fault_cases import digest
 from PIL import Image
 from rich.console import Console
+from tiny import tiny
 
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome
 from warpvox.algos.checkpoints.files import load_controller
@@ -27,12 +28,7 @@ from warpvox.runs import read_summary
 from warpvox.view.cell_text import body_rows
 from warpvox.view.palette import cell_colour
 
-TINY = (
-    "shape=[3,3] search.population=5 search.max_evaluations=8 search.survivor_rate=0.3 training.envs=8"
-    " training.iterations=2 training.eval_interval=2 training.ppo.steps=4 training.ppo.hidden=[8] training.ppo.epochs=1"
-    " device=cpu threads=1"
-).split()
-
+SIZES = "search.population=5", "search.max_evaluations=8", "training.iterations=2", "training.eval_interval=2"
 ROUNDING = 1e-6  # of the rewards in a rollout, which are summed up in float64 and stored one by one in float32
 
 
@@ -42,8 +38,7 @@ def search(warpvox: Callable) -> Callable[..., Path]:
 
     def call(*words: str) -> Path:
         before = set(Path("outputs").glob("codesign/*/*"))
-        keys = [word.split("=")[0] for word in words]
-        warpvox("codesign", *(word for word in TINY if word.split("=")[0] not in keys), *words)
+        warpvox(*tiny("codesign", *SIZES, *words))
         (folder,) = set(Path("outputs").glob("codesign/*/*")) - before
         return folder
 
@@ -102,9 +97,7 @@ def test_the_winner_of_a_random_task_is_judged_again_on_fresh_seeds(search: Call
 
 def test_the_same_seed_gives_the_same_search_and_a_sweep_makes_several(search: Callable, warpvox: Callable) -> None:
     one = digest(search("seed=1", "search.max_evaluations=5"))
-    keys = ("seed", "search.max_evaluations")
-    words = [word for word in TINY if word.split("=")[0] not in keys] + ["search.max_evaluations=5"]
-    warpvox("codesign", *words, "--multirun", "seed=1,2")
+    warpvox(*tiny("codesign", *SIZES, "search.max_evaluations=5", "--multirun", "seed=1,2"))
     folders = sorted(Path("outputs/codesign/Walker-v0").iterdir())
     assert len(folders) == 3
     found = [digest(folder) for folder in folders]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from tiny import tiny
 
 from warpvox.algos.candidate import FINALIST, START, Candidate, Outcome
 from warpvox.algos.codesign.archive import FILE, Archive, Record
@@ -24,31 +25,26 @@ from warpvox.runs import read_summary
 from warpvox.system import processor_name
 
 pytestmark = pytest.mark.usefixtures("narrow_packs")
-TINY = (
-    "shape=[3,3] search.population=3 search.max_evaluations=5 search.survivor_rate=0.3 training.envs=8"
-    " training.iterations=1 training.eval_interval=1 training.ppo.steps=4 training.ppo.hidden=[8] training.ppo.epochs=1"
-    " device=cpu threads=1"
-).split()
 OF = {
     "specialist": [],
     "gaits": ["evaluation.finalists=2"],
     "shared": ["evaluation.finalists=2", "evaluation.envs=8", "evaluation.iterations=1"],
 }
+OF["few_shot"] = OF["shared"]
 ROUNDING = 1e-6
 ROUNDS = "evaluation.final_passes=0"  # finalists of evaluation=gaits have rounds alone
 TRAINED = "designs=random:4:3x3", "policy=grid", "num_envs=8", "max_iterations=2", "network={width:8}", "lanes=8"
 
 
-def tiny(*words: str) -> list[str]:
-    """Words of a small search, those given last."""
-    given = dict(word.split("=", 1) for word in words)
-    usual = "shared" if "preset" in given else given.get("evaluation", "specialist").replace("few_shot", "shared")
-    return [*(word for word in [*TINY, *OF[usual]] if word.split("=")[0] not in given), *words]
+def tiny_search(*words: str) -> list[str]:
+    """A search with the usual sizes of its evaluation."""
+    evaluation = dict(word.split("=", 1) for word in words).get("evaluation", "specialist")
+    return tiny("codesign", *OF[evaluation], *words)
 
 
 def search(warpvox: Callable, *words: str) -> Path:
     before = set(Path("outputs").glob("codesign/*/*"))
-    outcome = warpvox("codesign", *tiny(*words))
+    outcome = warpvox(*tiny_search(*words))
     assert "generation 0: 3 designs to evaluate" in outcome.out
     (folder,) = set(Path("outputs").glob("codesign/*/*")) - before
     return folder
@@ -147,7 +143,7 @@ def test_a_search_by_gaits(warpvox: Callable) -> None:
 def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(warpvox, monkeypatch, words: str) -> None:
     short = dataclasses.replace(registry.get_task("BidirectionalWalker-v0"), max_episode_steps=50)
     monkeypatch.setitem(registry._TASKS, short.id, short)
-    warpvox("codesign", *tiny("task=BidirectionalWalker-v0", "seed=3", *words.split()))
+    warpvox(*tiny_search("task=BidirectionalWalker-v0", "seed=3", *words.split()))
     (folder,) = Path("outputs/codesign/BidirectionalWalker-v0").iterdir()
     for record in records_of(folder)[1::5]:  # one that is compared, one that is trained
         run = folder / "designs" / str(record.id)
@@ -243,7 +239,7 @@ def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path
     ],
 )
 def test_environments_that_are_stepped_together(words: str, count: int) -> None:
-    assert environments(settings(*tiny(*words.split()))) == count
+    assert environments(settings(*tiny_search(*words.split())[1:])) == count
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,9 @@ import re
 from collections.abc import Callable
 
 import pytest
+from tiny import tiny
 
 GIB = 2**30
-SMALL = "device=cpu threads=1 ppo.steps=4 ppo.hidden=[8] ppo.epochs=1 max_iterations=1".split()
 
 
 @pytest.fixture
@@ -37,12 +37,12 @@ def test_what_does_not_fit_is_refused_with_what_does(warpvox, tmp_path, free, si
 
 def test_a_training_takes_the_advice_or_goes_without(warpvox: Callable, free: Callable) -> None:
     free(0.004)
-    words = ["train", *SMALL, "design=[mini,worm,walker]"]
-    refused = warpvox(*words, "num_envs=3000", fails="memory_check=false")
+    several = "design=[mini,worm,walker]"
+    refused = warpvox(*tiny("train", several, "num_envs=3000"), fails="memory_check=false")
     fits = int(re.search(r"num_envs=(\d+)", refused.err)[1])
     assert fits % 3 == 0
-    warpvox(*words, f"num_envs={fits}")
-    warpvox(*words, "num_envs=600", "memory_check=false")
+    warpvox(*tiny("train", several, f"num_envs={fits}"))
+    warpvox(*tiny("train", several, "num_envs=600", "memory_check=false"))
     warpvox("train", "resume=latest", "max_iterations=2", "memory_check=true", fails="")
     warpvox("train", "resume=latest", "max_iterations=2")  # as the run was begun
 

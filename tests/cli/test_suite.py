@@ -18,6 +18,7 @@ import parallel
 import pytest
 import yaml
 from suite_jobs import act
+from tiny import tiny
 
 from warpvox.algos.candidate import Outcome
 from warpvox.algos.codesign import results, run as search_run
@@ -34,11 +35,7 @@ from warpvox.cli.suite_plan import BENCHMARK10, merged, plan, task_names
 from warpvox.envs.registry import task_ids
 from warpvox.errors import DivergenceError, StorageError, WarpvoxError
 
-TINY = (
-    "tasks=[Walker-v0,Thrower-v0] searches=[ga] seeds=2 shape=[3,3] evaluations=8 search.population=5"
-    " search.survivor_rate=0.3 training.envs=8 training.iterations=2 training.eval_interval=2 training.rungs=[]"
-    " training.ppo.steps=4 training.ppo.hidden=[8] training.ppo.epochs=1 device=cpu threads=1"
-).split()
+SIZES = "tasks=[Walker-v0,Thrower-v0]", "searches=[ga]", "seeds=2", "evaluations=8", "search.population=5"
 MEMBER_KEYS = [(task, "ga", seed) for seed in (0, 1) for task in ("Walker-v0", "Thrower-v0")]
 
 
@@ -189,9 +186,8 @@ def quick(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> Callable:
     monkeypatch.setattr(making, "LocalPool", HerePool)
 
     def call(*words: str, **ends: Any) -> Any:
-        keys = [word.split("=")[0] for word in words]
-        more = [] if {"resume", "report"} & set(keys) else TINY
-        return warpvox("suite", *(word for word in more if word.split("=")[0] not in keys), *words, **ends)
+        again = any(word.startswith(("resume=", "report=")) for word in words)
+        return warpvox(*(["suite", *words] if again else tiny("suite", *SIZES, *words)), **ends)
 
     return call
 
@@ -398,16 +394,15 @@ def test_a_process_that_is_asked_to_end_while_it_starts_has_not_failed(pool: Loc
 
 @pytest.mark.slow
 def test_a_suite_that_is_ended_again_and_again_comes_to_the_same_end(tmp_path: Path) -> None:
-    words = [word for word in TINY if not word.startswith("training.iterations")]
-    words += ["training.iterations=30", "workers=2", "name=x"]
-    line = [sys.executable, "-m", "warpvox", "suite"]
+    words = tiny("suite", *SIZES, "training.iterations=30", "training.eval_interval=2", "workers=2", "name=x")
+    line = [sys.executable, "-m", "warpvox"]
     for name in ("whole", "ended"):
         (tmp_path / name).mkdir()
     subprocess.run([*line, *words], cwd=tmp_path / "whole", check=True)
     place, folder = tmp_path / "ended", tmp_path / "ended" / "outputs" / "suite" / "x"
     for end in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT):
         began = time.time()
-        with subprocess.Popen([*line, *(["resume=latest"] if folder.exists() else words)], cwd=place,
+        with subprocess.Popen([*line, *(["suite", "resume=latest"] if folder.exists() else words)], cwd=place,
                               start_new_session=True) as process:  # fmt: skip
             while not any(log.stat().st_mtime > began for log in folder.glob(f"members/*/*/*/{LOG}")):
                 assert process.poll() is None
@@ -420,7 +415,7 @@ def test_a_suite_that_is_ended_again_and_again_comes_to_the_same_end(tmp_path: P
             assert process.wait(300) == (-end if end == signal.SIGKILL else 128 + end)
         assert ("running" in states(folder)) == (end == signal.SIGKILL)
         assert "failed" not in states(folder)
-    subprocess.run([*line, "resume=latest"], cwd=place, check=True)
+    subprocess.run([*line, "suite", "resume=latest"], cwd=place, check=True)
     assert states(folder) == ["done"] * 4
     whole = tmp_path / "whole" / "outputs" / "suite" / "x"
     assert digests(folder) == digests(whole)
@@ -431,6 +426,6 @@ def test_a_suite_that_is_ended_again_and_again_comes_to_the_same_end(tmp_path: P
 def test_ray_makes_the_same_members(warpvox: Callable) -> None:
     pytest.importorskip("ray", reason="Ray is not installed")
     with parallel.turn("ray"):
-        warpvox("suite", *TINY, "executor=ray", "workers=2", "name=ray")
-    warpvox("suite", *TINY, "workers=2", "name=here")
+        warpvox(*tiny("suite", *SIZES, "executor=ray", "workers=2", "name=ray"))
+    warpvox(*tiny("suite", *SIZES, "workers=2", "name=here"))
     assert digests(Path("outputs/suite/ray")) == digests(Path("outputs/suite/here"))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from tiny import tiny
 
 import warpvox as wv
 from warpvox.algos.training.metrics import read_metrics
@@ -16,8 +17,6 @@ from warpvox.design import example_design
 from warpvox.devices.startup import LOGGER
 from warpvox.errors import DivergenceError
 from warpvox.system import processor_name
-
-TINY = "design=mini num_envs=8 threads=1 device=cpu ppo.steps=4 ppo.hidden=[8] ppo.epochs=1 max_iterations=1".split()
 
 
 def table() -> list[dict[str, str]]:
@@ -36,7 +35,7 @@ def test_labels_are_short_and_safe(value: str) -> None:
 
 
 def test_a_sweep_leaves_a_table(warpvox: Callable) -> None:
-    outcome = warpvox("train", "-m", "seed=1,2", "ppo.gamma=0.9,0.99", "name=x", *TINY)
+    outcome = warpvox(*tiny("train", "-m", "seed=1,2", "ppo.gamma=0.9,0.99", "name=x"))
     folders = sorted(
         Path("outputs/train/Walker-v0").iterdir(), key=lambda folder: (folder / "config.yaml").stat().st_mtime_ns
     )
@@ -71,7 +70,7 @@ def test_a_member_that_fails_does_not_end_the_sweep(warpvox: Callable, monkeypat
         run(self)
 
     monkeypatch.setattr(Runner, "run", fail_once)
-    last = warpvox("train", "-m", *words, "seed=1,2", "name=x", *TINY, code=2).err.splitlines()[-1]
+    last = warpvox(*tiny("train", "-m", *words, "seed=1,2", "name=x"), code=2).err.splitlines()[-1]
     assert last.startswith("warpvox: 1 of 2 runs failed, the first of them with: it diverged")
     assert not LOGGER.disabled  # Hydra's configuration of logs can switch off those that there are
     assert [(row["run"], row["seed"], row["status"]) for row in table()] == [("1", "1", "failed"), ("2", "2", "done")]
@@ -85,7 +84,7 @@ def test_an_interrupt_ends_a_sweep_with_its_table(warpvox: Callable, monkeypatch
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Runner, "run", interrupt)
-    outcome = warpvox("train", "-m", "seed=1,2,3", *TINY, code=130)
+    outcome = warpvox(*tiny("train", "-m", "seed=1,2,3"), code=130)
     assert [row["status"] for row in table()] == ["interrupted"]
     assert "1 of 3 runs" in outcome.out
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tiny import tiny
 
 STAND_IN = """
 import json, os, pathlib
@@ -79,12 +80,8 @@ def test_a_resumed_training_goes_on_in_the_same_run(
 
 
 def test_the_searches_of_a_suite_send_their_generations_as_one_group(told: Callable, warpvox: Callable) -> None:
-    words = (
-        "name=pilot tasks=[Walker-v0] searches=[random] seeds=1 shape=[3,3] evaluations=4 search.population=2"
-        " training.envs=8 training.iterations=1 training.eval_interval=1 training.rungs=[] training.ppo.steps=4"
-        " training.ppo.hidden=[8] training.ppo.epochs=1 device=cpu threads=1 logger=wandb"
-    ).split()
-    warpvox("suite", *words)
+    words = "name=pilot tasks=[Walker-v0] searches=[random] seeds=1 evaluations=4 search.population=2 logger=wandb"
+    warpvox(*tiny("suite", *words.split()))
     found = told()
     (options,) = found["init"]
     assert (options["group"], options["name"]) == ("pilot", "random/seed0")

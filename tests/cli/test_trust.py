@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from tiny import tiny
 
 import warpvox as wv
 from warpvox.cli import main
@@ -38,14 +39,7 @@ class Mine(BaseSearch):
         return [self.random_proposal(rng) for _ in range(count)]
 """
 PLAY = ["num_envs=1", "threads=1", "device=cpu", "steps=2", "window=off"]
-TRAIN = (
-    "design=mini num_envs=4 threads=1 device=cpu ppo.steps=4 ppo.hidden=[8] ppo.epochs=1 max_iterations=1"
-    " eval_interval=1 eval_envs=1"
-).split()
-CODESIGN = (
-    "shape=[2,2] search.population=2 search.max_evaluations=2 training.envs=4 training.iterations=1 device=cpu"
-    " training.eval_interval=1 training.ppo.steps=4 training.ppo.hidden=[8] training.ppo.epochs=1 threads=1"
-).split()
+FEW = "search.population=2", "search.max_evaluations=2"
 
 
 def change_config(folder: Path, **changes: object) -> None:
@@ -68,8 +62,8 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     home = tmp_path_factory.mktemp("foreign")
     (home / "evil.py").write_text(EVIL.format(str(home / "marker")))
-    assert main(["train", *TRAIN, f"output_dir={home}/made"]) == 0
-    assert main(["codesign", "search=random", *CODESIGN, f"output_dir={home}/made"]) == 0
+    assert main(tiny("train", f"output_dir={home}/made")) == 0
+    assert main(tiny("codesign", "search=random", *FEW, f"output_dir={home}/made")) == 0
     for command, name, changes in (
         ("train", "run", {"task": f"{home}/evil.py:T"}),
         ("train", "own_network", {"policy": "evil:T"}),
@@ -236,7 +230,7 @@ def test_a_search_on_a_custom_task_in_a_module(warpvox: Callable, tmp_path: Path
     (package.parent / "steps.py").write_text("def count(path):\n    return int(path.read_text())\n")
     Path("search.py").write_text(SEARCH)
     own = "task=zoo_of_tasks.inner.walks:MINE", "search=custom", "search.make=search.py:Mine"
-    outcome = warpvox("codesign", *own, *CODESIGN)
+    outcome = warpvox(*tiny("codesign", *own, *FEW))
     (folder,) = Path("outputs/codesign/Mine-v0").iterdir()
     shutil.rmtree(package.parent)
     Path("search.py").unlink()

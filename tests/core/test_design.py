@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from damage import Stranger
+from flood import pieces
 from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -17,26 +18,13 @@ CELLS = st.sampled_from([1, 2, 3, 4, 3, 4, 2, 1, 0])
 DENSE = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=6), elements=CELLS)
 
 
-def flood_fill(grid: np.ndarray) -> bool:
-    """Whether all filled cells are reachable from the first one; spreads over sets, not over an array."""
-    left = {(int(r), int(c)) for r, c in np.argwhere(grid != 0)}
-    if not left:
-        return False
-    front = {left.pop()}
-    while front:
-        reach = {(r + dr, c + dc) for r, c in front for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0))}
-        front = reach & left
-        left -= front
-    return not left
-
-
 def is_valid(grid: np.ndarray) -> bool:
-    return flood_fill(grid) and bool(((grid == 3) | (grid == 4)).any())
+    return pieces(grid) == 1 and bool(((grid == 3) | (grid == 4)).any())
 
 
 @given(GRIDS | DENSE)
 def test_connectivity_equals_a_flood_fill(grid: np.ndarray) -> None:
-    assert is_connected(grid) == flood_fill(grid)
+    assert is_connected(grid) == (pieces(grid) == 1)
 
 
 @given(hnp.arrays(np.int8, st.tuples(st.integers(0, 6), st.integers(1, 6), st.integers(1, 6)), elements=CELLS))

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tiny import tiny
 
 from warpvox import system
 
@@ -21,7 +22,7 @@ OF_SYSTEMS = {
 @pytest.mark.parametrize("platform", ["win32", "darwin"])
 @pytest.mark.slow
 def test_commands_run_without_what_only_linux_has(platform: str, tmp_path: Path) -> None:
-    line = [sys.executable, str(Path(__file__).with_name("elsewhere.py")), platform]
+    line = [sys.executable, str(Path(__file__).with_name("elsewhere.py")), platform, *tiny("train")]
     done = subprocess.run(line, capture_output=True, text=True, cwd=tmp_path, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
 

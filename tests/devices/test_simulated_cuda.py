@@ -16,15 +16,16 @@ import gymnasium
 import pytest
 import torch
 import warp as wp
-from rsl_rl.algorithms import PPO as StockPPO
+from learning import stock_ppo
 from simulated_cuda import SimulatedCuda, Stream
+from tiny import tiny
 
 from warpvox.algos import evaluate as evaluation
 from warpvox.algos.candidate import Candidate
 from warpvox.algos.codesign import sequential_evaluator
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.population.training import PopulationTraining
-from warpvox.algos.training.ppo import PPO, rsl_rl_config
+from warpvox.algos.training.ppo import PPO
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.batch.options import SimOptions
 from warpvox.cli.config import load
@@ -40,10 +41,6 @@ from warpvox.view.rollout import record
 
 ENVS, LIMIT, STEPS = 4, 4, 6
 BODY = example_design("mini")
-TRAIN = (
-    "train task=Walker-v0 design=mini num_envs=4 device=cuda max_iterations=2 eval_interval=2 ppo.steps=4"
-    " ppo.minibatches=1 ppo.epochs=1"
-).split()
 
 
 @pytest.fixture
@@ -218,7 +215,7 @@ def test_a_training_ends_and_no_step_of_it_waits(words, graphs: int, cuda: Simul
     watched(PPO, "process_env_step")
     watched(RslRlVecEnv, "step")
     monkeypatch.setattr(evaluation, "evaluate", evaluate)
-    warpvox(*TRAIN, *words.split())
+    warpvox(*tiny("train", "device=cuda", "num_envs=4", "max_iterations=2", "ppo.minibatches=1", *words.split()))
     assert evaluated == ["cpu"]
     assert len(cuda.captured) == graphs
     later = waits[len(waits) // 2 :]  # in the first iteration kernels are loaded, and a graph is captured
@@ -236,17 +233,6 @@ def runner(num_envs: int = ENVS) -> Runner:
     return Runner(adapt(env, settings()), settings(), Schedule(total=10, evaluate=10**9))
 
 
-def stock(env: RslRlVecEnv) -> StockPPO:
-    """rsl-rl's own PPO with the same settings."""
-    config = rsl_rl_config(settings(), 10) | {"multi_gpu": None}
-    wanted = set(StockPPO.__init__.__code__.co_varnames)
-    config["algorithm"] = {k: v for k, v in config["algorithm"].items() if k in wanted} | {"class_name": "PPO"}
-    for name in ("actor", "critic"):
-        config[name] |= {"class_name": "MLPModel"}
-    config["actor"]["distribution_cfg"] = {"class_name": "GaussianDistribution", "init_std": 1.0}
-    return StockPPO.construct_algorithm(env.get_observations(), env, config, "cuda:0")
-
-
 def counted(cuda: SimulatedCuda, part: Callable[[], Any]) -> tuple[int, int, int]:
     """Waits, operations and launches, once buffers are made."""
     part()
@@ -258,7 +244,7 @@ def counted(cuda: SimulatedCuda, part: Callable[[], Any]) -> tuple[int, int, int
 
 def test_an_update_waits_no_more_often_than_rsl_rls(cuda: SimulatedCuda) -> None:
     found, env = [], runner().env
-    for algorithm in (runner().alg, stock(env)):
+    for algorithm in (runner().alg, stock_ppo(env, settings(), "cuda:0")):
 
         def update(algorithm: Any = algorithm) -> None:
             obs = env.get_observations()

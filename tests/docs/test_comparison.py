@@ -1,13 +1,9 @@
 """The comparison of searches is what its command makes of the committed rows, and these what suites have found."""
 
-import importlib.util
 import json
 from pathlib import Path
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
-SPEC = importlib.util.spec_from_file_location("comparison", DOCS / "comparison.py")
-comparison = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(comparison)
+import comparison
 
 
 def test_the_page_is_up_to_date() -> None:

@@ -1,10 +1,11 @@
 """Figures and lists that pages repeat are those of the tables and tasks."""
 
-import importlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import charts
+import compare_figures
 import pytest
 
 from warpvox.envs.registry import get_task, task_ids
@@ -56,21 +57,17 @@ def phrases() -> Iterator[tuple[str, str]]:
     yield "README.md", f"`search=ga` reaches {ga} and `search=auto` {auto} (means of 5 seeds; best published: {best})"
 
 
-def test_the_charts_are_those_of_the_tables(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(ROOT / "docs"))
-    charts = importlib.import_module("charts")
+def test_the_charts_are_those_of_the_tables() -> None:
     for name, picture in charts.charts(text_of("docs/figures.md")).items():
         assert (charts.IMAGES / name).read_text(encoding="utf-8") == picture, "run `make charts`"
 
 
-def test_worse_figures_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(ROOT / "docs"))
-    compare = importlib.import_module("compare_figures")
-    old = compare.figures(text_of("docs/figures.md"))
+def test_worse_figures_are_found() -> None:
+    old = compare_figures.figures(text_of("docs/figures.md"))
     slow = {place: value / 2 if place[1] == "ratio" else value * 2 for place, value in old.items()}
     assert len(old) > 40
-    assert len(compare.compare(old, slow)) == len(old)
-    assert not compare.compare(old, old)
+    assert len(compare_figures.compare(old, slow)) == len(old)
+    assert not compare_figures.compare(old, old)
 
 
 @pytest.mark.parametrize(("page", "words"), list(phrases()))

@@ -1,20 +1,17 @@
 """The notebooks run as they are printed, and keep small pictures of what they show."""
 
-import importlib.util
 import json
 import re
 from pathlib import Path
 from typing import Any
 
+import notebooks
 import pytest
 import torch
 
 from warpvox.robots import zoo
 
 ROOT = Path(__file__).resolve().parents[2]
-SPEC = importlib.util.spec_from_file_location("notebooks", ROOT / "docs" / "notebooks.py")
-notebooks = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(notebooks)
 PATHS = sorted(notebooks.FOLDER.glob("*.ipynb"))
 BYTES = 400_000
 QUICK: dict[str, dict[str, Any]] = {

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from tiny import once
 
 from warpvox.cli import main
 
@@ -27,10 +28,8 @@ SMALL = {
 def run_command(line: str) -> None:
     program, command, *words = shlex.split(line)
     assert program == "warpvox"
-    keys = [word.split("=")[0] for word in SMALL[command].split()]
-    given = [word for word in words if word.split("=")[0] not in keys]
     threads = torch.get_num_threads()
-    assert main([command, *given, *SMALL[command].split()]) == 0, line
+    assert main([command, *once(*words, *SMALL[command].split())]) == 0, line
     torch.set_num_threads(threads)
 
 

@@ -1,17 +1,13 @@
 """The page of the paper's experiments is what its command makes of the committed tables; each search is made once."""
 
-import importlib.util
 import re
 from pathlib import Path
+
+import paper_experiments as experiments
 
 from warpvox.algos.suite.members import DONE
 from warpvox.cli.suite_plan import BENCHMARK10
 from warpvox.io.writing import claimed
-
-DOCS = Path(__file__).resolve().parents[2] / "docs"
-SPEC = importlib.util.spec_from_file_location("paper_experiments", DOCS / "paper_experiments.py")
-experiments = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(experiments)
 
 
 def row(task: str, search: str, seed: int, value: float, noise: float) -> dict[str, str]:

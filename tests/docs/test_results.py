@@ -1,12 +1,12 @@
 """The page of results is what its command makes of the committed table, and the table what the archives say."""
 
-import importlib.util
 import json
 import re
 from pathlib import Path
 from typing import Any
 
 import pytest
+import results
 
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.checkpoints.files import save_checkpoint
@@ -19,9 +19,6 @@ from warpvox.robots import Gait, zoo, zoo_tasks
 from warpvox.runs import END
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-SPEC = importlib.util.spec_from_file_location("results", DOCS / "results.py")
-results = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(results)
 ROW = dict.fromkeys(results.COLUMNS, "") | {"task": "Walker-v0", "evaluation": "1", "command": "warpvox codesign"}
 ROW |= {"control_steps": "2000", "seconds": "7500"}
 

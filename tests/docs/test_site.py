@@ -1,12 +1,12 @@
 """The documentation as a whole: every link leads somewhere, every command is described, pictures stay small."""
 
-import importlib.util
 import json
 import os
 import re
 from collections.abc import Callable
 from pathlib import Path
 
+import key_tables
 import pytest
 
 import warpvox
@@ -15,9 +15,6 @@ from warpvox.envs.registry import task_ids
 from warpvox.robots import zoo_tasks
 
 ROOT = Path(__file__).resolve().parents[2]
-SPEC = importlib.util.spec_from_file_location("key_tables", ROOT / "docs" / "key_tables.py")
-key_tables = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(key_tables)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 MEGABYTES = 5  # of which up to 3 are the animation of the zoo
 """Of all pictures together: everybody who clones the repository gets them."""

@@ -5,6 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 import torch
+from flood import pieces
 
 from warpvox.design import sample_design
 from warpvox.envs.adapters.base import spaces_of
@@ -27,20 +28,6 @@ def draw(rng: np.random.Generator) -> np.ndarray:
         return sample_design(shape, rng, probabilities=(0.3, 0.2, 0.2, 0.2, 0.2))
     kinds = rng.choice([5, 5, 5, 6, 7])  # up to actuators, fixed cells, cells of an unknown type
     return rng.integers(0 if rng.random() < 0.5 else 1, kinds, shape)
-
-
-def pieces(body: np.ndarray) -> int:
-    """Groups of cells that hang together, by flooding."""
-    left = set(zip(*np.nonzero(body), strict=True))
-    count = 0
-    while left:
-        count, front = count + 1, [left.pop()]
-        while front:
-            r, c = front.pop()
-            near = {(r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)} & left
-            left -= near
-            front += near
-    return count
 
 
 def reason(spec: TaskSpec, body: np.ndarray) -> tuple[type[Exception], str] | None:

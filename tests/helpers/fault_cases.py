@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 import yaml
+from tiny import tiny
 
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.codesign.archive import FILE, Archive
@@ -14,15 +15,8 @@ from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.io.writing import MARK
 
-TRAIN = (
-    "train design=mini num_envs=8 threads=1 device=cpu ppo.steps=4 ppo.hidden=[8] ppo.epochs=1 max_iterations=3"
-    " eval_interval=2 save_interval=1"
-).split()
-CODESIGN = (
-    "codesign shape=[3,3] search.population=3 search.max_evaluations=5 search.survivor_rate=0.3 training.envs=8"
-    " training.iterations=2 training.eval_interval=2 training.save_interval=1 training.ppo.steps=4"
-    " training.ppo.hidden=[8] training.ppo.epochs=1 device=cpu threads=1 batch=2"
-).split()
+TRAIN = tiny("train", "max_iterations=3", "save_interval=1")
+CODESIGN = tiny("codesign", *"batch=2 training.iterations=2 training.eval_interval=2 training.save_interval=1".split())
 
 
 def same(one: Any, other: Any) -> bool:

@@ -4,11 +4,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rsl_rl.algorithms import PPO as StockPPO
 
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training.metrics import read_metrics
+from warpvox.algos.training.ppo import rsl_rl_config
 from warpvox.algos.training.runner import Runner
 from warpvox.cli.config import load
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 
 ENVS = 8
@@ -28,6 +31,19 @@ def small_env(num_envs: int = ENVS, **changes: Any) -> VoxelVecEnv:
     """Walkers that share a vector of lanes."""
     options = {"task": "Walker-v0", "designs": ["mini"], "device": "cpu", "threads": 1, "lanes": 8} | changes
     return make_vec(num_envs=num_envs, **options)
+
+
+def stock_ppo(env: RslRlVecEnv, ppo: Ppo, device: str = "cpu") -> StockPPO:
+    """rsl-rl's own PPO with the same settings."""
+    config = rsl_rl_config(ppo, 100) | {"multi_gpu": None}
+    config["actor"] |= {"class_name": "MLPModel"}
+    config["actor"]["distribution_cfg"] |= {"class_name": "GaussianDistribution"}
+    config["critic"] |= {"class_name": "MLPModel"}
+    config["algorithm"] |= {"class_name": "PPO"}
+    del config["algorithm"]["total_iterations"], config["algorithm"]["adam_eps"]
+    made = StockPPO.construct_algorithm(env.get_observations(), env, config, device)
+    made.optimizer.param_groups[0]["eps"] = ppo.adam_eps
+    return made
 
 
 def weights(runner: Runner) -> dict[str, torch.Tensor]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from warpvox.design import sample_design
 from warpvox.world import World
 
 
@@ -11,6 +12,16 @@ def world(width: int, height: int, **objects: tuple) -> World:
     for name, (cells, *place) in objects.items():
         made.add_from_array(name, np.asarray(cells), *place)
     return made
+
+
+def crowded_world(seed: int) -> World:
+    """A robot, of this seed, between boxes on a bumpy ground."""
+    bumps = np.full((2, 24), 5)
+    bumps[0, ::3] = 0
+    places = enumerate([(1, 2), (8, 2), (2, 8), (5, 8)])
+    boxes = {f"box{n}": (np.full((1 + n % 2, 2), 1 + n % 2), *place) for n, place in places}
+    robot = sample_design((5, 5), seed=seed), 3, 2
+    return world(24, 16, ground=(bumps, 0, 0), **boxes, bridge=([[5, 2, 2, 5]], 14, 4), robot=robot)
 
 
 def ground(width: int, rows: int = 1) -> tuple[np.ndarray, int, int]:

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 import torch
+from worlds import crowded_world
 
 from warpvox.contact_order import order_arrays, tree_of
 from warpvox.kernels import step
@@ -14,7 +15,7 @@ SQUEEZE, NOISE = 0.7, 0.06
 
 
 @pytest.fixture
-def crowd(crowded_world):
+def crowd():
     """``crowd(seed, lanes)``: contacts of a robot pressed together with its world, in copies; what was noted."""
 
     def contacts(seed, lanes):

@@ -2,15 +2,13 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 import warp as wp
 from ptxas import SETTLING, visits
-from worlds import world
+from worlds import crowded_world
 
 from warpvox.batch import arrays, options
-from warpvox.design import sample_design
 from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import SimulationError
@@ -124,11 +122,8 @@ def test_groups_of_a_warp_go_the_same_way(parts):
 
 
 def crowd(count):
-    """Different robots that fall onto boxes and each other on bumpy ground."""
-    ground = np.full((2, 24), 5)
-    ground[0, ::3] = 0
-    fixed = {"ground": (ground, 0, 0), "bridge": ([[5, 2, 2, 5]], 14, 4), "box": ([[2, 2]], 8, 2)}
-    return [world(24, 16, **fixed, robot=(sample_design((5, 5), seed=seed), 3, 2)) for seed in range(count)]
+    """Different robots."""
+    return [crowded_world(seed) for seed in range(count)]
 
 
 def disturb(sims, change):

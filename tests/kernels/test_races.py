@@ -3,6 +3,7 @@
 import pytest
 import torch
 from races import races
+from worlds import crowded_world
 
 from warpvox.envs.vec_env import make_vec
 from warpvox.simulation import Simulation
@@ -12,7 +13,7 @@ ENVS = 8
 
 
 @pytest.fixture(params=["crowd", "Walker-v0", "BeamToppler-v0", "Climber-v1"])
-def sim(request, crowded_world):
+def sim(request):
     """Environments of a task, or different bodies on top of each other; one of them is frozen."""
     if request.param == "crowd":
         worlds, options = [crowded_world(seed) for seed in range(ENVS)], {}
@@ -32,13 +33,13 @@ def test_what_another_thread_writes_is_read_behind_a_barrier(sim, tmp_path):
 
 
 @pytest.mark.parametrize("parts", [8, 16])
-def test_groups_of_different_bodies_share_a_warp(parts, crowded_world, tmp_path):
+def test_groups_of_different_bodies_share_a_warp(parts, tmp_path):
     worlds = [crowded_world(seed) for seed in range(ENVS)]
     sim = Simulation(worlds, device="cpu", dtype="float32", arithmetic="fast", threads=1, layout="group")
     assert not races(sim, 4, tmp_path, parts)[0]
 
 
-def test_a_barrier_that_is_missing_is_found(crowded_world, tmp_path):
+def test_a_barrier_that_is_missing_is_found(tmp_path):
     """The barrier between the forces of springs and their sums at the points."""
     sim = Simulation(
         [crowded_world(0)] * ENVS, device="cpu", dtype="float32", arithmetic="fast", threads=1, layout="group"

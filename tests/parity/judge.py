@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from replay import Run, load_runs, obs_error, position_error, replay, reward_error
+from replay import Replay, Run, load_runs, obs_error, position_error, replay, reward_error
 
 POSITION = 1e-9  # simulator units, over 60 control steps: what is larger is another model, not rounding
 REWARD = 1e-6  # over 200 control steps
@@ -34,27 +34,33 @@ class Verdict:
     exact: bool
 
     @property
+    def near(self) -> bool:
+        return self.position < POSITION and self.observation < OBSERVATION and self.angle < ANGLE
+
+    @property
     def passed(self) -> bool:
-        near = self.position < POSITION and self.observation < OBSERVATION and self.reward < REWARD
-        return near and self.angle < ANGLE and self.ends
+        return self.near and self.reward < REWARD and self.ends
 
     def __str__(self) -> str:
         errors = f"position {self.position:.1e}, observation {self.observation:.1e}, angle {self.angle:.1e}"
         return f"{errors}, reward {self.reward:.1e}, ends {'equal' if self.ends else 'DIFFER'}"
 
 
-def judge(run: Run) -> Verdict:
-    """Replay a run and compare all of it."""
-    steps = min(STEPS, len(run.actions))
-    ours = replay(run, steps)
+def verdict(run: Run, ours: Replay) -> Verdict:
+    """Compare all of a replay."""
     plain, angle = obs_error(run, ours)
-    place = position_error(run, ours)
+    place, steps = position_error(run, ours), len(ours.reward)
     same_ends = np.array_equal(ours.terminated, run.arrays["terminated"][:steps])
     same_ends &= np.array_equal(ours.truncated, run.arrays["truncated"][:steps])
     return Verdict(
         float(place.max()), float(plain.max()), float(angle.max()), float(reward_error(run, ours).max()),
         bool(same_ends), bool(place.max() == 0.0),
     )  # fmt: skip
+
+
+def judge(run: Run) -> Verdict:
+    """Replay a run and compare."""
+    return verdict(run, replay(run, STEPS))
 
 
 def ranks(values: np.ndarray) -> np.ndarray:
@@ -107,17 +113,16 @@ def main():
     parser.add_argument("--whole", action="store_true", help="returns of whole episodes")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    paths = [path for path in sorted(args.folder.glob("*.npz")) if not args.tasks or path.stem in args.tasks]
-    runs = [run for path in paths for run in load_runs(path)]
+    runs = [run for run in load_runs(args.folder) if not args.tasks or run.task in args.tasks]
     if args.whole:
         judge_returns(runs)
         return
     verdicts = []
     for run in runs:
-        verdict = judge(run)
-        verdicts.append(verdict)
-        word = "failed" if not verdict.passed else "exact" if verdict.exact else "passed"
-        print(f"{word:7s}{run}: {verdict}", flush=True)
+        found = judge(run)
+        verdicts.append(found)
+        word = "failed" if not found.passed else "exact" if found.exact else "passed"
+        print(f"{word:7s}{run}: {found}", flush=True)
     passed, exact = sum(v.passed for v in verdicts), sum(v.exact for v in verdicts)
     print(f"{passed} of {len(verdicts)} runs pass, the positions of {exact} are equal bit for bit")
 

@@ -13,6 +13,8 @@ import torch
 
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 
+RECORDINGS = Path(__file__).with_name("recordings")
+
 
 @dataclass(frozen=True)
 class Run:
@@ -64,16 +66,17 @@ class Replay:
     angles: list[int]
 
 
-def load_runs(path: str | Path) -> list[Run]:
-    """All runs of a recording file."""
-    with np.load(path) as archive:
-        meta = json.loads(str(archive["meta"]))
-        arrays = {key: archive[key] for key in archive.files if key != "meta"}
+def load_runs(folder: Path = RECORDINGS) -> list[Run]:
+    """All runs of the recordings in a folder."""
     runs = []
-    for index, info in enumerate(meta["runs"]):
-        prefix = f"r{index}_"
-        own = {key[len(prefix) :]: value for key, value in arrays.items() if key.startswith(prefix)}
-        runs.append(Run(meta["task"], index, info, own))
+    for path in sorted(folder.glob("*.npz")):
+        with np.load(path) as archive:
+            meta = json.loads(str(archive["meta"]))
+            arrays = {key: archive[key] for key in archive.files if key != "meta"}
+        for index, info in enumerate(meta["runs"]):
+            prefix = f"r{index}_"
+            own = {key[len(prefix) :]: value for key, value in arrays.items() if key.startswith(prefix)}
+            runs.append(Run(meta["task"], index, info, own))
     return runs
 
 

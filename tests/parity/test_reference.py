@@ -1,36 +1,27 @@
-"""Runs recorded anew, of bodies and actions nothing was made for: ``pytest -m slow tests/parity``.
+"""Runs recorded anew, of bodies and actions nothing was made for: ``pytest -m slow tests/parity``."""
 
-Needs the reference: the interpreter that ``WARPVOX_REFERENCE`` names, or the one that ``warpvox bench`` has made.
-"""
-
-import os
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+import reference
 from judge import REWARD, compare, judge
 from replay import load_runs, replay
 
-from warpvox.bench.reference import reference_folder
 from warpvox.envs.registry import task_ids
 
-REFERENCE = Path(os.environ.get("WARPVOX_REFERENCE") or reference_folder() / "bin" / "python")
 SEED = 20
 STRICT = 0.97  # share of the runs that must be reproduced
 RANKS = 0.97
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.parity,
-    pytest.mark.skipif(not REFERENCE.is_file(), reason="WARPVOX_REFERENCE names no interpreter with the reference"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.parity, reference.NEEDED]
 
 
 def record(folder, *options):
     script = Path(__file__).with_name("record.py")
-    subprocess.run([REFERENCE, script, "--seed", str(SEED), "--out", folder, *options], check=True)
-    runs = [run for path in sorted(folder.glob("*.npz")) for run in load_runs(path)]
+    subprocess.run([reference.PYTHON, script, "--seed", str(SEED), "--out", folder, *options], check=True)
+    runs = load_runs(folder)
     assert {run.task for run in runs} == set(task_ids())
     return runs
 

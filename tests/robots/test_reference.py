@@ -1,27 +1,20 @@
-"""The released simulator gives robots of the zoo the returns that ours has recorded: ``pytest -m slow tests/robots``.
-
-Needs the reference: the interpreter that ``WARPVOX_REFERENCE`` names, or the one that ``warpvox bench`` has made.
-"""
+"""The released simulator gives robots of the zoo the returns that ours recorded: ``pytest -m slow tests/robots``."""
 
 import json
-import os
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
+import reference
 
-from warpvox.bench.reference import reference_folder
 from warpvox.design import full_connections, load_design
 from warpvox.envs.registry import get_task, released_id
 from warpvox.robots.entry import Robot, zoo, zoo_tasks
 from warpvox.robots.gait import Gait
 from warpvox.robots.replay import robot_env
 from warpvox.robots.returns import recorded
-from warpvox.system import python_of
 from warpvox.view.rollout import record
 
-REFERENCE = Path(os.environ.get("WARPVOX_REFERENCE") or python_of(reference_folder()))
 ROUNDING = 1e-8  # of a sum of up to 1000 rewards; orientations (Flipper-v0) round more
 PROGRAM = """
 import json, sys, warnings
@@ -40,10 +33,7 @@ for action in given["actions"]:
 print(json.dumps([total, steps, bool(over)]))
 """
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not REFERENCE.is_file(), reason="WARPVOX_REFERENCE names no interpreter with the reference"),
-]
+pytestmark = [pytest.mark.slow, reference.NEEDED]
 
 
 def check(robot: Robot) -> None:
@@ -51,7 +41,8 @@ def check(robot: Robot) -> None:
     rollout = record(robot_env(robot), robot.policy)
     given = {"task": released_id(robot.task), "body": robot.body.tolist(), "connections": robot.connections.tolist()}
     given["actions"] = rollout.actions[:, 0].astype(float).tolist()
-    done = subprocess.run([REFERENCE, "-I", "-c", PROGRAM], input=json.dumps(given), capture_output=True, text=True)
+    line = [reference.PYTHON, "-I", "-c", PROGRAM]
+    done = subprocess.run(line, input=json.dumps(given), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     (answer,) = (line for line in done.stdout.splitlines() if line.startswith("["))  # the simulator greets after it
     total, steps, over = json.loads(answer)

@@ -12,16 +12,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tiny import tiny
 
 pytestmark = pytest.mark.packaging
 
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
 THIS = "{}.{}".format(*sys.version_info)
 FULL = os.environ.get("WARPVOX_PACKAGING") == "full"
-TRAIN = (
-    "train task=Walker-v0 design=walker num_envs=8 max_iterations=2 eval_interval=1 ppo.steps=4 ppo.epochs=1 "
-    "ppo.hidden=[8] threads=1 device=cpu"
-)
 
 
 def candidates(version: str) -> Iterator[str]:
@@ -86,7 +83,7 @@ def test_the_wheel_trains(clean: Clean, repository: Path, wheel: Path) -> None:
     clean.python("-m", "pip", "check")
     assert "torch" in clean.warpvox("info")
     assert "Walker-v0" in clean.warpvox("tasks")
-    clean.warpvox(TRAIN)
+    clean.warpvox(" ".join(tiny("train", "max_iterations=2")))
     (summary,) = clean.folder.glob("outputs/train/Walker-v0/*/summary.json")
     assert summary.stat().st_size > 0
 

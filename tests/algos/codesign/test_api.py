@@ -9,6 +9,7 @@ import pytest
 import torch
 from codesign_toys import Judge, ToySearch
 from fault_cases import digest
+from tiny import tiny
 
 import warpvox as wv
 from warpvox.algos.candidate import Listener
@@ -22,12 +23,7 @@ from warpvox.types import Physics
 
 SMALL = dict(shape=(3, 3), device="cpu", threads=1, progress=False)
 TRAINING = {"envs": 8, "iterations": 1, "eval_interval": 1, "ppo": {"steps": 4, "hidden": [8], "epochs": 1}}
-GA = dict(population=3, max_evaluations=5, survivor_rate=0.3)
-COMMAND = (
-    "shape=[3,3] device=cpu threads=1 search.population=3 search.max_evaluations=5 search.survivor_rate=0.3"
-    " training.envs=8 training.iterations=1 training.eval_interval=1 training.ppo.steps=4 training.ppo.hidden=[8]"
-    " training.ppo.epochs=1"
-).split()
+GA = dict(population=3, max_evaluations=5)
 
 
 class Ear(Listener):
@@ -65,7 +61,7 @@ def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_p
     assert found.policy(env.reset()[0]).shape == (2, env.num_actions)
     assert f"{found.best.fitness:.3f}" in found._repr_html_()
     assert len(wv.evaluate(found, episodes=1, device="cpu")) == 1
-    warpvox("codesign", "seed=3", "batch=2", *COMMAND)
+    warpvox(*tiny("codesign", "seed=3", "batch=2"))
     (folder,) = Path("outputs/codesign/Walker-v0").iterdir()
     assert digest(folder) == digest(found.folder)
     # nothing is left; the batch, which may have been a worker's share, is that of the archive
@@ -132,7 +128,7 @@ def test_an_evaluation_in_a_file(warpvox: Callable, tmp_path: Path, monkeypatch:
     monkeypatch.chdir(tmp_path)
     Path("mine.py").write_text(OWN)
     words = ["evaluation=custom", "evaluation.make=mine.py:Actuators", "evaluation.settings={weight:2}"]
-    warpvox("codesign", *words, *COMMAND)
+    warpvox(*tiny("codesign", *words))
     (folder,) = Path("outputs/codesign/Walker-v0").iterdir()
     with Archive.read(folder / FILE) as archive:
         for record in archive.records():
@@ -145,8 +141,7 @@ def test_an_evaluation_in_a_file(warpvox: Callable, tmp_path: Path, monkeypatch:
         ("evaluation.make=null", "evaluation=custom needs evaluation.make"),
         ("evaluation.settings={wait:2}", "does not take these settings"),
     ]:
-        keys = wrong.split("=")[0]
-        warpvox("codesign", *(word for word in words if not word.startswith(keys)), wrong, *COMMAND, fails=says)
+        warpvox(*tiny("codesign", *words, wrong), fails=says)
 
 
 def test_names_of_sets_are_those_of_the_command() -> None:

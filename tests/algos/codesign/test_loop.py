@@ -19,14 +19,6 @@ from warpvox.algos.search import BO, GA, CppnNeat, MapElites, RandomDesigns, mak
 from warpvox.errors import DivergenceError, RunError, StorageError
 
 
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The digest of the whole experiment."""
-    loop = make_loop(tmp_path_factory.mktemp("whole"))
-    loop.run()
-    return loop.archive.digest()
-
-
 def test_equal_bodies_are_trained_once(tmp_path: Path) -> None:
     loop = make_loop(tmp_path)
     loop.run()

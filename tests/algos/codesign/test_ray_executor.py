@@ -62,14 +62,6 @@ def alone() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The digest of the experiment in this process."""
-    loop = make_loop(tmp_path_factory.mktemp("whole"))
-    loop.run()
-    return loop.archive.digest()
-
-
 def test_no_cluster_and_no_ray_are_clear_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RunError, match=r"cannot be reached at 127\.0\.0\.1:1"):
         ray_executor.RayExecutor(ToyEvaluator, address="127.0.0.1:1")

@@ -9,19 +9,18 @@ from pathlib import Path
 
 import pytest
 import torch
+from tiny import tiny
 
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup, join_process_group
 from warpvox.errors import ConfigError
 
-SMALL = (
-    "design=mini num_envs=16 threads=1 device=cpu ppo.steps=8 ppo.hidden=[8] ppo.epochs=2 eval_interval=2 seed=3"
-).split()
+SIZES = "num_envs=16", "ppo.steps=8", "ppo.epochs=2", "seed=3"
 
 
 def torchrun(folder: Path, *words: str) -> subprocess.CompletedProcess:
     folder.mkdir(exist_ok=True)
-    line = [sys.executable, *"-m torch.distributed.run --standalone --nproc-per-node=2 -m warpvox train".split()]
+    line = [sys.executable, *"-m torch.distributed.run --standalone --nproc-per-node=2 -m warpvox".split()]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     return subprocess.run([*line, *words], cwd=folder, env=environment, capture_output=True, text=True, timeout=600)
 
@@ -43,7 +42,7 @@ def test_one_gpu_for_all_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_two_processes_train_one_policy_and_go_on_exactly(tmp_path: Path) -> None:
     for name, total in (("whole", 6), ("parts", 4)):
-        run = torchrun(tmp_path / name, *SMALL, f"max_iterations={total}")
+        run = torchrun(tmp_path / name, *tiny("train", *SIZES, f"max_iterations={total}"))
         assert run.returncode == 0, run.stderr
     whole, parts = (next((tmp_path / name).glob("outputs/train/*/*")) for name in ("whole", "parts"))
     # one voice, one folder, one set of files besides the state of each process
@@ -58,7 +57,7 @@ def test_two_processes_train_one_policy_and_go_on_exactly(tmp_path: Path) -> Non
     assert not torch.equal(states[0]["env"]["obs"], states[1]["env"]["obs"])
     figures = json.loads((parts / "summary.json").read_text())
     assert figures["steps"] == 4 * 8 * 16
-    run = torchrun(tmp_path / "parts", "resume=latest", "max_iterations=6")
+    run = torchrun(tmp_path / "parts", "train", "resume=latest", "max_iterations=6")
     assert run.returncode == 0, run.stderr
     ours, theirs = (load_checkpoint(folder / "model_6.pt") for folder in (parts, whole))
     for name, value in theirs["actor_state_dict"].items():
@@ -78,8 +77,7 @@ def test_two_processes_train_one_policy_and_go_on_exactly(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_environments_that_cannot_be_shared_out_are_refused(tmp_path: Path) -> None:
-    words = [word for word in SMALL if not word.startswith("num_envs")]
-    run = torchrun(tmp_path / "odd", *words, "num_envs=15")
+    run = torchrun(tmp_path / "odd", *tiny("train", *SIZES, "num_envs=15"))
     assert run.returncode != 0
     assert "cannot be shared out evenly" in run.stderr
     assert not (tmp_path / "odd" / "outputs").exists()

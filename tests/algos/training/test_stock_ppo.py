@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from learning import ENVS, ppo_settings, small_env
+from learning import ENVS, ppo_settings, small_env, stock_ppo
 from rsl_rl.algorithms import PPO as StockPPO
 from rsl_rl.models import MLPModel
 
@@ -33,15 +33,8 @@ def algorithms(env: RslRlVecEnv, ppo: Ppo) -> tuple[PPO, StockPPO]:
     config = rsl_rl_config(ppo, 100) | {"multi_gpu": None}
     torch.manual_seed(1)
     ours = PPO.construct_algorithm(env.get_observations(), env, config, "cpu")
-    config = rsl_rl_config(ppo, 100) | {"multi_gpu": None}
-    config["actor"] |= {"class_name": "MLPModel"}
-    config["actor"]["distribution_cfg"] |= {"class_name": "GaussianDistribution"}
-    config["critic"] |= {"class_name": "MLPModel"}
-    algorithm = config["algorithm"] | {"class_name": "PPO"}
-    del algorithm["total_iterations"], algorithm["adam_eps"]
     torch.manual_seed(1)
-    stock = StockPPO.construct_algorithm(env.get_observations(), env, config | {"algorithm": algorithm}, "cpu")
-    stock.optimizer.param_groups[0]["eps"] = ppo.adam_eps
+    stock = stock_ppo(env, ppo)
     assert type(stock) is StockPPO
     assert type(stock.actor) is MLPModel
     return ours, stock

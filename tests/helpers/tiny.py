@@ -1,0 +1,21 @@
+"""Commands that take a moment."""
+
+SEARCH = (
+    "shape=[3,3] search.population=3 training.envs=8 training.iterations=1 training.eval_interval=1"
+    " training.ppo.steps=4 training.ppo.hidden=[8] training.ppo.epochs=1"
+)
+WORDS = {
+    "train": "design=mini num_envs=8 max_iterations=1 eval_interval=2 ppo.steps=4 ppo.hidden=[8] ppo.epochs=1",
+    "codesign": f"{SEARCH} search.max_evaluations=5",
+    "suite": f"{SEARCH} training.rungs=[]",
+}
+
+
+def once(*words: str) -> list[str]:
+    """Each key once, as it is given last."""
+    return list({word.split("=")[0]: word for word in words}.values())
+
+
+def tiny(command: str, *words: str) -> list[str]:
+    """A command on one thread of the CPU that is as small as ``words`` let it be."""
+    return [command, *once("device=cpu", "threads=1", *WORDS[command].split(), *words)]
