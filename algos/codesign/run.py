@@ -252,11 +252,12 @@ def _run_of_design(settings: Codesign, task: str, candidate: Candidate, outcome:
         "max_iterations": training.iterations,
         **{name: getattr(training, name) for name in ("eval_interval", "eval_envs")},
         "fitness": settings.fitness,
-        "lanes": lanes_for(episodes_of(training.eval_envs, settings.fitness)),  # as where the fitness was found
         "physics": dataclasses.asdict(settings.physics),
         "ppo": dataclasses.asdict(training.ppo),
     }
     values |= settings.evaluation.run_of(settings, candidate, outcome)
+    # as where the fitness was found
+    values.setdefault("lanes", lanes_for(episodes_of(values["eval_envs"], settings.fitness)))
     values.setdefault("obs", "task" if values["policy"] == MLP else observed_by(outcome.spec))
     return to_yaml(Training(design=candidate.body, **values)) + END
 

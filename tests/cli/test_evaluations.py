@@ -253,7 +253,7 @@ def test_environments_that_are_stepped_together(words: str, count: int) -> None:
     ],
 )
 def test_a_training_is_compared_with_a_gait_by_as_many_episodes(words: str, count: int) -> None:
-    job = settings(*tiny("evaluation=gaits", *words.split()))
+    job = settings(*tiny_search("evaluation=gaits", *words.split())[1:])
     training = job.evaluation.build(job, {}).final.training
     assert training.factory.episodes(training.settings.eval_envs) == count
     finalist = Candidate(0, example_design("walker"), (), FINALIST)

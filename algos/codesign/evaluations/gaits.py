@@ -13,7 +13,6 @@ from warpvox.algos.codesign.evaluations.base import Workload, steps_of_training
 from warpvox.algos.codesign.evaluations.specialist import Screened
 from warpvox.algos.protocols import ROBUST
 from warpvox.algos.settings import MLP
-from warpvox.batch.options import lanes_for
 from warpvox.errors import ConfigError
 from warpvox.keys import key
 
@@ -121,8 +120,7 @@ class Gaits(Screened):
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
         """A gait is played in simulations like those that have found its fitness."""
         if not (outcome.spec and outcome.spec.get("gait")):
-            episodes = self._final_episodes(search)
-            return {"eval_envs": episodes, "lanes": lanes_for(episodes)}
+            return {"eval_envs": self._final_episodes(search)}
         count = self._final_gaits if candidate.origin == FINALIST else self.gaits
         lanes = search.factory().shared_lanes(count * self._episodes(search))
         return {"policy": MLP, "network": None, "obs": "timed", "lanes": lanes, "eval_envs": self._episodes(search)}
