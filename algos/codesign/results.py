@@ -145,12 +145,13 @@ def evaluate_winner(folder: Path, settings: Codesign) -> dict[str, Any]:
 
     Returns:
         ``mean``, ``low`` and ``high`` (95 % interval, Student's t), ``episodes``, ``seed``; empty if nothing is
-        random, or the best design has no policy.
+        random, or no design has a policy.
     """
-    with Archive.read(folder / ARCHIVE) as archive:
-        has_policy = any(best.policy for best in archive.best())
-    if not has_policy or not get_task(settings.task).under(settings.rules).is_random:
+    if not get_task(settings.task).under(settings.rules).is_random:
         return {}
+    with Archive.read(folder / ARCHIVE) as archive:
+        if not any(best.policy for best in archive.best()):
+            return {}
     seed = FRESH_SEED + (settings.seed == FRESH_SEED)  # which the search has compared its designs by
     device = settings.device if settings.executor == "local" else "cpu"
     play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **own_code(settings))

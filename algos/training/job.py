@@ -345,7 +345,7 @@ def own_torch(threads: int) -> Iterator[None]:
             yield
     finally:
         torch.set_num_threads(known)
-        if not gpus:  # they begin, if they do, with the caller's seed
+        if not gpus:  # training has set the seed with which torch begins on a GPU, too: it is the caller's again
             torch.cuda.manual_seed_all(torch.initial_seed())
 
 

@@ -110,7 +110,7 @@ def test_a_tree_holds_every_surface_voxel_once(seed, shape):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_first_of_the_smallest_pairs_is_joined(seed):
-    """Found among all pairs, which are listed anew for each join; with holes and cells that are not connected."""
+    """Found among all pairs, which are listed again for each join; with holes and cells that are not connected."""
     rng = np.random.default_rng(seed)
     cells = rng.integers(1, 6, (6, 8)) * (rng.random((6, 8)) < rng.choice([0.3, 0.7, 0.9]))
     pairs = full_connections(cells)

@@ -1,4 +1,4 @@
-"""Runs recorded anew, of bodies and actions nothing was made for: ``pytest -m slow tests/parity``."""
+"""Runs that the test records itself, of bodies and actions nothing was made for: ``pytest -m slow tests/parity``."""
 
 import subprocess
 from pathlib import Path

@@ -38,7 +38,7 @@ INTERRUPTED = "interrupted"
 FIGURES = ("best_return", "best_fitness", "mean_return", "evaluations", "steps", "elapsed_seconds")
 """Entries of ``summary.json`` that the table shows, where there are any."""
 NUMBER, RESULTS = "run", ("status", *FIGURES, "folder", "error")
-"""Columns of the table beside the keys that differ, which are written ``key_run`` where one of these has their name."""
+"""Columns of the table beside the keys that differ; a key with the name of one of them has the prefix ``key_``."""
 QUIET = ("hydra/job_logging=none", "hydra/hydra_logging=none", "hydra.output_subdir=null", "hydra.sweep.subdir=.")
 Make = Callable[[list[str], Console], "Path | None"]
 
