@@ -10,7 +10,7 @@ class Disturbance:
     """A disturbance of episodes.
 
     Attributes:
-        noise: deviation of normal noise on each action, in units of goal length (actions are 0.6 to 1.6).
+        noise: deviation of normal noise on each action, in units of target length (actions are 0.6 to 1.6).
         sticky: probability that the actions of the control step before are repeated, all of them (Machado et al.
             2018, section 5.2).
         start: most control steps with uniform actions at the beginning, at least 1 of them; rewards count.

@@ -77,9 +77,9 @@ NOTES = """
   feedback, which see what the task observes; *sensors* concerns them alone.
 - *Control steps*, *wall time*: of the whole search or training, and of those that it started from; one thread of a busy
   machine, so that the time is an upper bound. A training for one body does not include the search that found it.
-  `warpvox zoo task=TASK` shows the last command,
-  `docs/results/returns.csv` all of them with commits and processors; equal seeds give equal results on equal
-  machines.
+  `warpvox zoo task=TASK` shows its commands, `docs/results/returns.csv` the last of each robot with commit and
+  processor. Equal seeds give equal results on equal machines, by the commit of a command: some keys have other names
+  today, and folders that a command names are not in the repository.
 
 ## Sources
 

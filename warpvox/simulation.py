@@ -127,7 +127,7 @@ class Simulation(Sensing):
         """One control step of every environment that is not frozen.
 
         Args:
-            actions: torch or numpy ``[num_envs, num_actions]``, goal lengths of the actuators in units of their
+            actions: torch or numpy ``[num_envs, num_actions]``, target lengths of the actuators in units of their
                 rest length, clipped to ``action_range``; columns beyond a design's own actuators are ignored.
 
         Raises:

@@ -31,7 +31,7 @@ DT = 1.0e-4
 """Inner time of a sub-step, the default of ``Physics.dt``. Gravity and stiffness belong to this clock, not to the
 nominal 1500 Hz."""
 ACTION_LOW, ACTION_HIGH = 0.6, 1.6
-"""Bounds of an action: the goal length of an actuator's sides in units of their rest length."""
+"""Bounds of an action: the target length of an actuator's sides in units of their rest length."""
 
 
 class Cell(IntEnum):

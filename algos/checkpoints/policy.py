@@ -42,7 +42,7 @@ LARGEST = 1 << 28
 class Policy(nn.Module):
     """A trained policy without exploration: observations as an environment gives them to actions that it takes.
 
-    Normalises the observations as in training, and gives goal lengths of the actuators in [0.6, 1.6]. A plain module
+    Normalises the observations as in training, and gives target lengths of the actuators in [0.6, 1.6]. A plain module
     for ``torch.jit.script``, ``torch.jit.trace`` and ``torch.onnx``; its parameters ask for no gradients until
     ``requires_grad_()`` is called.
 
