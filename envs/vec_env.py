@@ -269,6 +269,13 @@ class VoxelVecEnv:
             self.dump.clear(mask)
         return self._finite.first(self.layout.observe(now), mask, self._on_cpu), {}
 
+    def draw_as(self, numbers: torch.Tensor) -> None:
+        """From the next reset on, draw the random numbers of these environments, long ``[num_envs]``; equal ones draw
+        the same. A reset with a seed ends it.
+        """
+        if self._draws is not None:
+            self._draws.keys.copy_(self._draws.keys[numbers.to(self.device)])
+
     def set_designs(
         self, designs: object, mask: torch.Tensor | np.ndarray, connections: Sequence[object] | None = None
     ) -> torch.Tensor:
