@@ -124,7 +124,8 @@ class VoxelVecEnv:
         layout: where observation terms lie (:class:`warpvox.envs.observations.ObservationLayout`).
         voxels: with ``obs="voxel"`` the :class:`warpvox.envs.voxels.VoxelLayout` of every robot, by name.
         episodes: length, return, memory of the running episodes (:class:`warpvox.envs.episodes.Episodes`).
-        auto_reset: whether environments are reset in the step in which they end; may be changed between steps.
+        auto_reset: whether environments are reset in the step in which they end; may be changed between steps, to True
+            once those that have ended are reset (``reset(mask=...)``).
         device: torch's name of the device; ``dtype``: of observations and rewards.
     """
 
