@@ -99,7 +99,7 @@ def make_vec(
     sim = sim.resolved(count, rules)
     if sim.memory_check and (count > 1 or sim.grid is not None):
         ask(environment_bytes(spec, worlds, count, sim, obs=obs), count, sim.device, step=len(bodies))
-    with enough_memory(fewer(count)):
+    with enough_memory(fewer(count)), torch.inference_mode(False):  # a tensor of that mode can be used in it alone
         worlds = [world for world in worlds for _ in range(count // len(bodies))]
         made = Simulation(worlds, sim, loose=spec.randomized)
         return VoxelVecEnv(spec, bodies, made, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs)
@@ -334,8 +334,9 @@ class VoxelVecEnv:
                 raise ConfigError(f"The episode state of {self.spec.id} is {listing(drawn)}, not {name!r}.{hint}")
             most = list(drawn[name].shape)
             try:
+                fits = bool(torch.isfinite(torch.as_tensor(values)).all())  # an integer always is
                 values = torch.as_tensor(values, dtype=drawn[name].dtype, device=self.device)
-                fits = bool(torch.isfinite(values).all())
+                fits = fits and bool(torch.isfinite(values).all())
             except Exception:  # `as_tensor` may raise anything for what is no array
                 fits = False
             if not fits:
