@@ -231,7 +231,6 @@ def test_an_evaluation_is_the_sum_of_rewards_of_one_episode() -> None:
         total += reward.double()
     torch.testing.assert_close(result.returns, total, rtol=1e-5, atol=1e-6)
     assert result.lengths.tolist() == [LIMIT] * ENVS
-    assert not result.unstable.any()
     assert evaluate(env, policy).mean_return == result.mean_return
 
 
