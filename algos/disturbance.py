@@ -9,6 +9,7 @@ import torch
 from warpvox.algos.protocols import DISTURBANCES, NOMINAL
 from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.vec_env import VoxelVecEnv
+from warpvox.envs.voxels import FEATURES
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 JUDGED, SEARCHED = 0x7E57, 0x5EED
@@ -82,6 +83,10 @@ class Disturbed:
         self.parts, self.kinds = tuple(parts), [DISTURBANCES[name] for name in parts for _ in range(copies)] * designs
         column = lambda name: torch.tensor([[getattr(kind, name)] for kind in self.kinds], device=env.device)  # noqa: E731
         self.noise, self.sticky, self.sensors = (column(name).double() for name in ("noise", "sticky", "sensors"))
+        sensed = torch.ones(env.num_obs, dtype=torch.float64, device=env.device)
+        for grid in env.voxels.values():  # which cells a body has is known, not measured
+            grid.cells(sensed)[:, FEATURES["type"].start :] = 0.0
+        self.sensors = self.sensors * sensed
         most = column("start")
         lengths = self._each(self.draws.uniform(LENGTH, 0, 1))
         self.random_steps = torch.where(most > 0, 1 + (lengths * most).long(), 0)

@@ -22,13 +22,11 @@ CHECK_EVERY = 25
 class EpisodeReturns:
     """One episode of every environment, on the CPU.
 
-    ``returns`` float64 and ``lengths`` long (control steps), ``unstable`` bool (self-folding ended it),
-    ``design_index`` long: all ``[num_envs]``.
+    ``returns`` float64, ``lengths`` (control steps) and ``design_index`` long: all ``[num_envs]``.
     """
 
     returns: torch.Tensor
     lengths: torch.Tensor
-    unstable: torch.Tensor
     design_index: torch.Tensor
 
     @property
@@ -70,18 +68,16 @@ def evaluate(
         raise ConfigError("An evaluation needs environments that wait at the end: make_vec(auto_reset=False).")
     steps = env.max_episode_steps if max_steps is None else min(max_steps, env.max_episode_steps)
     check_every = 1 if torch.device(env.device).type == "cpu" else CHECK_EVERY
-    unstable = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
     if hasattr(policy, "reset"):  # it remembers episodes
         policy.reset()
     with torch.no_grad():
         obs, _ = env.reset(seed)
         for step in range(steps):
             obs, _, terminated, truncated, info = env.step(policy(obs))
-            unstable = unstable | info["unstable"]
             if (step + 1) % check_every == 0 and bool((terminated | truncated).all()):
                 break
     returns, lengths = info["episode"]["return"].double().cpu(), info["episode"]["length"].long().cpu()
-    return EpisodeReturns(returns, lengths, unstable.cpu(), env.design_index.cpu())
+    return EpisodeReturns(returns, lengths, env.design_index.cpu())
 
 
 def evaluator(env: VoxelVecEnv, seed: int | Sequence[int] | None = None, fitness: str = NOMINAL) -> Evaluator:

@@ -14,7 +14,7 @@ class Disturbance:
         sticky: probability that the actions of the control step before are repeated, all of them (Machado et al.
             2018, section 5.2).
         start: most control steps with uniform actions at the beginning, at least 1 of them; rewards count.
-        sensors: deviation of normal noise on each observation.
+        sensors: deviation of normal noise on each observation but the types and neighbours of cells.
     """
 
     noise: float = 0.0

@@ -20,6 +20,7 @@ class Episodes:
         memory: ``[num_envs, ...]`` by name: the task's episode state.
         before: the quantities (see :class:`Snapshot`) that rewards compare the next step with.
         limit: long ``[]``, the time limit.
+        times_set: how often ``before`` was written; the fast steps of a single environment do not write it.
         drawn: whether the first episode has been drawn and no step taken, so that a reset keeps what was drawn.
     """
 
@@ -33,7 +34,7 @@ class Episodes:
         self.limit = torch.full((), limit, dtype=torch.long, device=device)
         self.memory: dict[str, torch.Tensor] = {}
         self.before: dict[Quantity, torch.Tensor] = {}
-        self.drawn = True
+        self.drawn, self.times_set = True, 0
 
     def clear(self, mask: torch.Tensor | None = None) -> None:
         """Set counters and flags to 0, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
@@ -64,6 +65,7 @@ class Episodes:
 
     def set_before(self, state: Snapshot) -> None:
         """Write the quantities of ``state`` that rewards will compare the next step with."""
+        self.times_set += 1
         state.fetch(self.before)
         for quantity, held in self.before.items():
             held.copy_(state.value(quantity))

@@ -99,7 +99,7 @@ def make_vec(
     sim = sim.resolved(count, rules)
     if sim.memory_check and (count > 1 or sim.grid is not None):
         ask(environment_bytes(spec, worlds, count, sim, obs=obs), count, sim.device, step=len(bodies))
-    with enough_memory(fewer(count)):
+    with enough_memory(fewer(count)), torch.inference_mode(False):  # a tensor of that mode can be used in it alone
         worlds = [world for world in worlds for _ in range(count // len(bodies))]
         made = Simulation(worlds, sim, loose=spec.randomized)
         return VoxelVecEnv(spec, bodies, made, rules=rules, seed=seed, auto_reset=auto_reset, obs=obs)
@@ -124,7 +124,8 @@ class VoxelVecEnv:
         layout: where observation terms lie (:class:`warpvox.envs.observations.ObservationLayout`).
         voxels: with ``obs="voxel"`` the :class:`warpvox.envs.voxels.VoxelLayout` of every robot, by name.
         episodes: length, return, memory of the running episodes (:class:`warpvox.envs.episodes.Episodes`).
-        auto_reset: whether environments are reset in the step in which they end; may be changed between steps.
+        auto_reset: whether environments are reset in the step in which they end; may be changed between steps, to True
+            once those that have ended are reset (``reset(mask=...)``).
         device: torch's name of the device; ``dtype``: of observations and rewards.
     """
 
@@ -269,6 +270,13 @@ class VoxelVecEnv:
             self.dump.clear(mask)
         return self._finite.first(self.layout.observe(now), mask, self._on_cpu), {}
 
+    def draw_as(self, numbers: torch.Tensor) -> None:
+        """From the next reset on, draw the random numbers of these environments, long ``[num_envs]``; equal ones draw
+        the same. A reset with a seed ends it.
+        """
+        if self._draws is not None:
+            self._draws.keys.copy_(self._draws.keys[numbers.to(self.device)])
+
     def set_designs(
         self, designs: object, mask: torch.Tensor | np.ndarray, connections: Sequence[object] | None = None
     ) -> torch.Tensor:
@@ -326,8 +334,9 @@ class VoxelVecEnv:
                 raise ConfigError(f"The episode state of {self.spec.id} is {listing(drawn)}, not {name!r}.{hint}")
             most = list(drawn[name].shape)
             try:
+                fits = bool(torch.isfinite(torch.as_tensor(values)).all())  # an integer always is
                 values = torch.as_tensor(values, dtype=drawn[name].dtype, device=self.device)
-                fits = bool(torch.isfinite(values).all())
+                fits = fits and bool(torch.isfinite(values).all())
             except Exception:  # `as_tensor` may raise anything for what is no array
                 fits = False
             if not fits:

@@ -126,17 +126,17 @@ class Gradients:
         """Derivatives by a state and by actions from those by the state after the step."""
         sim, before, taken = self.sim, self.sim.state(), self.sim.actions
         pack, lane = self._env
-        rows, real = sim.rows
+        rows, padding = sim.rows[0], ~sim.rows[1]
         place = pack[:, None], rows, lane[:, None]
         for part, values in zip(self._by, by_end.unbind(1), strict=True):
             part.zero_()
-            part.index_put_(place, (values * real).to(part.dtype), accumulate=True)
+            part.index_put_(place, values.masked_fill(padding, 0.0).to(part.dtype), accumulate=True)
         # those that have been frozen since were not yet
         sim.set_state(before | _parts(state) | {"frozen": torch.zeros_like(before["frozen"])})
         sim.take(actions)
         sim.place_actions()
         sim.run(self._launches)
-        by_start = torch.stack([part[place] * real for part in self._by], dim=1)
+        by_start = torch.stack([part[place].masked_fill(padding, 0.0) for part in self._by], dim=1)
         low, high = sim.action_range
         by_actions = self._by_action[pack, :, lane] * ((actions >= low) & (actions <= high))
         sim.set_state(before)

@@ -143,7 +143,7 @@ class Simulation(Sensing):
         if actions.dtype == torch.float64 and self.dtype != torch.float64:
             most = torch.finfo(self.dtype).max
             actions = actions.clamp(-most, most)  # beyond it a finite number would become infinite
-        self._actions.copy_(actions)
+        self._actions.copy_(actions.detach())  # or it would remember all that they were computed from
 
     @property
     def actions(self) -> torch.Tensor:

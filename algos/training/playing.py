@@ -133,5 +133,10 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
 
 
 def disturbed(policy: Any, env: VoxelVecEnv, parts: Sequence[str], seed: int) -> Any:
-    """The policy as it acts in the blocks of disturbances of ``env``."""
-    return policy if parts == (NOMINAL,) else Disturbed(policy, env, parts, seed)
+    """The policy as it acts in the blocks of disturbances of ``env``, which from the next reset on draw the same."""
+    if parts == (NOMINAL,):
+        return policy
+    # the numbers of as many environments as a single disturbance has
+    numbers = torch.arange(env.num_envs // len(parts)).view(env.num_designs, 1, -1)
+    env.draw_as(numbers.expand(-1, len(parts), -1).flatten())
+    return Disturbed(policy, env, parts, seed)

@@ -58,7 +58,8 @@ class VoxelEnv(Adapter, gymnasium.Env):
 
     Observations are ``[num_obs]`` (for their bounds see :func:`warpvox.envs.adapters.base.spaces_of`), actions
     ``[num_actions]`` (``Box(0.6, 1.6)``): target lengths of the actuators, row by row from the top of the body, in
-    units of their rest length. The time limit is gymnasium's. One that has terminated stays so until its reset.
+    units of their rest length. One that has terminated stays so until its reset. The time limit is gymnasium's, that of
+    the released rules: by the paper's, Traverser-v0 needs ``max_episode_steps=1000``.
 
     ``metadata`` of the class names all render modes, that of an instance those which work on this machine: ``human``
     needs a display.
@@ -70,8 +71,9 @@ class VoxelEnv(Adapter, gymnasium.Env):
         connections: EvoGym's ``[2, k]`` pairs of flat cell indices; None connects all neighbours.
         render_mode: None, ``rgb_array`` (:meth:`render` gives a picture) or ``human`` (a window shows every step).
         render_size: width and height of pictures in pixels.
-        options: ``rules``, ``obs``, ``sim`` and its fields as in :func:`warpvox.make_vec`; here ``device="cpu"``,
-            ``dtype="float64"`` and ``threads=1`` unless ``sim`` is given.
+        options: ``seed`` (of the first episodes, until :meth:`reset` gets another; 0, also in copies), ``rules``,
+            ``obs``, ``sim`` and its fields as in :func:`warpvox.make_vec`; here ``device="cpu"``, ``dtype="float64"``
+            and ``threads=1`` unless ``sim`` is given.
 
     Raises: what :func:`warpvox.make_vec` raises; ConfigError: an unknown render mode; DisplayError: ``human`` without a
     display.
@@ -97,7 +99,7 @@ class VoxelEnv(Adapter, gymnasium.Env):
         bodies, links = (None if body is None else [body]), [connections]
         defaults = {"device": "cpu", "dtype": "float64", "threads": 1}
         limit = {"auto_reset": False, "max_episode_steps": _NO_LIMIT}
-        self._make(task, bodies, 1, options, defaults, connections=links, body=None, seed=0, **limit)
+        self._make(task, bodies, 1, options, defaults, connections=links, body=None, **limit)
         self.render_mode, self.render_size = render_mode, render_size
         self.observation_space, self.action_space = spaces_of(self.vec)
         self._window: window.Window | None = None
@@ -130,8 +132,6 @@ class VoxelEnv(Adapter, gymnasium.Env):
         """Begin an episode; ``options`` are not used."""
         super().reset(seed=seed)
         obs, _ = self.vec.reset(seed)
-        if self._fast is not None:
-            self._fast.begin()
         self._ended = None
         self._show()
         return obs[0].cpu().numpy(), {}
@@ -154,7 +154,7 @@ class VoxelEnv(Adapter, gymnasium.Env):
         if action.shape != self.action_space.shape:
             expected = self.action_space.shape
             raise ActionError(f"An action must have the shape {list(expected or ())}, got {list(action.shape)}.")
-        if self._ended is not None:
+        if self._ended is not None and self.vec.episodes.terminated.item():  # it may have been set to an earlier state
             return self._ended.copy(), 0.0, True, False, {"unstable": False, "diverged": False, "reward_terms": {}}
         if self._fast is not None:
             if not isfinite(action.dot(self._zeros)):

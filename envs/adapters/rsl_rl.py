@@ -104,16 +104,18 @@ class RslRlVecEnv(VecEnv):
 
     def set_designs(self, designs: Sequence[object], mask: torch.Tensor) -> None:
         """Give environments other bodies (:meth:`VoxelVecEnv.set_designs`); they begin new episodes."""
-        self._obs = self.env.set_designs(designs, mask)
-        self._shortened = self._shortened & ~mask
-        if self.reward_norm is not None:
-            self.reward_norm.forget(mask)
+        self._begin(self.env.set_designs(designs, mask), mask)
 
     def reset(self) -> TensorDict:
         """Begin new episodes everywhere."""
-        self._obs, _ = self.env.reset()
-        self._shortened = torch.zeros_like(self._shortened)
+        self._begin(self.env.reset()[0], torch.ones_like(self._shortened))
         return self.get_observations()
+
+    def _begin(self, obs: torch.Tensor, mask: torch.Tensor) -> None:
+        """Take note that episodes have begun where ``mask`` is True."""
+        self._obs, self._shortened = obs, self._shortened & ~mask
+        if self.reward_norm is not None:
+            self.reward_norm.forget(mask)
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """One control step; ``actions`` ``[num_envs, num_actions]`` are outputs of the policy."""
@@ -141,7 +143,7 @@ class RslRlVecEnv(VecEnv):
         return ACTION_CENTER + self.action_scale * outputs
 
     def _group(self, obs: torch.Tensor) -> TensorDict:
-        group = {OBS_GROUP: obs.to(torch.get_default_dtype())}
+        group = {OBS_GROUP: obs.to(torch.get_default_dtype(), copy=True)}
         return TensorDict(group, batch_size=[self.num_envs], device=self.device)
 
     def _clear_episodes(self) -> None:

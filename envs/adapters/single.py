@@ -185,6 +185,7 @@ class SingleStepper:
 
     def begin(self) -> None:
         """Go on from where the environments stand: after a reset, or when something else has moved them."""
+        self._times_set = self._episodes.times_set
         self._sensors.moved = True
         memory = {name: value.copy() for name, value in self._memory.items()}
         self._before = Snapshot(self._sensors, memory).fetch(self._episodes.before)
@@ -196,6 +197,8 @@ class SingleStepper:
 
     def step(self, action: np.ndarray) -> Result:
         """One control step: what :meth:`warpvox.envs.vec_env.VoxelVecEnv.step_one` returns; ``action`` is finite."""
+        if self._times_set != self._episodes.times_set:
+            self.begin()
         self._actions[:] = action
         self._sim.advance()
         self._length[0] = self._length.item() + 1  # before it is observed

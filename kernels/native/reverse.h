@@ -153,7 +153,7 @@ auto reverse_stages = [&]() {
         for (int n = 0; n < actives; ++n) {
             const int r = active[n];
             const Value own = by_force[at + r];
-            by_vel[r] = by_vel[r] - own * drag;
+            by_vel[r] = by_vel[r] - own * model.drag;
             by_force[sum + r] = stage == 3 ? own : by_force[sum + r] + own;
             if (!stage) continue;
             by_vel[r] = by_vel[r] + product[r] * ahead;

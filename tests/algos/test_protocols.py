@@ -17,6 +17,7 @@ from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 from warpvox.algos.disturbance import JUDGED, NOISE, SEARCHED, Disturbed, Draws
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.protocols import COPIES, DISTURBANCES, PROTOCOLS
+from warpvox.envs.registry import get_task
 from warpvox.errors import ConfigError
 from warpvox.robots.entry import DIGITS, zoo_tasks
 from warpvox.robots.returns import EPISODES, judge_robust
@@ -83,6 +84,18 @@ def test_each_block_is_disturbed_in_its_way() -> None:
     assert torch.equal(obs[0, 1], obs[0, 0])
 
 
+def test_what_is_no_measurement_has_no_noise_of_sensors() -> None:
+    env = wv.make_vec("Walker-v0", "mini", 2, obs="voxel", device="cpu", auto_reset=False)
+    seen = []
+    disturbed = Disturbed(lambda obs: seen.append(obs) or torch.ones(2, env.num_actions), env, ["sensors"], seed=0)
+    obs, _ = env.reset()
+    disturbed(obs)
+    (grid,) = env.voxels.values()
+    noisy = grid.cells(seen[0]) != grid.cells(obs)
+    assert noisy.all((0, 1)).tolist() == noisy.any((0, 1)).tolist() == [True] * 16 + [False] * 9
+    assert bool((seen[0] != obs)[:, grid.place.stop :].all())
+
+
 def test_the_nominal_rows_of_all_protocols_are_the_same() -> None:
     (nominal,) = wv.evaluate("zoo:BridgeWalker-v0", episodes=2)
     rows = wv.evaluate("zoo:BridgeWalker-v0", episodes=2, protocol="robust")
@@ -93,6 +106,20 @@ def test_the_nominal_rows_of_all_protocols_are_the_same() -> None:
     assert noise.returns == rows[1].returns
     assert "noise" in repr(rows)
     assert "10 % quantile" in repr(rows)
+
+
+def test_all_disturbances_have_the_episodes_of_one_where_a_task_draws() -> None:
+    task = dataclasses.replace(get_task("BidirectionalWalker-v0"), max_episode_steps=4)
+    bodies = [[[3, 3, 3], [4, 1, 4]], [[3, 3], [4, 3]]]
+
+    def policy(obs: torch.Tensor) -> torch.Tensor:
+        return 1.0 + 0.3 * torch.sin(obs[:, :5])
+
+    how = {"task": task, "design": bodies, "episodes": 8, "device": "cpu"}
+    rows = wv.evaluate(policy, protocol="robust", **how)
+    for row in rows:
+        (alone,) = wv.evaluate(policy, protocol=row.disturbance, **how)
+        assert alone.returns == row.returns
 
 
 def test_a_gait_has_no_sensors() -> None:

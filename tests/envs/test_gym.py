@@ -127,6 +127,13 @@ def test_a_task_of_ones_own_can_be_registered() -> None:
         register_task("Walker-v0", "warpvox")
 
 
+def test_first_episodes_have_the_seed_that_is_given() -> None:
+    goals = [VoxelEnv("BidirectionalWalker-v0", body="mini", seed=seed).vec.memory for seed in (0, 1)]
+    default = VoxelEnv("BidirectionalWalker-v0", body="mini").vec.memory
+    same = [all((value == default[name]).all() for name, value in goal.items()) for goal in goals]
+    assert same == [True, False]
+
+
 def test_mistakes_are_named() -> None:
     with pytest.raises(DesignError, match="no actuator"):
         gymnasium.make("warpvox/Walker-v0", body=np.ones((5, 5)))

@@ -101,6 +101,7 @@ def test_what_is_drawn_can_be_set() -> None:
         ("Catcher-v0", {"offsets": [[0, 0]]}, "Did you mean 'offset'"),
         ("Catcher-v0", {"offset": [[0, 0, 0]]}, r"shape \[1, 2\], got \[1, 3\]"),
         ("Catcher-v0", {"offset": [[float("nan"), 0]]}, "must be finite numbers"),
+        ("Catcher-v0", {"offset": torch.tensor([[0.0, float("nan")]])}, "must be finite numbers"),
         ("Catcher-v0", [1], "must be values by name"),
     ],
 )

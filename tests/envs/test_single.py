@@ -41,6 +41,23 @@ def test_every_task_is_stepped_fast_with_the_numbers_of_torch(task: str, rules: 
     assert all(torch.equal(value, slow.memory[name]) for name, value in env.vec.memory.items())
 
 
+def test_it_goes_on_from_a_state_that_is_set() -> None:
+    env = VoxelEnv("BidirectionalWalker-v0", body="walker")  # rewards compare with the state before, and with a memory
+    env.reset()
+    actions = waves(env, 6)
+    for action in actions[:3]:
+        env.step(action)
+    kept = env.vec.state()
+    expected = [env.step(action)[:3] for action in actions[3:]]
+    env.vec.set_state(kept | {"sim": kept["sim"] | {"vel": kept["sim"]["vel"] + 1e6}})
+    assert env.step(actions[3])[2], "it diverges"
+    env.vec.set_state(kept)
+    for action, (obs, *ends) in zip(actions[3:], expected, strict=True):
+        found, *their_ends = env.step(action)[:3]
+        assert np.array_equal(found, obs)
+        assert their_ends == ends
+
+
 class _Count(TorchDispatchMode):
     """Counts operations of torch."""
 

@@ -181,6 +181,16 @@ def test_actions_of_the_wrong_shape_are_refused(shape: tuple[int, ...]) -> None:
         env.step(torch.ones(shape))
 
 
+def test_environments_that_inference_mode_has_made_are_those_of_any() -> None:
+    with torch.inference_mode():
+        env = make("Catcher-v0")
+        env.step(torch.ones(1, env.num_actions))
+    twin = make("Catcher-v0")
+    twin.step(torch.ones(1, env.num_actions))
+    assert torch.equal(env.step(torch.ones(1, env.num_actions))[0], twin.step(torch.ones(1, env.num_actions))[0])
+    assert torch.equal(env.reset()[0], twin.reset()[0])
+
+
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_actions_that_are_not_finite_are_refused_and_change_nothing(value: float) -> None:
     env, twin = make("Walker-v0", None, 2), make("Walker-v0", None, 2)

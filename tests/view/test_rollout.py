@@ -67,6 +67,14 @@ def test_equal_rollouts_give_equal_files(rollouts: Callable[..., Rollout], tmp_p
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
+@pytest.mark.parametrize(("limit", "what"), [("LARGEST", "arrays"), ("LARGEST_HEADER", "header")])
+def test_what_could_not_be_loaded_is_not_saved(rollouts, tmp_path: Path, monkeypatch, limit: str, what: str) -> None:
+    monkeypatch.setattr(f"warpvox.view.rollout.{limit}", 1 << 12)
+    with pytest.raises(RolloutError, match=rf"The rollout's {what} would have [\d,]+ bytes, and 4,096 are the limit"):
+        rollouts(5, 2).save(tmp_path / "rollout.npz")
+    assert not list(tmp_path.iterdir())
+
+
 def test_numpy_alone_can_read_it(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
     rollout = rollouts(5, 2)
     rollout.save(tmp_path / "rollout.npz")

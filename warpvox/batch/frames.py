@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpvox.batch.grid_mesh import TWIN_PAIRS, GridMesh, RobotCells, most_points, pack_bits
-from warpvox.compile import FILL, NOTHING_MOVES, Body, CompiledWorld, compile_others, pack_drives, world_arrays
+from warpvox.compile import FILL, NOTHING_MOVES, CompiledWorld, compile_others, pack_drives, world_arrays
 from warpvox.errors import SimulationError
 from warpvox.types import Physics
 from warpvox.world import World, WorldObject
@@ -154,11 +154,6 @@ class Frame:
     def keep(self, numbers: np.ndarray) -> None:
         """Forget all bodies but some."""
         self.bodies = [bodies.take(numbers) for bodies in self.bodies]
-
-    @property
-    def movable(self) -> list[Body]:
-        """Objects that are no robots and can move."""
-        return self.others.bodies
 
     def tables(self, index: np.ndarray) -> dict[str, np.ndarray]:
         """Tables of packs whose lanes hold these bodies, int ``[packs, lanes]``; see :class:`_PackTables`."""
@@ -452,7 +447,7 @@ class _PackTables:
             orders.append(np.where(mesh.order >= 0, rows, -1))
             counts.append(mesh.count)
         first = np.broadcast_to(self.first_point[:, None, None], (self.packs, self.lanes, 1))
-        for body in self.frame.movable:
+        for body in self.frame.others.bodies:
             orders.append(first + body.first_point + np.arange(len(body.points)))
             counts.append(np.full((self.packs, self.lanes), len(body.points)))
         rows = np.concatenate(orders, axis=2)

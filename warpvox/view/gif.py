@@ -13,6 +13,8 @@ from PIL import Image
 
 PART_BYTES = 1 << 24
 """Bytes of the pictures that are encoded together (16 MiB)."""
+LONGEST = 655_350
+"""Milliseconds that a picture can stay: Pillow makes one of equal pictures that follow each other."""
 HEADER, TRAILER = 13, b";"
 """Bytes of the fixed header; what ends a file."""
 
@@ -24,16 +26,15 @@ def write_pictures(file: BinaryIO, pictures: Iterable[Image.Image], pause: int) 
         pictures: one or more of mode P, of one size and with one palette.
         pause: milliseconds from one to the next.
     """
-    rest = iter(pictures)
-    for number, part in enumerate(_parts(rest)):
+    for number, part in enumerate(_parts(iter(pictures), pause)):
         head, blocks = _encoded(part, pause, loops=number == 0)
         file.write(blocks if number else head + blocks)
     file.write(TRAILER)
 
 
-def _parts(pictures: Iterator[Image.Image]) -> Iterator[list[Image.Image]]:
+def _parts(pictures: Iterator[Image.Image], pause: int) -> Iterator[list[Image.Image]]:
     for first in pictures:
-        count = max(1, PART_BYTES // (first.width * first.height))
+        count = max(1, min(PART_BYTES // (first.width * first.height), LONGEST // pause))
         yield list(islice(chain([first], pictures), count))
 
 

@@ -32,6 +32,7 @@ LARGEST = 1 << 32
 """Bytes that the arrays of a file may have together (4 GiB)."""
 LARGEST_HEADER = 1 << 26
 """Bytes of a file's header (64 MiB)."""
+_DESCRIPTIONS = 1 << 12  # bytes for shapes and types of all arrays
 MOST_SHOWN = 16
 """Environments that a notebook shows."""
 AGENTS = ("zero", "random", "sine")
@@ -179,7 +180,7 @@ class Rollout:
         """Write the rollout to ``path`` (``.npz``), whole or not at all; return the path.
 
         Raises:
-            RolloutError: metadata that JSON cannot hold.
+            RolloutError: metadata that JSON cannot hold, or more than a file may have (4 GiB).
         """
         header = {
             "format": FORMAT,
@@ -193,6 +194,10 @@ class Rollout:
         except (TypeError, ValueError) as error:
             raise RolloutError(f"The rollout's metadata must consist of JSON values: {error}.") from None
         arrays = {name: getattr(self, name) for name in ARRAYS}
+        total = len(text) + sum(array.nbytes for array in arrays.values())
+        for what, size, limit in (("header", len(text), LARGEST_HEADER), ("arrays", total, LARGEST)):
+            if size > limit - _DESCRIPTIONS:
+                raise RolloutError(f"The rollout's {what} would have {size:,} bytes, and {limit:,} are the limit.")
         with atomic_path(path) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(file, header=np.frombuffer(text, np.uint8), **arrays)
         return Path(path)
