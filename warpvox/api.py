@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 from warpvox.checks import check_choice, check_known
 from warpvox.errors import ConfigError
+from warpvox.keys import Settings, changed
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -55,7 +56,8 @@ def train(
         progress: show messages and a live line.
         resume: a run to go on with: ``latest``, its folder, a checkpoint in it; settings are what changes.
         sim: how environments are computed; also by name, ``device="cpu"``, which goes before what ``sim`` says.
-        settings: fields of :class:`warpvox.Training`; ``ppo`` may be the name of a set, ``ppo="evogym"``.
+        settings: fields of :class:`warpvox.Training`; ``ppo`` may be the name of a set, ``ppo="evogym"``. A mapping
+            changes what it names, of the part that ``task`` or the run has.
 
     Raises:
         ConfigError: an unknown setting, or a value that it does not take. WarpvoxError: as the command, in words.
@@ -80,18 +82,22 @@ def train(
         source = find_run(str(resume), str(where), TRAINING, resume=True)
         base = Training.of(source.config) if base is None else base
         given["resume"] = str(source.folder)
-    elif base is None and isinstance(given.get("ppo"), str):
+    if isinstance(given.get("ppo"), str):
         from warpvox.configs.composition import settings_named
 
-        named = settings_named("train", ppo=given.pop("ppo"))
-        given = named | given
+        given = settings_named("train", ppo=given.pop("ppo")) | given
     check_known(given, train, Training)
+    named = set(_dotted(given))
+    if base is not None:  # what a mapping does not name stays as it is there
+        for key, value in given.items():
+            if isinstance(part := getattr(base, key), Settings) and isinstance(value, Mapping):
+                given[key] = changed(part, value, key)
     config = Training(**given) if base is None else dataclasses.replace(base, **given)
     if source is None:
         config = with_code(config, typed(config))
     else:
         config = with_code(config, typed(config, given), source.config, source.folder)
-    job = Job(config, set(_dotted(given)), source)
+    job = Job(config, named, source)
     place = None if folder in (AUTO, None) else Path(folder).expanduser()
     job.train(listener() if progress else Listener(), write=folder is not None, place=place)
     return TrainedRun.of(job)

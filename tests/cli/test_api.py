@@ -140,6 +140,31 @@ def test_the_defaults_and_named_sets_of_ppo_are_those_of_the_command() -> None:
     assert inspect.signature(wv.evaluate).parameters["episodes"].default == load("evaluate", []).episodes
 
 
+def asked(monkeypatch: pytest.MonkeyPatch, *given: Any, **settings: Any) -> wv.Training:
+    """The settings of a training, which is not made."""
+
+    def stop(job: Any, *_: Any, **__: Any) -> None:
+        made.append(job.settings)
+        raise InterruptedError
+
+    made: list[wv.Training] = []
+    monkeypatch.setattr("warpvox.algos.training.job.Job.train", stop)
+    with pytest.raises(InterruptedError):
+        wv.train(*given, **settings)
+    return made[0]
+
+
+def test_a_part_that_is_changed_keeps_its_other_values(train: Callable[..., Path], monkeypatch: Any) -> None:
+    folder = train("seed=3")
+    parts = {"ppo": {"gamma": 0.5}, "designs": {"refresh": "new", "grid": [5, 5]}, "physics": {"friction": 0.25}}
+    other = {"ppo": {"steps": 4}, "designs": {"bodies": "random:2"}, "physics": {"gravity": 80.0}}
+    both = {key: parts[key] | other[key] for key in parts}
+    assert asked(monkeypatch, wv.Training(num_envs=7, **parts), **other) == wv.Training(num_envs=7, **both)
+    base = wv.Training(seed=3, num_envs=7)
+    assert asked(monkeypatch, base, ppo="evogym") == wv.Training(seed=3, **settings_named("train", ppo="evogym"))
+    assert asked(monkeypatch, resume=folder, ppo={"epochs": 1}, max_iterations=2).ppo == wv.Ppo(**PPO)
+
+
 def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None:
     folder = train("max_iterations=1", "eval_interval=1")
     policies = [folder, wv.load_policy(folder), "zoo:Walker-v0"]
