@@ -51,8 +51,8 @@ def load_policy(
         checkpoint: of a run: ``best``, ``last`` or an iteration.
         output_dir: where ``latest`` is looked for.
         device: where the module shall be.
-        policy: of a run with a network of your own, where its code is: ``FILE.py:Class``, ``module:Class``, or
-            ``stored`` for the copy in the run's folder. It is imported only if it is named here.
+        policy: of a run or file with a network of your own, where its code is: ``FILE.py:Class``, ``module:Class``,
+            or, of a run, ``stored`` for the copy in its folder. It is imported only if it is named here.
 
     Raises:
         RunError: there is no such run, checkpoint or file, or it holds no policy. DeviceError: no such device.
@@ -60,7 +60,7 @@ def load_policy(
     network = None if policy is None else policy if policy == STORED else Code(policy)
     device, path = resolve_device(device), Path(source).expanduser()
     if str(source) != "latest" and path.is_file():
-        exported = read_exported(path)
+        exported = read_exported(path, network)
         if exported is not None:
             return exported.to(device)
         if is_alone(path):
