@@ -139,6 +139,7 @@ def evaluate(
     seed: int = 1000,
     level: float = 0.95,
     obs: str | None = None,
+    policy: str | None = None,
     output_dir: str | Path = "outputs",
     **options: Unpack[PlayKeywords],
 ) -> PolicyTable:
@@ -158,6 +159,7 @@ def evaluate(
         seed: of the random numbers of episodes and disturbances, and of sampled actions.
         level: of the intervals.
         obs: what functions observe, see :func:`warpvox.make_vec`.
+        policy: of runs with a network of your own, where its code is, see :func:`warpvox.load_policy`.
         output_dir: where ``latest`` is looked for.
         options: ``device``, ``dtype``, ``arithmetic``, ``threads``, ``memory_check``.
 
@@ -176,33 +178,33 @@ def evaluate(
     from warpvox.envs.vec_env import make_vec
     from warpvox.runs import find_runs
 
-    check_known(options, evaluate, Playing, without=("num_envs", "policy"))
+    check_known(options, evaluate, Playing, without=("num_envs",))
     check_choice("protocol", protocol, PROTOCOLS)
     several = isinstance(policies, Sequence) and not isinstance(policies, str)
-    own = Code(task) if is_code(task) else task
-    how = Playing(episodes, checkpoint, stochastic, seed, task=own, protocol=protocol, **options)
+    own, network = (Code(code) if is_code(code) else code for code in (task, policy))
+    how = Playing(episodes, checkpoint, stochastic, seed, task=own, policy=network, protocol=protocol, **options)
     rows = []
     with own_torch(1):
-        for number, policy in enumerate(policies if several else [policies]):
-            if isinstance(policy, TrainedRun | Found):
-                policy = policy.folder or policy.policy
-            if isinstance(policy, str | Path) and is_alone(Path(policy).expanduser()):
-                policy = load_policy(policy)
-            if isinstance(policy, str | Path):
-                for run in find_runs([str(policy)], str(output_dir)):
+        for number, one in enumerate(policies if several else [policies]):
+            if isinstance(one, TrainedRun | Found):
+                one = one.folder or one.policy
+            if isinstance(one, str | Path) and is_alone(Path(one).expanduser()):
+                one = load_policy(one, policy=network)
+            if isinstance(one, str | Path):
+                for run in find_runs([str(one)], str(output_dir)):
                     rows.extend(evaluate_run(run, how, design if run.is_many else None, level))
                 continue
-            about: Mapping[str, Any] = getattr(policy, "metadata", {})
+            about: Mapping[str, Any] = getattr(one, "metadata", {})
             where, body = own or about.get("task"), about.get("design") if design is None else design
-            if not callable(policy) or where is None or body is None:
+            if not callable(one) or where is None or body is None:
                 what = "a run, or a function of observations with task=... and design=..."
-                raise ConfigError(f"Policy {number} must be {what}; got {policy!r:.80}.")
+                raise ConfigError(f"Policy {number} must be {what}; got {one!r:.80}.")
             given: dict[str, Any] = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
-            parts = parts_of(protocol, feedback=getattr(getattr(policy, "spec", None), "gait", None) is None)
-            if hasattr(policy, "in_float64"):
-                policy = policy.in_float64()
+            parts = parts_of(protocol, feedback=getattr(getattr(one, "spec", None), "gait", None) is None)
+            if hasattr(one, "in_float64"):
+                one = one.in_float64()
             count = episodes * len(parts)
             env = make_vec(where, load_bodies(body, seed), count, seed=seed, auto_reset=False, **given, **options)
-            name = getattr(policy, "__name__", f"policy {number}")
-            rows.extend(EvaluatedPolicy.each(name, env, disturbed(policy, env, parts, seed), level, parts))
+            name = getattr(one, "__name__", f"policy {number}")
+            rows.extend(EvaluatedPolicy.each(name, env, disturbed(one, env, parts, seed), level, parts))
     return PolicyTable(rows)
