@@ -161,7 +161,8 @@ def evaluate(
         obs: what functions observe, see :func:`warpvox.make_vec`.
         policy: of runs with a network of your own, where its code is, see :func:`warpvox.load_policy`.
         output_dir: where ``latest`` is looked for.
-        options: ``device``, ``dtype``, ``arithmetic``, ``threads``, ``memory_check``.
+        options: ``device``, ``dtype``, ``arithmetic``, ``threads``, ``memory_check``; runs, and policies that know
+            theirs, have a ``dtype`` and ``arithmetic`` of their own.
 
     Raises:
         RunError: no such run. ConfigError: a function without a task, an unknown option. WarpvoxError: as
@@ -169,11 +170,13 @@ def evaluate(
     """
     from warpvox.algos.codesign.results import Found
     from warpvox.algos.protocols import PROTOCOLS, parts_of
+    from warpvox.algos.settings import physics_of
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.job import own_torch
     from warpvox.algos.training.loading import TrainedRun, is_alone, load_policy
     from warpvox.algos.training.playing import Playing, disturbed
     from warpvox.algos.training.policy_table import EvaluatedPolicy, PolicyTable, evaluate_run
+    from warpvox.algos.training.settings import Training
     from warpvox.code import Code, is_code
     from warpvox.envs.vec_env import make_vec
     from warpvox.runs import find_runs
@@ -199,12 +202,17 @@ def evaluate(
             if not callable(one) or where is None or body is None:
                 what = "a run, or a function of observations with task=... and design=..."
                 raise ConfigError(f"Policy {number} must be {what}; got {one!r:.80}.")
-            given: dict[str, Any] = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
+            names = ("rules", "physics", "dtype", "arithmetic")
+            known = Training.of({key: about[key] for key in names if about.get(key) is not None})
+            known = dataclasses.replace(known, arithmetic=None) if "dtype" in options else known
+            sim = {"dtype": known.dtype, "arithmetic": known.arithmetic, "physics": physics_of(known)}
+            sim |= {key: value for key, value in options.items() if value is not None}
+            given: dict[str, Any] = {"rules": known.rules, "obs": obs or about.get("obs") or "task"} | sim
             parts = parts_of(protocol, feedback=getattr(getattr(one, "spec", None), "gait", None) is None)
             if hasattr(one, "in_float64"):
                 one = one.in_float64()
             count = episodes * len(parts)
-            env = make_vec(where, load_bodies(body, seed), count, seed=seed, auto_reset=False, **given, **options)
+            env = make_vec(where, load_bodies(body, seed), count, seed=seed, auto_reset=False, **given)
             name = getattr(one, "__name__", f"policy {number}")
             rows.extend(EvaluatedPolicy.each(name, env, disturbed(one, env, parts, seed), level, parts))
     return PolicyTable(rows)

@@ -244,7 +244,8 @@ class Job:
     def policy(self) -> Policy:
         """The policy with the best evaluation, of a training that writes nothing."""
         policy = (self.best and self.best.policy) or policy_of(self.runner.controller)
-        policy.metadata |= self.runner.trained_on | {"obs": self.settings.obs}
+        known = {name: getattr(self.settings, name) for name in ("obs", "dtype", "arithmetic")}
+        policy.metadata |= self.runner.trained_on | known | {"physics": dataclasses.asdict(self.settings.physics)}
         return policy.to("cpu")
 
 

@@ -68,7 +68,8 @@ def load_policy(
     run = find_run(str(source), str(output_dir))
     if run.robot is not None:
         return torch_policy(run.robot, device)
-    known = {name: run.config.get(name) for name in ("task", "rules", "obs", "design")}
+    names = ("task", "rules", "obs", "design", "physics", "dtype", "arithmetic")
+    known = {name: run.config.get(name) for name in names} | ({"design": None} if run.is_many else {})
     file = run.find_checkpoint(str(checkpoint))
     network = allowed("policy", run.config.get("policy"), network, run.folder)
     return read_policy(file, known | {"source": str(file)}, device, network)

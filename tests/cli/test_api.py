@@ -119,6 +119,9 @@ def test_without_a_folder_nothing_is_written_and_the_same_is_learned(tmp_path: P
     ]  # fmt: skip
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
     assert torch.equal(torch.get_rng_state(), state)
+    one, other = (run.policy.metadata for run in runs)
+    assert one == {key: value for key, value in other.items() if key != "source"} | {"seed": 0}
+    assert one["physics"]["gravity"] == 110.0
     one, other = (run.policy.state_dict() for run in runs)
     assert all(torch.equal(value, other[name]) for name, value in one.items())
     assert runs[0].best_return == runs[1].best_return
@@ -166,7 +169,7 @@ def test_a_part_that_is_changed_keeps_its_other_values(train: Callable[..., Path
 
 
 def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None:
-    folder = train("max_iterations=1", "eval_interval=1")
+    folder = train("max_iterations=1", "eval_interval=1", "physics.gravity=80")
     policies = [folder, wv.load_policy(folder), "zoo:Walker-v0"]
     table = wv.evaluate(policies, episodes=8, device="cpu", threads=1)
     assert [row.name for row in table] == [str(folder), "policy 1", "zoo:Walker-v0"]
