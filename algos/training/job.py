@@ -46,7 +46,7 @@ from warpvox.trust import as_stored, keep_code
 
 CHANGEABLE = (
     "max_iterations", "eval_interval", "eval_envs", "stop_return", "save_interval", "device", "threads",
-    "torch_threads", "cuda_graph", "logger", "nan_guard", "memory_check", "resume", "output_dir",
+    "torch_threads", "cuda_graph", "logger", "nan_guard", "memory_check", "export", "resume", "output_dir",
 )  # fmt: skip
 """Keys that may differ when a run is resumed: they do not change what is learned.
 
@@ -353,7 +353,7 @@ def own_torch(threads: int) -> Iterator[None]:
 def continued(settings: Training, source: Run) -> tuple[Training, Path]:
     """The settings of a run that goes on, and the checkpoint that it goes on from."""
     check_writable(source.folder)
-    named = dataclasses.replace(settings, task=getattr(settings.task, "id", settings.task))
+    named = dataclasses.replace(resolved(settings), task=task_name(settings.task))
     check_unchanged(source.config, as_stored(named, source.config), CHANGEABLE)
     checkpoint = source.checkpoint or source.folder / STATE
     if not checkpoint.is_file():
