@@ -43,7 +43,7 @@ def train(job: Job, console: Console) -> Path:
     prepare(job.settings.torch_threads, job.settings.seed)
     job.train(Terminal(console))
     folder, config = cast(Path, job.folder), cast(TrainConfig, job.settings)
-    if config.export:
+    if config.export and job.group.is_main_process:
         _export(folder, config, console)
     return folder
 
