@@ -94,6 +94,8 @@ class Job:
             settings = dataclasses.replace(settings, designs=Designs())
         if source is None and settings.pretrained is not None:
             settings, self.learned = adopted(settings, settings.pretrained, named)
+        if settings.method == "gradients" and settings.nan_guard == "dump":
+            raise ConfigError("nan_guard=dump goes with method=ppo: gradients do not take the environments' own steps.")
         self.settings = settings
 
     def check(self) -> None:

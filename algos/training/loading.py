@@ -16,7 +16,7 @@ from warpvox.algos.checkpoints.policy import Policy, read_policy
 from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.training.metrics import COLUMNS, read_metrics
 from warpvox.algos.training.playing import SHOWN, Playing, disturbed, load_trained
-from warpvox.code import Code, is_code
+from warpvox.code import Code
 from warpvox.devices.names import resolve_device
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
@@ -101,7 +101,7 @@ class TrainedRun:
         """The result of a training that has been made."""
         if job.folder is None:
             return cls(None, job.summary, job.rows, job.policy)
-        policy = load_policy(job.folder, policy=job.settings.policy if is_code(job.settings.policy) else None)
+        policy = load_policy(job.folder, policy=job.settings.policy)
         return cls(job.folder, job.summary, read_metrics(job.folder), policy)
 
     def __repr__(self) -> str:
@@ -130,6 +130,8 @@ class TrainedRun:
 def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:
     """Environments and policy of a run or a stored robot, see :func:`warpvox.algos.training.playing.load_trained`."""
     if run.robot is not None:
+        if designs is not None:
+            raise ConfigError("Other bodies go with a run over many of them; a stored robot has its own.")
         return _load_robot(run.robot, config, run.folder)
     return load_trained(run, config, designs, every)
 
