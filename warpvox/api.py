@@ -76,6 +76,8 @@ def train(
     resume = base.resume if resume is None and base is not None else resume
     if resume is not None and folder != AUTO:
         raise ConfigError("A run that is resumed goes on in its folder: folder cannot be given with it.")
+    if str(folder) == "latest":
+        raise ConfigError("folder cannot be 'latest', by which everything else knows the run that began last.")
     source = None
     if resume is not None:
         where = given.get("output_dir", Training.output_dir if base is None else base.output_dir)
@@ -88,8 +90,13 @@ def train(
         given = settings_named("train", ppo=given.pop("ppo")) | given
     check_known(given, train, Training)
     named = set(_dotted(given))
+    if isinstance(task, Training):  # a pretrained policy must agree with what it says, too
+        usual = vars(Training())
+        own = _dotted({key: value for key, value in vars(task).items() if value != usual[key]})
+        named |= {key for key in own if not key.startswith("design")}
     if base is not None:  # what a mapping does not name stays as it is there
         for key, value in given.items():
+            value = {"bodies": value} if key == "designs" and isinstance(value, str | list | tuple) else value
             if isinstance(part := getattr(base, key), Settings) and isinstance(value, Mapping):
                 given[key] = changed(part, value, key)
     config = Training(**given) if base is None else dataclasses.replace(base, **given)
@@ -150,10 +157,11 @@ def evaluate(
             names of runs (folders, checkpoints, ``latest``, patterns, ``zoo:Walker-v0``), or functions of
             observations, such as torch modules; what :func:`warpvox.load_policy` gives is run in float64, as runs are.
         task: of functions, unless they are policies that know theirs; for a run with a task of your own, this task.
-        design: of functions; for runs over many bodies those to evaluate on; None: those held out.
+        design: of functions; for runs over many bodies those to evaluate on; None: those held out. Beside functions,
+            runs of one body leave it aside, as they do ``task``.
         episodes: of each policy, a multiple of its number of bodies.
         checkpoint: of runs.
-        stochastic: of runs: sample actions as in training.
+        stochastic: of runs: sample actions as in training; of functions: they act at random, so that episodes differ.
         protocol: ``nominal``; or disturbed episodes: ``noise`` on actions, ``sticky`` actions, ``start`` with random
             actions, ``sensors`` with noise on observations; ``robust``: all of them, a row each.
         seed: of the random numbers of episodes and disturbances, and of sampled actions.
@@ -180,11 +188,13 @@ def evaluate(
     from warpvox.code import Code, is_code
     from warpvox.envs.vec_env import make_vec
     from warpvox.runs import find_runs
+    from warpvox.trust import STORED
 
     check_known(options, evaluate, Playing, without=("num_envs",))
     check_choice("protocol", protocol, PROTOCOLS)
     several = isinstance(policies, Sequence) and not isinstance(policies, str)
-    own, network = (Code(code) if is_code(code) else code for code in (task, policy))
+    own = Code(task) if is_code(task) else task
+    network = Code(policy) if is_code(policy) else policy
     how = Playing(episodes, checkpoint, stochastic, seed, task=own, policy=network, protocol=protocol, **options)
     rows = []
     with own_torch(1):
@@ -194,8 +204,10 @@ def evaluate(
             if isinstance(one, str | Path) and is_alone(Path(one).expanduser()):
                 one = load_policy(one, policy=network)
             if isinstance(one, str | Path):
+                if not several and isinstance(own, str) and not isinstance(own, Code) and own != STORED:
+                    raise ConfigError(f"task={own!r} goes with functions, or is the code of a run's own task.")
                 for run in find_runs([str(one)], str(output_dir)):
-                    rows.extend(evaluate_run(run, how, design if run.is_many else None, level))
+                    rows.extend(evaluate_run(run, how, None if several and not run.is_many else design, level))
                 continue
             about: Mapping[str, Any] = getattr(one, "metadata", {})
             where, body = own or about.get("task"), about.get("design") if design is None else design
@@ -210,9 +222,11 @@ def evaluate(
             given: dict[str, Any] = {"rules": known.rules, "obs": obs or about.get("obs") or "task"} | sim
             parts = parts_of(protocol, feedback=getattr(getattr(one, "spec", None), "gait", None) is None)
             if hasattr(one, "in_float64"):
+                if stochastic:
+                    raise ConfigError(f"stochastic=True samples actions of runs; policy {number} acts without chance.")
                 one = one.in_float64()
             count = episodes * len(parts)
             env = make_vec(where, load_bodies(body, seed), count, seed=seed, auto_reset=False, **given)
             name = getattr(one, "__name__", f"policy {number}")
-            rows.extend(EvaluatedPolicy.each(name, env, disturbed(one, env, parts, seed), level, parts))
+            rows.extend(EvaluatedPolicy.each(name, env, disturbed(one, env, parts, seed), level, parts, stochastic))
     return PolicyTable(rows)

@@ -37,7 +37,7 @@ def settings(run: Run) -> dict[str, Any]:
 
     Among them the checkpoint that was named, as several of one run are no repetitions.
     """
-    flat = flat_values("train", run.config) | {"checkpoint": run.checkpoint and run.checkpoint.name}
+    flat: dict[str, Any] = flat_values("train", run.config) | {"checkpoint": run.checkpoint and run.checkpoint.name}
     if isinstance(flat.get("device"), str):
         flat["device"] = flat["device"].partition(":")[0]  # which of several GPUs makes no difference
     return {name: value for name, value in flat.items() if name not in NOT_SETTINGS}
