@@ -10,7 +10,7 @@ from dataclasses import dataclass, make_dataclass
 from typing import TYPE_CHECKING, Any
 
 from warpvox.errors import ConfigError
-from warpvox.keys import Settings, key
+from warpvox.keys import Settings, key, plain
 from warpvox.types import Physics
 
 if TYPE_CHECKING:
@@ -64,6 +64,10 @@ class Ppo(Settings):
     random_start: bool = key(True, "give the first episodes random lengths, so that they do not all end together")
     rnn: Any = key(None, "recurrent networks: settings of rsl-rl's RNNModel, {rnn_type:gru,rnn_hidden_dim:64}")
     extra: Any = key(None, "further settings of rsl-rl's PPO by name, such as rnd_cfg")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.rnn, self.extra = plain(self.rnn, "ppo.rnn"), plain(self.extra, "ppo.extra")
 
     def check(self, num_envs: int, prefix: str = "ppo") -> None:
         """Raise ConfigError if an iteration of so many environments is too small for its minibatches."""

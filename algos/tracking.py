@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.algos.candidate import Listener
-from warpvox.algos.training.playing import Playing, load_trained, own_code
+from warpvox.algos.training.playing import load_result
 from warpvox.errors import RunError
 from warpvox.io.reading import parse_yaml
 from warpvox.io.writing import write_text
@@ -64,7 +64,7 @@ class Tracker:
             self._run.summary.update(dict(summary))
             if status == "done":
                 with suppress(RunError):  # an evaluator of the user's own may leave no policy
-                    env, policy = load_trained(find_run(str(self._folder), ""), Playing(**own_code(settings)))
+                    env, policy = load_result(find_run(str(self._folder), ""), settings)
                     film = write_gif(record(env, policy), self._folder / FILM)
                     self._run.log({"film": self._wandb.Video(str(film), format="gif")})
         finally:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 from warpvox.checks import check_choice, check_known
 from warpvox.errors import ConfigError
+from warpvox.keys import Settings, changed
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -55,7 +56,8 @@ def train(
         progress: show messages and a live line.
         resume: a run to go on with: ``latest``, its folder, a checkpoint in it; settings are what changes.
         sim: how environments are computed; also by name, ``device="cpu"``, which goes before what ``sim`` says.
-        settings: fields of :class:`warpvox.Training`; ``ppo`` may be the name of a set, ``ppo="evogym"``.
+        settings: fields of :class:`warpvox.Training`; ``ppo`` may be the name of a set, ``ppo="evogym"``. A mapping
+            changes what it names, of the part that ``task`` or the run has.
 
     Raises:
         ConfigError: an unknown setting, or a value that it does not take. WarpvoxError: as the command, in words.
@@ -74,24 +76,35 @@ def train(
     resume = base.resume if resume is None and base is not None else resume
     if resume is not None and folder != AUTO:
         raise ConfigError("A run that is resumed goes on in its folder: folder cannot be given with it.")
+    if str(folder) == "latest":
+        raise ConfigError("folder cannot be 'latest', by which everything else knows the run that began last.")
     source = None
     if resume is not None:
         where = given.get("output_dir", Training.output_dir if base is None else base.output_dir)
         source = find_run(str(resume), str(where), TRAINING, resume=True)
         base = Training.of(source.config) if base is None else base
         given["resume"] = str(source.folder)
-    elif base is None and isinstance(given.get("ppo"), str):
+    if isinstance(given.get("ppo"), str):
         from warpvox.configs.composition import settings_named
 
-        named = settings_named("train", ppo=given.pop("ppo"))
-        given = named | given
+        given = settings_named("train", ppo=given.pop("ppo")) | given
     check_known(given, train, Training)
+    named = set(_dotted(given))
+    if isinstance(task, Training):  # a pretrained policy must agree with what it says, too
+        usual = vars(Training())
+        own = _dotted({key: value for key, value in vars(task).items() if value != usual[key]})
+        named |= {key for key in own if not key.startswith("design")}
+    if base is not None:  # what a mapping does not name stays as it is there
+        for key, value in given.items():
+            value = {"bodies": value} if key == "designs" and isinstance(value, str | list | tuple) else value
+            if isinstance(part := getattr(base, key), Settings) and isinstance(value, Mapping):
+                given[key] = changed(part, value, key)
     config = Training(**given) if base is None else dataclasses.replace(base, **given)
     if source is None:
         config = with_code(config, typed(config))
     else:
         config = with_code(config, typed(config, given), source.config, source.folder)
-    job = Job(config, set(_dotted(given)), source)
+    job = Job(config, named, source)
     place = None if folder in (AUTO, None) else Path(folder).expanduser()
     job.train(listener() if progress else Listener(), write=folder is not None, place=place)
     return TrainedRun.of(job)
@@ -133,6 +146,7 @@ def evaluate(
     seed: int = 1000,
     level: float = 0.95,
     obs: str | None = None,
+    policy: str | None = None,
     output_dir: str | Path = "outputs",
     **options: Unpack[PlayKeywords],
 ) -> PolicyTable:
@@ -143,17 +157,20 @@ def evaluate(
             names of runs (folders, checkpoints, ``latest``, patterns, ``zoo:Walker-v0``), or functions of
             observations, such as torch modules; what :func:`warpvox.load_policy` gives is run in float64, as runs are.
         task: of functions, unless they are policies that know theirs; for a run with a task of your own, this task.
-        design: of functions; for runs over many bodies those to evaluate on; None: those held out.
+        design: of functions; for runs over many bodies those to evaluate on; None: those held out. Beside functions,
+            runs of one body leave it aside, as they do ``task``.
         episodes: of each policy, a multiple of its number of bodies.
         checkpoint: of runs.
-        stochastic: of runs: sample actions as in training.
+        stochastic: of runs: sample actions as in training; of functions: they act at random, so that episodes differ.
         protocol: ``nominal``; or disturbed episodes: ``noise`` on actions, ``sticky`` actions, ``start`` with random
             actions, ``sensors`` with noise on observations; ``robust``: all of them, a row each.
         seed: of the random numbers of episodes and disturbances, and of sampled actions.
         level: of the intervals.
         obs: what functions observe, see :func:`warpvox.make_vec`.
+        policy: of runs with a network of your own, where its code is, see :func:`warpvox.load_policy`.
         output_dir: where ``latest`` is looked for.
-        options: ``device``, ``dtype``, ``arithmetic``, ``threads``, ``memory_check``.
+        options: ``device``, ``dtype``, ``arithmetic``, ``threads``, ``memory_check``; runs, and policies that know
+            theirs, have a ``dtype`` and ``arithmetic`` of their own.
 
     Raises:
         RunError: no such run. ConfigError: a function without a task, an unknown option. WarpvoxError: as
@@ -161,42 +178,55 @@ def evaluate(
     """
     from warpvox.algos.codesign.results import Found
     from warpvox.algos.protocols import PROTOCOLS, parts_of
+    from warpvox.algos.settings import physics_of
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.job import own_torch
     from warpvox.algos.training.loading import TrainedRun, is_alone, load_policy
     from warpvox.algos.training.playing import Playing, disturbed
     from warpvox.algos.training.policy_table import EvaluatedPolicy, PolicyTable, evaluate_run
+    from warpvox.algos.training.settings import Training
     from warpvox.code import Code, is_code
     from warpvox.envs.vec_env import make_vec
     from warpvox.runs import find_runs
+    from warpvox.trust import STORED
 
-    check_known(options, evaluate, Playing, without=("num_envs", "policy"))
+    check_known(options, evaluate, Playing, without=("num_envs",))
     check_choice("protocol", protocol, PROTOCOLS)
     several = isinstance(policies, Sequence) and not isinstance(policies, str)
     own = Code(task) if is_code(task) else task
-    how = Playing(episodes, checkpoint, stochastic, seed, task=own, protocol=protocol, **options)
+    network = Code(policy) if is_code(policy) else policy
+    how = Playing(episodes, checkpoint, stochastic, seed, task=own, policy=network, protocol=protocol, **options)
     rows = []
     with own_torch(1):
-        for number, policy in enumerate(policies if several else [policies]):
-            if isinstance(policy, TrainedRun | Found):
-                policy = policy.folder or policy.policy
-            if isinstance(policy, str | Path) and is_alone(Path(policy).expanduser()):
-                policy = load_policy(policy)
-            if isinstance(policy, str | Path):
-                for run in find_runs([str(policy)], str(output_dir)):
-                    rows.extend(evaluate_run(run, how, design if run.is_many else None, level))
+        for number, one in enumerate(policies if several else [policies]):
+            if isinstance(one, TrainedRun | Found):
+                one = one.folder or one.policy
+            if isinstance(one, str | Path) and is_alone(Path(one).expanduser()):
+                one = load_policy(one, policy=network)
+            if isinstance(one, str | Path):
+                if not several and isinstance(own, str) and not isinstance(own, Code) and own != STORED:
+                    raise ConfigError(f"task={own!r} goes with functions, or is the code of a run's own task.")
+                for run in find_runs([str(one)], str(output_dir)):
+                    rows.extend(evaluate_run(run, how, None if several and not run.is_many else design, level))
                 continue
-            about: Mapping[str, Any] = getattr(policy, "metadata", {})
+            about: Mapping[str, Any] = getattr(one, "metadata", {})
             where, body = own or about.get("task"), about.get("design") if design is None else design
-            if not callable(policy) or where is None or body is None:
+            if not callable(one) or where is None or body is None:
                 what = "a run, or a function of observations with task=... and design=..."
-                raise ConfigError(f"Policy {number} must be {what}; got {policy!r:.80}.")
-            given: dict[str, Any] = {"rules": about.get("rules") or "evogym", "obs": obs or about.get("obs") or "task"}
-            parts = parts_of(protocol, feedback=getattr(getattr(policy, "spec", None), "gait", None) is None)
-            if hasattr(policy, "in_float64"):
-                policy = policy.in_float64()
+                raise ConfigError(f"Policy {number} must be {what}; got {one!r:.80}.")
+            names = ("rules", "physics", "dtype", "arithmetic")
+            known = Training.of({key: about[key] for key in names if about.get(key) is not None})
+            known = dataclasses.replace(known, arithmetic=None) if "dtype" in options else known
+            sim = {"dtype": known.dtype, "arithmetic": known.arithmetic, "physics": physics_of(known)}
+            sim |= {key: value for key, value in options.items() if value is not None}
+            given: dict[str, Any] = {"rules": known.rules, "obs": obs or about.get("obs") or "task"} | sim
+            parts = parts_of(protocol, feedback=getattr(getattr(one, "spec", None), "gait", None) is None)
+            if hasattr(one, "in_float64"):
+                if stochastic:
+                    raise ConfigError(f"stochastic=True samples actions of runs; policy {number} acts without chance.")
+                one = one.in_float64()
             count = episodes * len(parts)
-            env = make_vec(where, load_bodies(body, seed), count, seed=seed, auto_reset=False, **given, **options)
-            name = getattr(policy, "__name__", f"policy {number}")
-            rows.extend(EvaluatedPolicy.each(name, env, disturbed(policy, env, parts, seed), level, parts))
+            env = make_vec(where, load_bodies(body, seed), count, seed=seed, auto_reset=False, **given)
+            name = getattr(one, "__name__", f"policy {number}")
+            rows.extend(EvaluatedPolicy.each(name, env, disturbed(one, env, parts, seed), level, parts, stochastic))
     return PolicyTable(rows)

@@ -78,8 +78,10 @@ class Run:
         return sorted(int(match[1]) for match in found if match)
 
     def find_checkpoint(self, which: str) -> Path:
-        """The file of ``best`` (the last if there was no evaluation), ``last`` or an iteration."""
+        """The file that was named, or that of ``best`` (the last without an evaluation), ``last`` or an iteration."""
         if self.checkpoint is not None:
+            if which != "best":
+                raise RunError(f"checkpoint={which} goes with the folder of a run; {self.checkpoint} is a checkpoint.")
             return self.checkpoint
         if which == "best" and (self.folder / BEST).is_file():
             return self.folder / BEST

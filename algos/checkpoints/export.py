@@ -104,12 +104,13 @@ POLICY_WRITERS = {"onnx": ("policy.onnx", write_onnx), "jit": ("policy.pt", writ
 """Format: file, and what writes it."""
 
 
-def read_exported(path: Path) -> Policy | None:
-    """The policy that a file of :func:`write_onnx` or :func:`write_script` holds; None: it is another kind of file."""
-    if path.suffix == ".onnx":
-        return parse_policy(_card_of_onnx(path), path)
-    text = _card_of_script(path)
-    return None if text is None else parse_policy(text, path)
+def read_exported(path: Path, network: str | None = None) -> Policy | None:
+    """The policy that a file of :func:`write_onnx` or :func:`write_script` holds; None: it is another kind of file.
+
+    ``network``: as for :func:`warpvox.algos.checkpoints.files.load_controller`.
+    """
+    text = _card_of_onnx(path) if path.suffix == ".onnx" else _card_of_script(path)
+    return None if text is None else parse_policy(text, path, network)
 
 
 def _card_of_onnx(path: Path) -> str:
@@ -175,7 +176,7 @@ def _compare(policy: Policy, run: Runner, path: object) -> float:
 def _check_card(policy: Policy, written: Path, path: Path | os.PathLike[str] | str) -> None:
     """Raise RunError unless a written file holds this very policy."""
     text = _card_of_onnx(written) if Path(path).suffix == ".onnx" else _card_of_script(written)
-    again = parse_policy(text or "", path).state_dict()
+    again = parse_policy(text or "", path, (policy.spec.voxels or {}).get("network")).state_dict()
     if not all(torch.equal(value, again[name]) for name, value in policy.state_dict().items()):
         raise RunError(f"{path} is not kept: the policy that it describes is another one.")
 

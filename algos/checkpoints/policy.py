@@ -214,8 +214,11 @@ def policy_text(policy: Policy) -> str:
     return json.dumps(content | {"weights": weights})
 
 
-def parse_policy(text: str, source: object) -> Policy:
-    """The policy that :func:`policy_text` has written; ``source`` names the file in errors."""
+def parse_policy(text: str, source: object, network: str | None = None) -> Policy:
+    """The policy that :func:`policy_text` has written; ``source`` names the file in errors.
+
+    ``network``: as for :func:`warpvox.algos.checkpoints.files.load_controller`.
+    """
     try:
         content = parse_json(text)
         if not isinstance(content, dict) or (content.get("format"), content.get("version")) != (FORMAT, VERSION):
@@ -223,7 +226,7 @@ def parse_policy(text: str, source: object) -> Policy:
         given, metadata = content.get("policy"), content.get("metadata")
         if not isinstance(given, dict) or not isinstance(metadata, dict):
             raise ValueError("it has no description of the network")
-        spec = with_code(spec_of(given), None)
+        spec = with_code(spec_of(given), network)
         check_sizes(spec)
         model = _on_meta(spec)
         weights = _weights(model.state_dict(), content.get("weights"))

@@ -19,7 +19,7 @@ from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.report import FILE as REPORT, FILM, write_report
 from warpvox.algos.statistics import Interval, mean_interval
-from warpvox.algos.training.playing import Playing, load_trained, own_code
+from warpvox.algos.training.playing import Playing, load_result, load_trained, own_code
 from warpvox.checks import is_number
 from warpvox.envs.registry import get_task
 from warpvox.io.console import duration
@@ -185,7 +185,7 @@ def film_designs(folder: Path, records: Sequence[Record], settings: Any) -> None
         file = policy.with_name(FILM)
         if file.is_file() or not policy.is_file():
             continue
-        rollout = record(*load_trained(find_run(str(file.parent), ""), Playing(**own_code(settings))), LONGEST)
+        rollout = record(*load_result(find_run(str(file.parent), ""), settings), LONGEST)
         painter = Painter(rollout, 0, SIZE, VOXELS)
         first, *others = [painter.frame(frame) for frame in range(0, rollout.num_frames, EVERY)]
         with atomic_path(file) as temporary:

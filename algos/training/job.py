@@ -46,7 +46,7 @@ from warpvox.trust import as_stored, keep_code
 
 CHANGEABLE = (
     "max_iterations", "eval_interval", "eval_envs", "stop_return", "save_interval", "device", "threads",
-    "torch_threads", "cuda_graph", "logger", "nan_guard", "memory_check", "resume", "output_dir",
+    "torch_threads", "cuda_graph", "logger", "nan_guard", "memory_check", "export", "resume", "output_dir",
 )  # fmt: skip
 """Keys that may differ when a run is resumed: they do not change what is learned.
 
@@ -94,6 +94,8 @@ class Job:
             settings = dataclasses.replace(settings, designs=Designs())
         if source is None and settings.pretrained is not None:
             settings, self.learned = adopted(settings, settings.pretrained, named)
+        if settings.method == "gradients" and settings.nan_guard == "dump":
+            raise ConfigError("nan_guard=dump goes with method=ppo: gradients do not take the environments' own steps.")
         self.settings = settings
 
     def check(self) -> None:
@@ -244,7 +246,8 @@ class Job:
     def policy(self) -> Policy:
         """The policy with the best evaluation, of a training that writes nothing."""
         policy = (self.best and self.best.policy) or policy_of(self.runner.controller)
-        policy.metadata |= self.runner.trained_on | {"obs": self.settings.obs}
+        known = {name: getattr(self.settings, name) for name in ("obs", "dtype", "arithmetic")}
+        policy.metadata |= self.runner.trained_on | known | {"physics": dataclasses.asdict(self.settings.physics)}
         return policy.to("cpu")
 
 
@@ -352,7 +355,7 @@ def own_torch(threads: int) -> Iterator[None]:
 def continued(settings: Training, source: Run) -> tuple[Training, Path]:
     """The settings of a run that goes on, and the checkpoint that it goes on from."""
     check_writable(source.folder)
-    named = dataclasses.replace(settings, task=getattr(settings.task, "id", settings.task))
+    named = dataclasses.replace(resolved(settings), task=task_name(settings.task))
     check_unchanged(source.config, as_stored(named, source.config), CHANGEABLE)
     checkpoint = source.checkpoint or source.folder / STATE
     if not checkpoint.is_file():

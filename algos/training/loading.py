@@ -16,7 +16,7 @@ from warpvox.algos.checkpoints.policy import Policy, read_policy
 from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.training.metrics import COLUMNS, read_metrics
 from warpvox.algos.training.playing import SHOWN, Playing, disturbed, load_trained
-from warpvox.code import Code, is_code
+from warpvox.code import Code
 from warpvox.devices.names import resolve_device
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
@@ -51,8 +51,8 @@ def load_policy(
         checkpoint: of a run: ``best``, ``last`` or an iteration.
         output_dir: where ``latest`` is looked for.
         device: where the module shall be.
-        policy: of a run with a network of your own, where its code is: ``FILE.py:Class``, ``module:Class``, or
-            ``stored`` for the copy in the run's folder. It is imported only if it is named here.
+        policy: of a run or file with a network of your own, where its code is: ``FILE.py:Class``, ``module:Class``,
+            or, of a run, ``stored`` for the copy in its folder. It is imported only if it is named here.
 
     Raises:
         RunError: there is no such run, checkpoint or file, or it holds no policy. DeviceError: no such device.
@@ -60,7 +60,7 @@ def load_policy(
     network = None if policy is None else policy if policy == STORED else Code(policy)
     device, path = resolve_device(device), Path(source).expanduser()
     if str(source) != "latest" and path.is_file():
-        exported = read_exported(path)
+        exported = read_exported(path, network)
         if exported is not None:
             return exported.to(device)
         if is_alone(path):
@@ -68,7 +68,8 @@ def load_policy(
     run = find_run(str(source), str(output_dir))
     if run.robot is not None:
         return torch_policy(run.robot, device)
-    known = {name: run.config.get(name) for name in ("task", "rules", "obs", "design")}
+    names = ("task", "rules", "obs", "design", "physics", "dtype", "arithmetic")
+    known = {name: run.config.get(name) for name in names} | ({"design": None} if run.is_many else {})
     file = run.find_checkpoint(str(checkpoint))
     network = allowed("policy", run.config.get("policy"), network, run.folder)
     return read_policy(file, known | {"source": str(file)}, device, network)
@@ -100,7 +101,7 @@ class TrainedRun:
         """The result of a training that has been made."""
         if job.folder is None:
             return cls(None, job.summary, job.rows, job.policy)
-        policy = load_policy(job.folder, policy=job.settings.policy if is_code(job.settings.policy) else None)
+        policy = load_policy(job.folder, policy=job.settings.policy)
         return cls(job.folder, job.summary, read_metrics(job.folder), policy)
 
     def __repr__(self) -> str:
@@ -129,6 +130,8 @@ class TrainedRun:
 def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:
     """Environments and policy of a run or a stored robot, see :func:`warpvox.algos.training.playing.load_trained`."""
     if run.robot is not None:
+        if designs is not None:
+            raise ConfigError("Other bodies go with a run over many of them; a stored robot has its own.")
         return _load_robot(run.robot, config, run.folder)
     return load_trained(run, config, designs, every)
 

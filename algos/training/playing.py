@@ -12,7 +12,7 @@ from warpvox.algos.disturbance import Disturbed
 from warpvox.algos.policies.network import VoxelGaussian
 from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.settings import sim_of
-from warpvox.algos.training.bodies import read_bodies, training_bodies
+from warpvox.algos.training.bodies import load_bodies, read_bodies, training_bodies
 from warpvox.algos.training.settings import Training
 from warpvox.code import is_code
 from warpvox.devices.names import resolve_device
@@ -113,7 +113,7 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
     parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=controller.spec.gait is None)
     judged, drawn = bodies.judged, config.stochastic or parts != (NOMINAL,) or get_task(trained.task).is_random
     if trained.is_many:
-        judged = judged if designs is None else read_bodies(designs, config.seed or 0, "designs")
+        judged = judged if designs is None else read_bodies(designs, trained.seed, "designs")
         count = config.num_envs or min(SHOWN, len(judged))
         if every:
             count = len(judged) * max(1, count // len(judged))
@@ -130,6 +130,17 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
     controller.check(env)
     policy = SampledController(controller, trained.seed) if config.stochastic else controller
     return env, disturbed(policy, env, parts, trained.seed)
+
+
+def load_result(run: Run, settings: Any, device: str = "cpu") -> tuple[VoxelVecEnv, Any]:
+    """Policy of a run that has just been made, and one environment for each of its designs, for an episode to show.
+
+    Args:
+        settings: of the training or design search, with the code that the user has named.
+    """
+    count = 1 if run.is_many else len(load_bodies(run.config["design"], 0))
+    how = {"device": device, "threads": settings.threads, "memory_check": settings.memory_check}
+    return load_trained(run, Playing(count, **how, **own_code(settings)))
 
 
 def disturbed(policy: Any, env: VoxelVecEnv, parts: Sequence[str], seed: int) -> Any:

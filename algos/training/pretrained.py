@@ -68,7 +68,7 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
     Args:
         named: keys that the user has given, which must agree with the policy.
     """
-    from warpvox.algos.checkpoints.files import load_checkpoint
+    from warpvox.algos.checkpoints.files import RNN, load_checkpoint
 
     path, run = find_pretrained(pretrained, config.output_dir)
     content = load_checkpoint(path)
@@ -77,7 +77,7 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
     changes: dict[str, Any] = {"policy": "mlp", "network": None}
     changes |= {key: run[key] for key in ("obs", "method") if key in run}
     if spec.voxels is None:
-        ppo |= {"hidden": list(spec.hidden), "activation": spec.activation}
+        ppo |= {"hidden": list(spec.hidden), "activation": spec.activation, "rnn": spec.rnn}
     else:
         name, settings = spec.voxels["network"], dict(spec.voxels["settings"])
         changes |= {"policy": name, "network": settings or None, "obs": observed_by(content["policy"])}
@@ -85,7 +85,8 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
     known = changes | {f"ppo.{key}": value for key, value in ppo.items()}
     known.pop("designs", None)
     for key in [key for key in known if key in named]:
-        given = getattr(config.ppo, key[4:]) if key.startswith("ppo.") else getattr(config, key)
+        given: Any = getattr(config.ppo, key[4:]) if key.startswith("ppo.") else getattr(config, key)
+        given = {**RNN, **given} if key == "ppo.rnn" and isinstance(given, Mapping) else given
         if given != known[key] and (key != "obs" or OBS_OF_VOXELS.get(given) != known[key]):
             raise ConfigError(f"{key}={given} is not that of the policy in {path}: {key}={known[key]}.")
     changes |= {"ppo": dataclasses.replace(config.ppo, **ppo), "pretrained": kept_name(pretrained, path)}

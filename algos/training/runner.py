@@ -29,12 +29,12 @@ from warpvox.algos.settings import Ppo
 from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
 from warpvox.algos.training.held_out import HeldOut
-from warpvox.algos.training.metrics import Metrics
+from warpvox.algos.training.metrics import Metrics, read_metrics
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
 from warpvox.io.writing import check_folder
-from warpvox.runs import BEST, STATE
+from warpvox.runs import BEST, STATE, Run
 
 
 @dataclass(frozen=True)
@@ -151,6 +151,7 @@ class Runner(OnPolicyRunner):
         self.current_learning_iteration, self.saved_iteration, self.elapsed = 0, None, 0.0
         self.best_return, self.best_iteration, self.last_return = -math.inf, 0, math.nan
         self._metrics: Metrics | None = None
+        self._turned_back = False  # to a checkpoint beside a state that may be of a later iteration
 
     def _configure_multi_gpu(self) -> None:
         """As rsl-rl's, for processes that have met already, on CPUs, too."""
@@ -191,12 +192,15 @@ class Runner(OnPolicyRunner):
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
         """Learn for so many iterations; random lengths apply to the very first one only."""
         end, goal = self.current_learning_iteration + num_learning_iterations, self.schedule.stop_return
-        if self.current_learning_iteration == 0:
+        if self.current_learning_iteration == 0 or self._turned_back:
             self.save_state()  # a run can be resumed whenever it is killed
         if init_at_random_ep_len and self.current_learning_iteration == 0:
             lengths = torch.randint(int(self.env.max_episode_length), (self.env.num_envs,))
             self.env.episode_length_buf = lengths.to(self.env.device)
         if self.folder is not None and self.group.is_main_process:
+            for number in Run(self.folder, {}).iterations:
+                if number > self.current_learning_iteration:  # they go with the rows that will be written again
+                    (self.folder / f"model_{number}.pt").unlink()
             self._metrics = Metrics(self.folder, self.current_learning_iteration, self._writer)
         if self.group.size > 1:
             self.alg.broadcast_parameters()
@@ -384,8 +388,8 @@ class Runner(OnPolicyRunner):
         """Go on from a checkpoint file.
 
         From ``state.pt`` learning goes on exactly as if it had not been stopped; any other checkpoint
-        restores the networks, the optimiser and the schedule, with new episodes. The best policy of its folder stays
-        until there is a better one.
+        restores the networks, the optimiser and the schedule, with new episodes; later checkpoints are removed when
+        learning begins. The best policy of its folder stays until there is a better one.
         """
         content = load_checkpoint(path, self.device)
         processes = content.get("processes", 1)
@@ -397,6 +401,9 @@ class Runner(OnPolicyRunner):
             raise RunError(f"{path} holds another kind of policy: {found}, not {self.spec}.")
         self.set_state(content)
         if "env" not in content:
+            self._turned_back = True
+            times = [row["elapsed"] for row in read_metrics(path.parent) if row["iteration"] <= content["iter"]]
+            self.elapsed = times[-1] if times else 0.0
             with contextlib.suppress(RunError):  # there may be none
                 best = load_checkpoint(path.with_name(BEST))
                 self.best_return, self.best_iteration = best["eval_return"], best["iter"]

@@ -130,7 +130,11 @@ class Training(Settings):
         1, "PyTorch threads; more than 1 slow down small networks and change rounding", low=1, high=MOST_THREADS
     )
     memory_check: bool = key(True, "refuse, before allocating, what does not fit into free memory")
-    resume: str | None = key(None, "continue a run: latest, its folder, or a checkpoint file in it", path="read")
+    resume: str | None = key(
+        None,
+        "continue a run: latest, its folder, or a checkpoint file in it, whose later checkpoints are then removed",
+        path="read",
+    )
     name: str | None = key(None, "appended to the name of the run's folder")
     output_dir: str = key("outputs", "folder that runs are written to", path="written")
     physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the physics", nodes=PRESETS)

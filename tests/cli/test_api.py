@@ -93,6 +93,8 @@ def test_values_of_python_arrive_as_they_are(tmp_path: Path, monkeypatch: pytest
         ({"ppo": {"step": 4}}, r"ppo: Ppo has no argument 'step'\. Did you mean 'steps'"),
         ({"ppo": "evogim"}, "Did you mean 'evogym'"),
         ({"design": object()}, "design cannot be a object"),
+        ({"task": wv.Training(pretrained="universal", policy="grid")}, "policy=grid is not that of the policy in"),
+        ({"folder": "latest"}, "folder cannot be 'latest'"),
         ({"ppo": 3}, r"ppo must be Ppo\(...\) or values by name, got 3"),
         ({"sim": wv.SimOptions(layout="group")}, "sim.layout cannot be given"),
     ],
@@ -119,6 +121,9 @@ def test_without_a_folder_nothing_is_written_and_the_same_is_learned(tmp_path: P
     ]  # fmt: skip
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
     assert torch.equal(torch.get_rng_state(), state)
+    one, other = (run.policy.metadata for run in runs)
+    assert one == {key: value for key, value in other.items() if key != "source"} | {"seed": 0}
+    assert one["physics"]["gravity"] == 110.0
     one, other = (run.policy.state_dict() for run in runs)
     assert all(torch.equal(value, other[name]) for name, value in one.items())
     assert runs[0].best_return == runs[1].best_return
@@ -140,8 +145,37 @@ def test_the_defaults_and_named_sets_of_ppo_are_those_of_the_command() -> None:
     assert inspect.signature(wv.evaluate).parameters["episodes"].default == load("evaluate", []).episodes
 
 
+def asked(monkeypatch: pytest.MonkeyPatch, *given: Any, **settings: Any) -> wv.Training:
+    """The settings of a training, which is not made."""
+
+    def stop(job: Any, *_: Any, **__: Any) -> None:
+        made.append(job.settings)
+        raise InterruptedError
+
+    made: list[wv.Training] = []
+    monkeypatch.setattr("warpvox.algos.training.job.Job.train", stop)
+    with pytest.raises(InterruptedError):
+        wv.train(*given, **settings)
+    return made[0]
+
+
+def test_a_part_that_is_changed_keeps_its_other_values(train: Callable[..., Path], monkeypatch: Any) -> None:
+    folder = train("seed=3")
+    parts = {"ppo": {"gamma": 0.5}, "designs": {"refresh": "new", "grid": [5, 5]}, "physics": {"friction": 0.25}}
+    other = {"ppo": {"steps": 4}, "designs": {"bodies": "random:2"}, "physics": {"gravity": 80.0}}
+    both = {key: parts[key] | other[key] for key in parts}
+    for designs in (other["designs"], "random:2"):
+        changed = asked(monkeypatch, wv.Training(num_envs=7, **parts), **other | {"designs": designs})
+        assert changed == wv.Training(num_envs=7, **both)
+    base = wv.Training(seed=3, num_envs=7)
+    rnn = {"rnn_type": "gru", "rnn_hidden_dim": np.int64(8)}
+    assert type(asked(monkeypatch, base, ppo={"rnn": rnn}).ppo.rnn["rnn_hidden_dim"]) is int
+    assert asked(monkeypatch, base, ppo="evogym") == wv.Training(seed=3, **settings_named("train", ppo="evogym"))
+    assert asked(monkeypatch, resume=folder, ppo={"epochs": 1}, max_iterations=2).ppo == wv.Ppo(**PPO)
+
+
 def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None:
-    folder = train("max_iterations=1", "eval_interval=1")
+    folder = train("max_iterations=1", "eval_interval=1", "physics.gravity=80")
     policies = [folder, wv.load_policy(folder), "zoo:Walker-v0"]
     table = wv.evaluate(policies, episodes=8, device="cpu", threads=1)
     assert [row.name for row in table] == [str(folder), "policy 1", "zoo:Walker-v0"]
@@ -154,8 +188,14 @@ def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None
     (row,) = wv.evaluate(lambda obs: torch.ones(len(obs), 8), own, "mini", episodes=8, device="cpu", threads=1)
     assert row.interval.n == 8
     assert row.mean == pytest.approx(sum(row.returns) / 8)
+    few = {"episodes": 2, "device": "cpu", "threads": 1}
+    (row,) = wv.evaluate(lambda obs: torch.rand(len(obs), 8), "Walker-v0", "mini", stochastic=True, **few)
+    assert row.interval.n == 2
     for policy, options, words in (
         (len, {}, "Policy 0 must be a run, or a function"),
+        (policies[1], {"stochastic": True}, "policy 0 acts without chance"),
+        (folder, {"task": "Climber-v0"}, "task='Climber-v0' goes with functions"),
+        (folder, {"design": "worm"}, "Other bodies go with a run over many of them"),
         (folder, {"episods": 3}, "evaluate has no argument 'episods'. Did you mean 'episodes'"),
         ("nowhere", {}, "no run at nowhere"),
     ):
@@ -204,11 +244,14 @@ def test_policies_are_loaded_by_whatever_names_them(train: Callable[..., Path], 
         assert policy.metadata["task"] == "Walker-v0"
     last = wv.load_policy(folder / "model_2.pt")(obs)
     assert torch.equal(wv.load_policy(folder, checkpoint="last")(obs), last)
+    with pytest.raises(wv.RunError, match="checkpoint=last goes with the folder of a run"):
+        wv.load_policy(folder / "model_2.pt", checkpoint="last")
     shutil.copy(folder / "model_2.pt", "alone.pt")
     assert torch.equal(wv.load_policy("alone.pt")(obs), last)
 
-    outcome = warpvox("export", f"run={folder}", "format=[onnx,jit]", "name=both", "checkpoint=2")
+    outcome = warpvox("export", "format=[onnx,jit]", "name=both", "checkpoint=2")
     (out,) = Path("outputs").glob("export/Walker-v0/*_both")
+    assert (out / "config.yaml").read_text().startswith(f"run: {folder}\n")
     assert {file.name for file in out.iterdir()} == {"config.yaml", "summary.json", "policy.onnx", "policy.pt"}
     assert outcome.out.count("of the policy") == 2
     for name in ("policy.onnx", "policy.pt"):

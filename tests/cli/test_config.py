@@ -13,7 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 from warpvox.algos import settings
 from warpvox.algos.settings import physics_of
 from warpvox.cli import COMMANDS, main
-from warpvox.cli.config import load
+from warpvox.cli.config import load, load_start
 from warpvox.cli.help import flat_keys, flat_values, options_of
 from warpvox.configs import schema
 from warpvox.design import load_design
@@ -76,6 +76,12 @@ def test_no_preset_and_one_that_does_not_exist(command: str) -> None:
         with pytest.raises(ConfigError, match="preset must be") as error:
             load(command, [f"preset={word}"])
         assert ("Did you mean 'paper'?" in str(error.value)) == (word != "4")
+
+
+@pytest.mark.parametrize(("command", "words"), [("train", ["seed=7"]), ("codesign", ["top=7"]), ("suite", ["seeds=7"])])
+def test_resume_null_is_no_resumption(command: str, words: list[str]) -> None:
+    assert load_start(command, ["resume=null", *words], None) == load(command, words)
+    assert load_start(command, ["resume=here", *words], None) == load(command, ["resume=here"])
 
 
 def test_a_preset_of_ones_own(tmp_path: Path) -> None:

@@ -61,7 +61,8 @@ def test_runs_with_other_settings_have_a_curve_of_their_own(warpvox: Callable) -
         text = f"task: Walker-v0\ndesign: walker\nseed: {number}\nppo:\n  gamma: {gamma}\n"
         (run.folder / "config.yaml").write_text(f"{text}...\n")
     make_run(Path("runs/young"), [(10, None)])
-    outcome = warpvox("curves", "runs=runs/*", "file=c.svg")
+    Path("runs/0/model_1.pt").touch()  # of one run, and no other
+    outcome = warpvox("curves", "runs=[runs/*,runs/0/model_1.pt]", "file=c.svg")
     with Path("c.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     ends = {row["settings"]: row for row in rows}

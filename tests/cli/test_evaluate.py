@@ -35,7 +35,8 @@ def runs(*configs: dict) -> list[Run]:
 
 def test_groups_differ_by_all_but_the_seed() -> None:
     other = {"gamma": 0.99, "lam": 0.9}
-    same = (config(seed=1), config(seed=2, name="x", threads=4))
+    how = {"threads": 4, "logger": "none", "memory_check": False, "preset": None}
+    same = (config(seed=1), config(seed=2, name="x", **how))
     groups = group_runs(runs(*same, config(ppo=other), config(seed=5, ppo=other), config(rules="paper")))
     assert [len(group.runs) for group in groups] == [2, 2, 1]
     assert [group.label for group in groups] == [
@@ -45,6 +46,8 @@ def test_groups_differ_by_all_but_the_seed() -> None:
     ]
     (same,) = group_runs(runs(config(device="cuda:0"), config(device="cuda:1", seed=3)))
     assert (same.label, same.title) == ("Walker-v0", "Walker-v0 (n=2)")
+    several = [Run(Path(folder), config(), Path(folder, name)) for folder in "ab" for name in ("1.pt", "2.pt")]
+    assert [group.title for group in group_runs(several)] == ["checkpoint=1.pt (n=2)", "checkpoint=2.pt (n=2)"]
 
 
 def test_labels_name_presets_designs_and_tasks() -> None:

@@ -32,7 +32,10 @@ def config_of(run: Path) -> dict:
     return yaml.safe_load((run / "config.yaml").read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("words", [(), VOXELS], ids=["mlp", "grid"])
+RECURRENT = ("ppo.rnn={rnn_type:gru,rnn_hidden_dim:8}",)
+
+
+@pytest.mark.parametrize("words", [(), RECURRENT, VOXELS], ids=["mlp", "rnn", "grid"])
 def test_a_training_begins_with_the_networks_of_another(train: Callable, words: tuple[str, ...]) -> None:
     first = train(*words, "max_iterations=2", "ppo.action_scale=0.4")
     given = [word for word in words if word.startswith(("designs", "lanes"))]

@@ -52,7 +52,8 @@ def told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], dict[s
 
 
 def test_a_training_sends_its_configuration_its_rows_and_a_film(train: Callable[..., Path], told: Callable) -> None:
-    folder = train("logger=wandb", "max_iterations=2", "name=mine")
+    folder = train("logger=wandb", "max_iterations=2", "name=mine", "design=[mini,worm]", "export=[png]")
+    assert (folder / "rollout.png").is_file()
     found = told()
     (options,) = found["init"]
     assert (options["group"], options["tags"], options["id"]) == ("mine", ["Walker-v0", "train"], None)

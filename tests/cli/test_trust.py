@@ -131,10 +131,13 @@ def test_python_runs_no_code_that_a_file_names(foreign: Path, monkeypatch: pytes
     for call in (
         lambda: wv.load_policy("zoo:robots/Gait-v0.npz"),
         lambda: wv.load_policy("own_network", policy="stored"),
+        lambda: wv.evaluate("own_network"),
         lambda: wv.make_vec("evil.py:T"),
     ):
         with pytest.raises(wv.WarpvoxError):
             call()
+    one = wv.evaluate("own_network", policy="evil:T", episodes=1, device="cpu", threads=1)  # which holds layers alone
+    assert len(one) == 1
     assert not Path("marker").exists()
     with pytest.raises(ConfigError, match="'T' does not exist"):
         wv.make_vec(wv.Code("evil.py:T"))

@@ -63,8 +63,11 @@ def load_start(command: str, overrides: list[str], config_dir: Path | None) -> A
     What else is given may be about parts that only the run has which goes on.
     """
     keys = {word.partition("=")[0]: word for word in overrides}
-    words = [keys[key] for key in ("resume", "output_dir") if key in keys] if "resume" in keys else overrides
-    return load(command, words, config_dir)
+    if "resume" in keys:
+        config = load(command, [keys[key] for key in ("resume", "output_dir") if key in keys], config_dir)
+        if config.resume is not None:
+            return config
+    return load(command, overrides, config_dir)
 
 
 def load_values(command: str, values: dict[str, Any]) -> Any:

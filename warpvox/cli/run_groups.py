@@ -15,9 +15,9 @@ from warpvox.runs import Run
 
 NOT_SETTINGS = (
     "seed", "name", "output_dir", "resume", "config", "export", "threads", "torch_threads", "lanes", "save_interval",
-    "nan_guard", "cuda_graph",
+    "nan_guard", "cuda_graph", "logger", "memory_check", "preset",
 )  # fmt: skip
-"""Keys that do not make a run another experiment."""
+"""Keys that do not make a run another experiment; what a preset has set stands in the other keys."""
 LONGEST = 28
 """Characters of a value in a label."""
 
@@ -33,8 +33,11 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
 
 
 def settings(run: Run) -> dict[str, Any]:
-    """Settings of a run by dotted keys, without those that only say where and how it was computed."""
-    flat = flat_values("train", run.config)
+    """Settings of a run by dotted keys, without those that only say where and how it was computed.
+
+    Among them the checkpoint that was named, as several of one run are no repetitions.
+    """
+    flat: dict[str, Any] = flat_values("train", run.config) | {"checkpoint": run.checkpoint and run.checkpoint.name}
     if isinstance(flat.get("device"), str):
         flat["device"] = flat["device"].partition(":")[0]  # which of several GPUs makes no difference
     return {name: value for name, value in flat.items() if name not in NOT_SETTINGS}

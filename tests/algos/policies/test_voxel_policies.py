@@ -12,7 +12,7 @@ from learning import ENVS, ppo_settings, small_env
 from tensordict import TensorDict
 
 from warpvox.algos.checkpoints.export import read_exported, write_onnx, write_script
-from warpvox.algos.checkpoints.files import Controller, load_controller
+from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.checkpoints.policy import policy_of
 from warpvox.algos.evaluate import evaluate, evaluator
 from warpvox.algos.policies.layout import FEATURES, INPUTS, VoxelInputs, VoxelLayout, layout_of
@@ -233,7 +233,9 @@ def test_a_network_of_ones_own_is_imported_only_if_it_is_named(tmp_path: Path) -
     file = tmp_path / "model_1.pt"
     with pytest.raises(RunError, match=r"name it, policy=FILE\.py:Class"):
         load_controller(file)
-    assert isinstance(load_controller(file, network=name), Controller)
+    policy = policy_of(load_controller(file, network=name))
+    write_script(policy, tmp_path / "policy.pt")
+    assert read_exported(tmp_path / "policy.pt", name).state_dict().keys() == policy.state_dict().keys()
     with pytest.raises(ConfigError, match=r"has the settings units .*Did you mean 'units'"):
         make_network(name, VoxelLayout(2, 3, 2, 5), False, {"unit": 3})
     with pytest.raises(ConfigError, match=r"does not exist.*Did you mean 'Own'"):

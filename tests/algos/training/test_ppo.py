@@ -15,7 +15,7 @@ from warpvox.algos.training.metrics import Metrics, check_logger, read_metrics
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError, RunError
-from warpvox.runs import STATE
+from warpvox.runs import STATE, Run
 
 STEPS, LIMIT = 6, 14
 
@@ -114,8 +114,13 @@ def test_a_resumed_checkpoint_writes_later_rows_again_and_keeps_the_best_policy(
     save_checkpoint(tmp_path / "model_best.pt", best)
     second = make_runner(4, folder=tmp_path)
     second.resume(tmp_path / "model_2.pt")
+    saved: list[tuple[list[int], int]] = []
+    second.report = lambda _: saved.append((Run(tmp_path, {}).iterations, load_checkpoint(tmp_path / STATE)["iter"]))
     second.run()
-    assert [row["iteration"] for row in read_metrics(tmp_path)] == [1, 2, 3, 4]
+    assert saved[0] == ([1, 2], 2)  # what was later is gone, and a kill before the next checkpoint does no harm
+    table = read_metrics(tmp_path)
+    assert [row["iteration"] for row in table] == [1, 2, 3, 4]
+    assert sorted(row["elapsed"] for row in table) == [row["elapsed"] for row in table]
     assert load_checkpoint(tmp_path / "model_best.pt")["eval_return"] == 1e9
     assert (second.best_return, second.best_iteration) == (1e9, best["iter"])
 

@@ -1,5 +1,6 @@
 """``warpvox curves``: learning curves of runs as one picture, as a table and as CSV."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -50,7 +51,8 @@ def _draw(config: CurvesConfig, console: Console) -> None:
 
 def _of_runs(config: CurvesConfig) -> tuple[dict[str, list[Curve]], list[str]]:
     """Curves by task, and the names of runs that have none yet."""
-    found = find_runs(config.runs, config.output_dir)
+    named = find_runs(config.runs, config.output_dir)  # of several checkpoints of a run there is one curve
+    found = list({one.folder.resolve(): dataclasses.replace(one, checkpoint=None) for one in named}.values())
     judged = [each_run for each_run in found if evaluations_of(each_run)]
     if not judged:
         raise RunError(f"The run {found[0].folder} has no evaluation yet: there is nothing to draw.")

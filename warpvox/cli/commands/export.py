@@ -62,6 +62,8 @@ def _load_policy(config: Any, console: Console) -> Policy:
 def _export_policy(policy: Policy, config: Any, formats: list[str], console: Console) -> Path:
     # The task's name comes from a file that somebody else may have written: it must stay a name.
     place = as_name(str(policy.metadata.get("task", ""))) or "policy"
+    if config.run == "latest" and config.zoo is None:  # which is another one later
+        config = dataclasses.replace(config, run=str(Path(policy.metadata["source"]).parent))
     with new_folder(config.output_dir, "export", place, config.name, to_yaml(config)) as folder:
         checks = _write_policy(policy, folder, formats, console)
         summary = {"command": "export", "task": policy.metadata.get("task"), "source": policy.metadata.get("source")}

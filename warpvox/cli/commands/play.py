@@ -64,10 +64,13 @@ def play(config: PlayConfig, console: Console) -> Path:
 
 
 def check_source(config: Any) -> None:
-    """Raise ConfigError if a run is named and something else to be shown as well."""
+    """Raise ConfigError if a run, or what goes with one, is named and something else to be shown as well."""
     other = next((name for name in ("rollout", "agent", "zoo") if getattr(config, name, None) is not None), None)
     if other and config.run not in ("latest", ""):  # the default, and what a stored configuration without a run has
         raise ConfigError(f"run and {other} both say what is shown: give one of them.")
+    usual = {"checkpoint": "best"} | ({} if other == "zoo" else {"stochastic": False, "protocol": NOMINAL})
+    for name in (name for name in usual if other and getattr(config, name, usual[name]) != usual[name]):
+        raise ConfigError(f"{name} goes with a run, not with {other}.")
 
 
 def play_run(config: Any, console: Console) -> tuple[Rollout, str]:

@@ -43,18 +43,18 @@ def train(job: Job, console: Console) -> Path:
     prepare(job.settings.torch_threads, job.settings.seed)
     job.train(Terminal(console))
     folder, config = cast(Path, job.folder), cast(TrainConfig, job.settings)
-    if config.export:
+    if config.export and job.group.is_main_process:
         _export(folder, config, console)
     return folder
 
 
 def _export(folder: Path, config: TrainConfig, console: Console) -> None:
     """Record the best policy of a run and write it into the run's folder."""
-    from warpvox.algos.training.playing import Playing, load_trained, own_code
+    from warpvox.algos.training.playing import load_result
     from warpvox.cli.exports import ROLLOUT, print_returns, record_run, write_exports
 
     run = find_run(str(folder), config.output_dir)
-    env, controller = load_trained(run, Playing(device=config.device, **own_code(config)))
+    env, controller = load_result(run, config, config.device)
     with console.status("simulating"):
         rollout = record_run(run, env, controller, None)
     print_returns(rollout, console)
