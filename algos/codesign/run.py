@@ -55,7 +55,7 @@ class SearchRun:
 
     Attributes:
         total: evaluations that it may spend, those of finalists included, which come last.
-        costs: control steps that a design takes at most, and a finalist; None: not known.
+        costs: about how many control steps a design takes, and a finalist; None: not known.
         workers: of Ray; 0: this process.
     """
 

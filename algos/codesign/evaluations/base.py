@@ -93,7 +93,7 @@ class Evaluation(Settings):
         return False
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float] | None:
-        """Control steps that a design takes at most, and those of all finalists; None: not known beforehand."""
+        """About how many control steps a design takes, and all finalists; None: not known beforehand."""
         return None
 
     def workloads(self, search: Codesign) -> list[Workload]:
@@ -106,7 +106,7 @@ class Evaluation(Settings):
 
 
 def steps_of_training(training: DesignTraining, designs: int) -> float:
-    """Control steps that a design's training takes, the mean of a generation where successive halving stops some."""
+    """Control steps that a design's training takes, the mean of ``designs`` side by side with successive halving."""
     ends = sorted({max(1, round(share * training.iterations)) for share in training.rungs} - {training.iterations})
     left, before, iterations = designs, 0, 0
     for end in [*ends, training.iterations]:

@@ -90,7 +90,6 @@ class CommonPolicy(Screened):
         return found
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float]:
-        """The first is about as many."""
         each = (self.ppo or {}).get("steps", search.training.ppo.steps) * self.iterations * self.envs
         last = self.finalists * steps_of_training(search.training, self.finalists)
         return each + episodes_of(self.eval_envs, search.fitness) * task.max_episode_steps, last
