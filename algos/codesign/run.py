@@ -24,6 +24,7 @@ from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.protocols import episodes_of
 from warpvox.algos.search import make_search
+from warpvox.algos.search.factory import start_with
 from warpvox.algos.settings import MLP
 from warpvox.algos.training.job import own_torch, task_name
 from warpvox.algos.training.metrics import check_logger
@@ -68,7 +69,7 @@ class SearchRun:
 
 
 def check(settings: Codesign, folder: Path | None = None, search: Search | None = None) -> Codesign:
-    """Find mistakes before anything is made.
+    """Find mistakes before anything is made; a ``search`` that is given gets the bodies to start with.
 
     Returns:
         A copy with what its names stand for: settings, constants and, where it is this machine's, the device.
@@ -78,6 +79,8 @@ def check(settings: Codesign, folder: Path | None = None, search: Search | None 
     start = [robot.body for robot in read_start(settings, folder)]
     if search is None:
         make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, start)
+    else:
+        start_with(search, start)
     settings.sim  # noqa: B018  (constants out of range are found)
     settings.evaluation.check(settings)
     settings = settings.resolved(folder)

@@ -12,7 +12,7 @@ from fault_cases import digest
 from tiny import tiny
 
 import warpvox as wv
-from warpvox.algos.candidate import Listener
+from warpvox.algos.candidate import START, Listener
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.codesign.settings import Codesign
@@ -88,9 +88,11 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
     assert {record.id: known[record.id] for record in found.designs} == {one.id: one.fitness for one in found.designs}
     # budget and population are those of the search; a class of the same name goes on, wherever it lies
     Own, few = type("Own", (RandomSearch,), {}), wv.RandomDesigns(population=4, max_evaluations=8)
+    how = dict(evaluation=Judge(), folder=tmp_path / "own", start=["random:2:3x3"]) | SMALL
     for module in ("__main__", "codesign_toys"):
         Own.__module__ = module
-        again = wv.codesign(search=Own(few, (3, 3)), evaluation=Judge(), folder=tmp_path / "own", **SMALL)
+        again = wv.codesign(search=Own(few, (3, 3)), **how)
+        assert sorted(one.id for one in again.designs if one.candidate.origin == START) == [0, 1]
         assert (again.settings.search.population, again.settings.search.max_evaluations) == (4, 8)
         assert again.settings.search.make == "__main__:Own"
     for wrong, says in [
@@ -98,6 +100,7 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
         ({"evaluation": 3}, "an object with a method evaluate"),
         ({"search": "gaa"}, r"search must be one of auto, bo, .*Did you mean 'ga'"),
         ({"evaluation": "gait"}, r"evaluation must be one of .*two_gaits"),
+        ({"search": ToySearch(), "start": ["random:2:3x3"]}, r"ToySearch has no start_with\(bodies\)"),
         ({"sead": 3}, r"codesign has no argument 'sead'\. Did you mean 'seed'\? There are task, shape, .*output_dir"),
         ({"evaluation": {"name": "gaits", "round": 3}}, "Did you mean 'rounds'"),
         ({"training": {"iterations": "many"}}, "training: iterations must be an integer"),
