@@ -76,7 +76,9 @@ def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_p
 
 def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
     task = "BidirectionalWalker-v0"  # draws at random: a winner with a policy would be judged again
-    found = wv.codesign(task, search=ToySearch(), evaluation=Judge(), folder=tmp_path / "run", **SMALL)
+    search = ToySearch()
+    search.max_evaluations = []  # a name of its own, and no budget
+    found = wv.codesign(task, search=search, evaluation=Judge(), folder=tmp_path / "run", **SMALL)
     assert len(found.designs) == found.summary["evaluations"] > 20
     assert found.summary["search"] == "custom"
     with pytest.raises(wv.ConfigError, match="no design with a policy"):
@@ -86,12 +88,14 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
         Loop(ToySearch(), LocalExecutor(Judge()), archive, seed=0).run()
         known = {record.id: record.fitness for record in archive.records()}
     assert {record.id: known[record.id] for record in found.designs} == {one.id: one.fitness for one in found.designs}
-    # budget and population are those of the search; a class of the same name goes on, wherever it lies
+    # budget, population, shape and seed are those of the search; a class of the same name goes on, wherever it lies
     Own, few = type("Own", (RandomSearch,), {}), wv.RandomDesigns(population=4, max_evaluations=8)
     how = dict(evaluation=Judge(), folder=tmp_path / "own", start=["random:2:3x3"]) | SMALL
+    del how["shape"]
     for module in ("__main__", "codesign_toys"):
         Own.__module__ = module
-        again = wv.codesign(search=Own(few, (3, 3)), **how)
+        again = wv.codesign(search=Own(few, (3, 3), seed=2), **how)
+        assert (again.settings.shape, again.settings.seed) == ([3, 3], 2)
         assert sorted(one.id for one in again.designs if one.candidate.origin == START) == [0, 1]
         assert (again.settings.search.population, again.settings.search.max_evaluations) == (4, 8)
         assert again.settings.search.make == "__main__:Own"
@@ -100,6 +104,8 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
         ({"evaluation": 3}, "an object with a method evaluate"),
         ({"search": "gaa"}, r"search must be one of auto, bo, .*Did you mean 'ga'"),
         ({"evaluation": "gait"}, r"evaluation must be one of .*two_gaits"),
+        ({"search": Own(few, (3, 4))}, r"made with shape=\[3, 4\] and seed=0, asked for \[3, 3\] and 0"),
+        ({"search": Own(few, (3, 3)), "seed": 1}, r"and seed=0, asked for \[3, 3\] and 1"),
         ({"search": ToySearch(), "start": ["random:2:3x3"]}, r"ToySearch has no start_with\(bodies\)"),
         ({"sead": 3}, r"codesign has no argument 'sead'\. Did you mean 'seed'\? There are task, shape, .*output_dir"),
         ({"evaluation": {"name": "gaits", "round": 3}}, "Did you mean 'rounds'"),
