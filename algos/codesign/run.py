@@ -68,8 +68,13 @@ class SearchRun:
     resumed: bool
 
 
-def check(settings: Codesign, folder: Path | None = None, search: Search | None = None) -> Codesign:
+def check(
+    settings: Codesign, folder: Path | None = None, search: Search | None = None, *, here: bool = True
+) -> Codesign:
     """Find mistakes before anything is made; a ``search`` that is given gets the bodies to start with.
+
+    Args:
+        here: the search runs on this machine, whose devices and memory are asked.
 
     Returns:
         A copy with what its names stand for: settings, constants and, where it is this machine's, the device.
@@ -84,7 +89,7 @@ def check(settings: Codesign, folder: Path | None = None, search: Search | None 
     settings.sim  # noqa: B018  (constants out of range are found)
     settings.evaluation.check(settings)
     settings = settings.resolved(folder)
-    if settings.executor == "local":
+    if settings.executor == "local" and here:
         resolve_device(settings.device)
         for key in ("address", "workers"):
             if getattr(settings, key) is not None:

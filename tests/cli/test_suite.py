@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -246,6 +247,13 @@ def test_a_suite_leaves_one_folder(quick: Callable) -> None:
 def test_what_does_not_go_with_a_recipe_is_refused_before_anything_is_made(quick, words: str, phrase: str) -> None:
     quick("searches=[ga,auto]", words, fails=phrase)
     assert not Path("outputs").exists()
+
+
+def test_members_on_ray_are_searches_in_one_process_on_other_machines() -> None:
+    found = members("tasks=[Walker-v0]", "searches=[ga]", "seeds=[0]", "evaluation=shared", "device=cuda:99")
+    for executor in "ray", "local":
+        with nullcontext() if executor == "ray" else pytest.raises(WarpvoxError, match="cuda:99"):
+            suite._check(suite.Job(load("suite", [f"executor={executor}"]), found))
 
 
 def test_a_suite_counts_environments_as_its_members_do(monkeypatch: pytest.MonkeyPatch) -> None:
