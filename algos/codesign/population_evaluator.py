@@ -18,7 +18,7 @@ from warpvox.algos.settings import DesignTraining
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import ConfigError, RunError
+from warpvox.errors import RunError
 from warpvox.io.writing import writing
 
 VERSION = 3
@@ -33,19 +33,13 @@ class PopulationEvaluator:
     diverges is stopped too, with the fitness it had reached (-inf: none).
 
     Attributes:
+        settings: without those of ``ppo`` for rsl-rl alone.
         seed: of the experiment; all designs are evaluated in the episodes of this seed.
-
-    Raises:
-        ConfigError: settings of ``ppo`` for rsl-rl alone.
     """
 
     factory: EnvFactory
     settings: DesignTraining
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.settings.ppo.rnn or self.settings.ppo.extra:
-            raise ConfigError("training.ppo.rnn and training.ppo.extra need training.method=sequential.")
 
     def evaluate(
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
