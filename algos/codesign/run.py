@@ -203,25 +203,28 @@ def _loop(
 
 
 def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[Listener]) -> dict[str, Any]:
-    """Run the loop, and sum up however it ends."""
-    status, summary = "failed", {}
-    for listener in listeners:
-        listener.begun(run)
+    """Run the loop, and sum up however it ends; who has heard its beginning hears its end."""
+    status, summary, begun = "failed", {}, []
     try:
+        for listener in listeners:
+            listener.begun(run)
+            begun.append(listener)
         loop.run()
         status = "done"
     except KeyboardInterrupt:
         status = "interrupted"
         raise
     finally:
-        # a search that has failed may have failed because nothing can be written; that is the error to report
-        with suppress(StorageError, RunError) if status == "failed" else nullcontext():
-            summary = run.results.write(status)
-            if status == "done" and (fresh := evaluate_winner(run.results.folder, settings)):
-                run.results.fresh = fresh
+        try:
+            # a search that has failed may have failed because nothing can be written; that is the error to report
+            with suppress(StorageError, RunError) if status == "failed" else nullcontext():
                 summary = run.results.write(status)
-        for listener in listeners:
-            listener.ended(summary)
+                if status == "done" and (fresh := evaluate_winner(run.results.folder, settings)):
+                    run.results.fresh = fresh
+                    summary = run.results.write(status)
+        finally:
+            for listener in begun:
+                listener.ended(summary)
     return summary
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ class Ear(Listener):
         self.heard.append(f"told {generation}")
 
     def ended(self, summary: Mapping[str, Any]) -> None:
-        self.heard.append(f"ended {summary['status']}")
+        self.heard.append(f"ended {summary.get('status')}")
 
 
 @pytest.mark.usefixtures("narrow_packs")
@@ -115,6 +116,26 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
     ]:
         with pytest.raises(wv.ConfigError, match=says):
             wv.codesign(**{**SMALL, **wrong})
+
+
+def test_who_has_heard_the_beginning_of_a_search_hears_its_end(tmp_path: Path, monkeypatch) -> None:
+    class Deaf(Ear):
+        def begun(self, run: Any) -> None:
+            raise ValueError("deaf")
+
+    def heard(error: type[BaseException], *others: Ear) -> list[str]:
+        ears = [Ear(), *others]
+        with pytest.raises(error):
+            wv.codesign(search=ToySearch(), evaluation=Judge(), folder=tmp_path / "run", listeners=ears, **SMALL)
+        return [ear.heard[-1] if ear.heard else "" for ear in ears]
+
+    assert heard(ValueError, Deaf(), Ear()) == ["ended failed", "", ""]
+    for where, error, end in (
+        ("evaluate_winner", KeyboardInterrupt, "ended done"),
+        ("Results.write", wv.StorageError, "ended None"),
+    ):
+        monkeypatch.setattr(f"warpvox.algos.codesign.run.{where}", Mock(side_effect=error("no")))
+        assert heard(error) == [end]
 
 
 OWN = '''
