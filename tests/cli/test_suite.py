@@ -151,6 +151,9 @@ def test_what_a_design_costs_with_successive_halving() -> None:
     settings.ppo.steps = 16
     # of 5 designs all train 10 iterations, 3 ten more, 2 the last 20
     assert steps_of_training(settings, 5) == (5 * 10 + 3 * 10 + 2 * 20) * 8 * 16 / 5
+    # as many are kept as the share says, not one more for its rounding; and one at least
+    shares = (0.28, 25), (0.07, 100), (0.56, 25), (0.5, 5), (0.51, 2), (1e-12, 3), (1.0, 3)
+    assert [DesignTraining(keep=keep).kept(count) for keep, count in shares] == [7, 7, 14, 3, 2, 1, 3]
 
 
 class Evaluator:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,11 +106,10 @@ class Evaluation(Settings):
 
 def steps_of_training(training: DesignTraining, designs: int) -> float:
     """Control steps that a design's training takes, the mean of ``designs`` side by side with successive halving."""
-    ends = sorted({max(1, round(share * training.iterations)) for share in training.rungs} - {training.iterations})
     left, before, iterations = designs, 0, 0
-    for end in [*ends, training.iterations]:
+    for end in [*training.halvings(), training.iterations]:
         iterations += left * (end - before)
-        left, before = math.ceil(training.keep * left), end
+        left, before = training.kept(left), end
     return iterations * training.envs * training.ppo.steps / designs
 
 
