@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, make_dataclass
 from typing import TYPE_CHECKING, Any
@@ -118,6 +119,15 @@ class DesignTraining(Settings):
     )
     keep: float = key(0.5, "successive halving: fraction of the designs that is kept at each rung", above=0, high=1)
     ppo: Ppo = key(lambda: Ppo(steps=64, epochs=8), "settings of PPO")  # large batches
+
+    def halvings(self) -> list[int]:
+        """The iterations after which designs are dropped, in their order."""
+        return sorted({max(1, round(share * self.iterations)) for share in self.rungs} - {self.iterations})
+
+    def kept(self, designs: int) -> int:
+        """How many of so many designs are kept at a rung."""
+        # 0.28 of 25 must be 7, whatever rounding makes of it
+        return max(1, math.ceil(round(self.keep * designs, 9)))
 
 
 CONSTANTS = {

@@ -53,7 +53,8 @@ class SuiteConfig:
         250, "designs that a search may train: a number, or by task, difficulty and default: {easy:250,Lifter-v0:750}"
     )
     control_steps: Any = key(
-        None, "instead of evaluations: control steps of training that a search may spend; a number, or by task"
+        None,
+        "instead of evaluations: about how many control steps of training a search may spend; a number, or by task",
     )
     shape: Any = key(
         None, "rows and columns of the bodies, or by task; null: the paper's, [5,5] and [5,7] for Lifter-v0"

@@ -15,8 +15,9 @@ from warpvox.algos.codesign.progress import SearchProgress
 from warpvox.algos.codesign.results import Found
 from warpvox.algos.codesign.run import run_codesign
 from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.search.base import BaseSearch
 from warpvox.algos.search.settings import ALGORITHMS, CustomSearch, SearchSettings
-from warpvox.checks import check_known
+from warpvox.checks import check_known, is_integer
 from warpvox.code import Code
 from warpvox.errors import ConfigError
 from warpvox.keys import changed
@@ -42,9 +43,9 @@ def codesign(
 
     Args:
         task: id, ``FILE.py:NAME``, or a :class:`warpvox.envs.spec.TaskSpec`.
-        shape: rows and columns of the bodies; None: 5 x 5, or those of a named ``search``.
+        shape: rows and columns of the bodies; None: those of ``search`` where it has them, else 5 x 5.
         search: ``GA(population=25)``, ..., a name as on the command line, ``"auto"`` for instance, or a search of your
-            own, which asks and tells.
+            own, which asks and tells; of a ``BaseSearch`` shape and seed are those of the search.
         evaluation: ``Specialist()``, ``Gaits(rounds=4)``, ..., a name, or an evaluator of your own with a method
             ``evaluate(candidates, parents, report, checkpoint)``; None: ``Specialist()``, or as named by ``search``.
         executor: ``local``, ``ray``, or one of your own.
@@ -61,14 +62,23 @@ def codesign(
     own = None if isinstance(search, str | Mapping | SearchSettings) else search
     if own is not None:
         has = getattr(own, "settings", own)  # which a BaseSearch has
-        sizes = {name: getattr(has, name) for name in ("population", "max_evaluations") if hasattr(has, name)}
+        names = "population", "max_evaluations"
+        sizes: dict[str, Any] = {name: getattr(has, name) for name in names if is_integer(getattr(has, name, None))}
         search = CustomSearch(make=_name(own), **sizes)
     if not isinstance(evaluation, str | Mapping | Evaluation | None):
         evaluation = type("_Given", (_Given,), {"evaluator": evaluation})(make=_name(evaluation))
     where: dict[str, Any] = {"executor": executor} if isinstance(executor, str) else {}
     check_known(settings, codesign, Codesign)
     how = {"task": task, "shape": shape, "search": search, "evaluation": evaluation} | where | settings
-    job = Codesign(**_without_names({key: value for key, value in how.items() if value is not None}))
+    how = {key: value for key, value in how.items() if value is not None}
+    if isinstance(own, BaseSearch):
+        how = {"shape": own.shape, "seed": own.seed} | how
+    job = Codesign(**_without_names(how))
+    if isinstance(own, BaseSearch) and (tuple(job.shape), job.seed) != (own.shape, own.seed):
+        raise ConfigError(
+            f"The search was made with shape={list(own.shape)} and seed={own.seed}, asked for {job.shape} and"
+            f" {job.seed}: leave them away, or make the search with them."
+        )
     job = with_code(job, typed(job))
     kept = tempfile.TemporaryDirectory(prefix="warpvox_") if folder is None else None
     place = None if folder == "auto" else Path(kept.name if kept else str(folder)).expanduser()

@@ -58,9 +58,10 @@ class Record:
     """A row of the archive: a candidate and, once it is evaluated, its result.
 
     ``fitness`` and what follows are None until then; ``reused`` is the id of the candidate with an equal body whose
-    evaluation this is; ``policy`` is a path relative to the archive's folder; ``seconds`` the wall time of the batch
-    that it was evaluated in. ``diverged``: its learning gave no evaluation; when its generation is whole, its
-    fitness is set to the worst of all others so far (:meth:`Archive.rank_diverged`).
+    evaluation this is; ``policy`` is a path relative to the archive's folder; ``seconds`` the wall time
+    since the batch that ended before its own: that of its batch, unless several are evaluated at a time.
+    ``diverged``: its learning gave no evaluation; when its generation is whole, its fitness is set to the worst of all
+    others so far (:meth:`Archive.rank_diverged`).
     """
 
     candidate: Candidate

@@ -16,7 +16,7 @@ CREATE TABLE candidates (
     policy_sha256 TEXT,                       -- of its tensors
     proposed_at TEXT NOT NULL,                -- UTC
     finished_at TEXT,
-    seconds REAL                              -- wall time of the batch that it was evaluated in
+    seconds REAL                              -- wall time since the batch that ended before its own
 );
 CREATE INDEX candidates_by_generation ON candidates(generation);
 CREATE INDEX candidates_by_body ON candidates(body);

@@ -18,7 +18,7 @@ from warpvox.algos.settings import DesignTraining
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import ConfigError, RunError
+from warpvox.errors import RunError
 from warpvox.io.writing import writing
 
 VERSION = 3
@@ -33,19 +33,13 @@ class PopulationEvaluator:
     diverges is stopped too, with the fitness it had reached (-inf: none).
 
     Attributes:
+        settings: without those of ``ppo`` for rsl-rl alone.
         seed: of the experiment; all designs are evaluated in the episodes of this seed.
-
-    Raises:
-        ConfigError: settings of ``ppo`` for rsl-rl alone.
     """
 
     factory: EnvFactory
     settings: DesignTraining
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.settings.ppo.rnn or self.settings.ppo.extra:
-            raise ConfigError("training.ppo.rnn and training.ppo.extra need training.method=sequential.")
 
     def evaluate(
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
@@ -78,7 +72,7 @@ class _Generation:
         self.seeds = [candidate_seed(evaluator.seed, candidate.id) for candidate in candidates]
         self.about = describe(evaluator.factory, evaluator.settings, evaluator.seed, candidates)
         self.outcomes = [Outcome(-math.inf) for _ in candidates]
-        self.rungs = {max(1, round(share * self.settings.iterations)) for share in self.settings.rungs}
+        self.halvings = self.settings.halvings()
         self.active = list(range(len(candidates)))
         self.training = self._start()
 
@@ -103,9 +97,9 @@ class _Generation:
             self.outcomes[k].steps = self.training.iteration * self.training.steps_per_iteration
         self._keep([place for place, well in enumerate(self.training.algorithm.healthy().tolist()) if well])
         done, end = self.training.iteration, self.settings.iterations
-        if self.active and (done % self.settings.eval_interval == 0 or done == end or done in self.rungs):
+        if self.active and (done % self.settings.eval_interval == 0 or done == end or done in self.halvings):
             self._evaluate()
-            if done in self.rungs and done != end:
+            if done in self.halvings:
                 self._halve()
 
     def _evaluate(self) -> None:
@@ -120,7 +114,7 @@ class _Generation:
 
     def _halve(self) -> None:
         """Stop the worst; of equals, those that were proposed last."""
-        count = math.ceil(self.settings.keep * len(self.active))
+        count = self.settings.kept(len(self.active))
         ranked = sorted(range(len(self.active)), key=lambda place: -self.outcomes[self.active[place]].fitness)
         self._keep(sorted(ranked[:count]))
 

@@ -38,6 +38,7 @@ class _Worker:
 
     def evaluate(self, candidates: Sequence[Candidate], parents: Parents, checkpoint: Path | None) -> list[Outcome]:
         """Outcomes of the candidates; not saved on the way where the run's folder is not on this machine's disks."""
+        self._events.clear()  # what nobody has asked for of the batch before
         if checkpoint is not None and not checkpoint.parent.parent.is_dir():
             checkpoint = None
         # made in this thread: some settings of torch belong to the thread that sets them
@@ -138,7 +139,7 @@ class RayExecutor:
     def _collect(self, worker: _Handle) -> list[Outcome] | None:
         """The outcomes of a finished task; None and a new worker if it was lost."""
         errors, task = self._ray.exceptions, worker.task
-        worker.place = worker.task = None
+        worker.place = worker.task = worker.news = None
         try:
             return self._ray.get(task)
         except errors.RayTaskError as error:

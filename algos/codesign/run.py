@@ -24,6 +24,7 @@ from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.protocols import episodes_of
 from warpvox.algos.search import make_search
+from warpvox.algos.search.factory import start_with
 from warpvox.algos.settings import MLP
 from warpvox.algos.training.job import own_torch, task_name
 from warpvox.algos.training.metrics import check_logger
@@ -55,7 +56,7 @@ class SearchRun:
 
     Attributes:
         total: evaluations that it may spend, those of finalists included, which come last.
-        costs: control steps that a design takes at most, and a finalist; None: not known.
+        costs: about how many control steps a design takes, and a finalist; None: not known.
         workers: of Ray; 0: this process.
     """
 
@@ -67,8 +68,13 @@ class SearchRun:
     resumed: bool
 
 
-def check(settings: Codesign, folder: Path | None = None, search: Search | None = None) -> Codesign:
-    """Find mistakes before anything is made.
+def check(
+    settings: Codesign, folder: Path | None = None, search: Search | None = None, *, here: bool = True
+) -> Codesign:
+    """Find mistakes before anything is made; a ``search`` that is given gets the bodies to start with.
+
+    Args:
+        here: the search runs on this machine, whose devices and memory are asked.
 
     Returns:
         A copy with what its names stand for: settings, constants and, where it is this machine's, the device.
@@ -78,10 +84,12 @@ def check(settings: Codesign, folder: Path | None = None, search: Search | None 
     start = [robot.body for robot in read_start(settings, folder)]
     if search is None:
         make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, start)
+    else:
+        start_with(search, start)
     settings.sim  # noqa: B018  (constants out of range are found)
     settings.evaluation.check(settings)
     settings = settings.resolved(folder)
-    if settings.executor == "local":
+    if settings.executor == "local" and here:
         resolve_device(settings.device)
         for key in ("address", "workers"):
             if getattr(settings, key) is not None:
@@ -195,25 +203,28 @@ def _loop(
 
 
 def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[Listener]) -> dict[str, Any]:
-    """Run the loop, and sum up however it ends."""
-    status, summary = "failed", {}
-    for listener in listeners:
-        listener.begun(run)
+    """Run the loop, and sum up however it ends; who has heard its beginning hears its end."""
+    status, summary, begun = "failed", {}, []
     try:
+        for listener in listeners:
+            listener.begun(run)
+            begun.append(listener)
         loop.run()
         status = "done"
     except KeyboardInterrupt:
         status = "interrupted"
         raise
     finally:
-        # a search that has failed may have failed because nothing can be written; that is the error to report
-        with suppress(StorageError, RunError) if status == "failed" else nullcontext():
-            summary = run.results.write(status)
-            if status == "done" and (fresh := evaluate_winner(run.results.folder, settings)):
-                run.results.fresh = fresh
+        try:
+            # a search that has failed may have failed because nothing can be written; that is the error to report
+            with suppress(StorageError, RunError) if status == "failed" else nullcontext():
                 summary = run.results.write(status)
-        for listener in listeners:
-            listener.ended(summary)
+                if status == "done" and (fresh := evaluate_winner(run.results.folder, settings)):
+                    run.results.fresh = fresh
+                    summary = run.results.write(status)
+        finally:
+            for listener in begun:
+                listener.ended(summary)
     return summary
 
 

@@ -29,7 +29,7 @@ from warpvox.algos.population.training import Networks
 from warpvox.algos.settings import DesignTraining
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.devices.out_of_memory import enough_memory
-from warpvox.errors import ConfigError, DivergenceError
+from warpvox.errors import DivergenceError
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,6 @@ class SequentialEvaluator:
     Attributes as of :class:`warpvox.algos.codesign.population_evaluator.PopulationEvaluator`, and:
         network, network_settings: of policies for voxels (:mod:`warpvox.algos.policies.registry`), for which
             ``factory`` must make environments with ``obs="voxel"``; None: fully connected layers.
-
-    Raises:
-        ConfigError: ``settings.rungs``: successive halving compares designs in training at the same time; or
-            ``settings.inherit`` with recurrent networks.
     """
 
     factory: EnvFactory
@@ -50,12 +46,6 @@ class SequentialEvaluator:
     seed: int = 0
     network: str | None = None
     network_settings: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if self.settings.rungs:
-            raise ConfigError("training.rungs needs training.method=population: designs must be trained side by side.")
-        if self.settings.inherit and self.settings.ppo.rnn:
-            raise ConfigError("training.inherit does not go with training.ppo.rnn: recurrent layers are not inherited.")
 
     def evaluate(
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None

@@ -38,11 +38,16 @@ def make_search(
         raise ConfigError(f"There is no search for settings of type {type(settings).__name__}.")
     module, name = SEARCHES[settings.algorithm]
     search = getattr(import_module(f"warpvox.algos.search.{module}"), name)(settings, shape, seed)
-    if start:
+    start_with(search, start)
+    return search
+
+
+def start_with(search: Any, bodies: Sequence[Design]) -> None:
+    """Have the first generation of a search begin with ``bodies``; ConfigError: it cannot, or these do not fit."""
+    if bodies:
         if not hasattr(search, "start_with"):
             raise ConfigError(f"{type(search).__name__} has no start_with(bodies), which start needs.")
-        search.start_with(start)
-    return search
+        search.start_with(bodies)
 
 
 def make_custom(settings: CustomSearch, shape: tuple[int, int], seed: int) -> Search:

@@ -269,11 +269,19 @@ def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
     assert played(warpvox, folder) == pytest.approx(best.fitness, abs=ROUNDING)
 
 
+RNN = "training.method=sequential training.ppo.rnn={rnn_type:gru}"
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
         ("policy=grid", "policy=grid needs training.method=sequential"),
         ("network={width:8}", "mlp has training.ppo.hidden"),
+        ("training.ppo.rnn={rnn_type:gru}", "training.ppo.rnn and training.ppo.extra need training.method=sequential"),
+        (f"{RNN} training.inherit=true", "recurrent layers are not inherited"),
+        (f"{RNN} policy=grid", "ppo.rnn goes with policy=mlp"),
+        (f"{RNN} training.ppo.extra={{gama:1}}", "ppo.extra has the settings .*got 'gama'"),
+        (f"{RNN} evaluation=shared", "ppo.rnn goes with policy=mlp"),
         ("evaluation=few_shot", "evaluation=few_shot needs evaluation.pretrained"),
         ("evaluation=shared training.inherit=true", "training.inherit does not go with evaluation=shared"),
         ("evaluation=shared executor=ray", "one policy that learns in one process"),

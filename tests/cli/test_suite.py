@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -150,6 +151,9 @@ def test_what_a_design_costs_with_successive_halving() -> None:
     settings.ppo.steps = 16
     # of 5 designs all train 10 iterations, 3 ten more, 2 the last 20
     assert steps_of_training(settings, 5) == (5 * 10 + 3 * 10 + 2 * 20) * 8 * 16 / 5
+    # as many are kept as the share says, not one more for its rounding; and one at least
+    shares = (0.28, 25), (0.07, 100), (0.56, 25), (0.5, 5), (0.51, 2), (1e-12, 3), (1.0, 3)
+    assert [DesignTraining(keep=keep).kept(count) for keep, count in shares] == [7, 7, 14, 3, 2, 1, 3]
 
 
 class Evaluator:
@@ -246,6 +250,13 @@ def test_a_suite_leaves_one_folder(quick: Callable) -> None:
 def test_what_does_not_go_with_a_recipe_is_refused_before_anything_is_made(quick, words: str, phrase: str) -> None:
     quick("searches=[ga,auto]", words, fails=phrase)
     assert not Path("outputs").exists()
+
+
+def test_members_on_ray_are_searches_in_one_process_on_other_machines() -> None:
+    found = members("tasks=[Walker-v0]", "searches=[ga]", "seeds=[0]", "evaluation=shared", "device=cuda:99")
+    for executor in "ray", "local":
+        with nullcontext() if executor == "ray" else pytest.raises(WarpvoxError, match="cuda:99"):
+            suite._check(suite.Job(load("suite", [f"executor={executor}"]), found))
 
 
 def test_a_suite_counts_environments_as_its_members_do(monkeypatch: pytest.MonkeyPatch) -> None:

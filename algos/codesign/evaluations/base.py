@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,7 +92,7 @@ class Evaluation(Settings):
         return False
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float] | None:
-        """Control steps that a design takes at most, and those of all finalists; None: not known beforehand."""
+        """About how many control steps a design takes, and all finalists; None: not known beforehand."""
         return None
 
     def workloads(self, search: Codesign) -> list[Workload]:
@@ -106,12 +105,11 @@ class Evaluation(Settings):
 
 
 def steps_of_training(training: DesignTraining, designs: int) -> float:
-    """Control steps that a design's training takes, the mean of a generation where successive halving stops some."""
-    ends = sorted({max(1, round(share * training.iterations)) for share in training.rungs} - {training.iterations})
+    """Control steps that a design's training takes, the mean of ``designs`` side by side with successive halving."""
     left, before, iterations = designs, 0, 0
-    for end in [*ends, training.iterations]:
+    for end in [*training.halvings(), training.iterations]:
         iterations += left * (end - before)
-        left, before = math.ceil(training.keep * left), end
+        left, before = training.kept(left), end
     return iterations * training.envs * training.ppo.steps / designs
 
 

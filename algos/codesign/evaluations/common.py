@@ -51,6 +51,7 @@ class CommonPolicy(Screened):
 
     def check(self, search: Codesign) -> None:
         from warpvox.algos.policies.registry import check_policy
+        from warpvox.algos.training.ppo import rsl_rl_config
 
         super().check(search)
         check_policy(self.policy)
@@ -58,7 +59,9 @@ class CommonPolicy(Screened):
             raise ConfigError(
                 "evaluation.policy must see voxels to control many bodies: grid, transformer or your own."
             )
-        self.ppo_of(search)
+        ppo = self.ppo_of(search)
+        if self.policy != CPG:  # which learns without rsl-rl
+            rsl_rl_config(ppo, 1, {})
 
     def ppo_of(self, search: Codesign) -> Ppo:
         """PPO of the common policy: ``training.ppo`` with the changes of ``ppo``."""
@@ -90,8 +93,7 @@ class CommonPolicy(Screened):
         return found
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float]:
-        """The first is about as many."""
-        each = (self.ppo or {}).get("steps", search.training.ppo.steps) * self.iterations * self.envs
+        each = self.ppo_of(search).steps * self.iterations * self.envs
         last = self.finalists * steps_of_training(search.training, self.finalists)
         return each + episodes_of(self.eval_envs, search.fitness) * task.max_episode_steps, last
 

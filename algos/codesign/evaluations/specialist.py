@@ -25,6 +25,7 @@ class Specialist(Evaluation):
 
     def check(self, search: Codesign) -> None:
         from warpvox.algos.policies.registry import check_policy
+        from warpvox.algos.training.ppo import rsl_rl_config
 
         training = search.training
         training.ppo.check(training.envs, "training.ppo")
@@ -40,6 +41,11 @@ class Specialist(Evaluation):
                 f"policy={search.policy} needs training.method=sequential: designs that are trained side by side have"
                 " fully connected layers (policy=mlp)."
             )
+        if training.method != "sequential" and (training.ppo.rnn or training.ppo.extra):
+            raise ConfigError("training.ppo.rnn and training.ppo.extra need training.method=sequential.")
+        if training.inherit and training.ppo.rnn:
+            raise ConfigError("training.inherit does not go with training.ppo.rnn: recurrent layers are not inherited.")
+        rsl_rl_config(training.ppo, 1, None if search.policy == MLP else {})  # whose settings it knows
 
     def resolved(self, search: Codesign, folder: Path | None) -> Evaluation:
         from warpvox.algos.policies.registry import check_network

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from fault_cases import digest
 from tiny import tiny
 
 import warpvox as wv
-from warpvox.algos.candidate import Listener
+from warpvox.algos.candidate import START, Listener
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.codesign.settings import Codesign
@@ -39,7 +40,7 @@ class Ear(Listener):
         self.heard.append(f"told {generation}")
 
     def ended(self, summary: Mapping[str, Any]) -> None:
-        self.heard.append(f"ended {summary['status']}")
+        self.heard.append(f"ended {summary.get('status')}")
 
 
 @pytest.mark.usefixtures("narrow_packs")
@@ -76,7 +77,9 @@ def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_p
 
 def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
     task = "BidirectionalWalker-v0"  # draws at random: a winner with a policy would be judged again
-    found = wv.codesign(task, search=ToySearch(), evaluation=Judge(), folder=tmp_path / "run", **SMALL)
+    search = ToySearch()
+    search.max_evaluations = []  # a name of its own, and no budget
+    found = wv.codesign(task, search=search, evaluation=Judge(), folder=tmp_path / "run", **SMALL)
     assert len(found.designs) == found.summary["evaluations"] > 20
     assert found.summary["search"] == "custom"
     with pytest.raises(wv.ConfigError, match="no design with a policy"):
@@ -86,11 +89,15 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
         Loop(ToySearch(), LocalExecutor(Judge()), archive, seed=0).run()
         known = {record.id: record.fitness for record in archive.records()}
     assert {record.id: known[record.id] for record in found.designs} == {one.id: one.fitness for one in found.designs}
-    # budget and population are those of the search; a class of the same name goes on, wherever it lies
+    # budget, population, shape and seed are those of the search; a class of the same name goes on, wherever it lies
     Own, few = type("Own", (RandomSearch,), {}), wv.RandomDesigns(population=4, max_evaluations=8)
+    how = dict(evaluation=Judge(), folder=tmp_path / "own", start=["random:2:3x3"]) | SMALL
+    del how["shape"]
     for module in ("__main__", "codesign_toys"):
         Own.__module__ = module
-        again = wv.codesign(search=Own(few, (3, 3)), evaluation=Judge(), folder=tmp_path / "own", **SMALL)
+        again = wv.codesign(search=Own(few, (3, 3), seed=2), **how)
+        assert (again.settings.shape, again.settings.seed) == ([3, 3], 2)
+        assert sorted(one.id for one in again.designs if one.candidate.origin == START) == [0, 1]
         assert (again.settings.search.population, again.settings.search.max_evaluations) == (4, 8)
         assert again.settings.search.make == "__main__:Own"
     for wrong, says in [
@@ -98,6 +105,9 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
         ({"evaluation": 3}, "an object with a method evaluate"),
         ({"search": "gaa"}, r"search must be one of auto, bo, .*Did you mean 'ga'"),
         ({"evaluation": "gait"}, r"evaluation must be one of .*two_gaits"),
+        ({"search": Own(few, (3, 4))}, r"made with shape=\[3, 4\] and seed=0, asked for \[3, 3\] and 0"),
+        ({"search": Own(few, (3, 3)), "seed": 1}, r"and seed=0, asked for \[3, 3\] and 1"),
+        ({"search": ToySearch(), "start": ["random:2:3x3"]}, r"ToySearch has no start_with\(bodies\)"),
         ({"sead": 3}, r"codesign has no argument 'sead'\. Did you mean 'seed'\? There are task, shape, .*output_dir"),
         ({"evaluation": {"name": "gaits", "round": 3}}, "Did you mean 'rounds'"),
         ({"training": {"iterations": "many"}}, "training: iterations must be an integer"),
@@ -106,6 +116,26 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
     ]:
         with pytest.raises(wv.ConfigError, match=says):
             wv.codesign(**{**SMALL, **wrong})
+
+
+def test_who_has_heard_the_beginning_of_a_search_hears_its_end(tmp_path: Path, monkeypatch) -> None:
+    class Deaf(Ear):
+        def begun(self, run: Any) -> None:
+            raise ValueError("deaf")
+
+    def heard(error: type[BaseException], *others: Ear) -> list[str]:
+        ears = [Ear(), *others]
+        with pytest.raises(error):
+            wv.codesign(search=ToySearch(), evaluation=Judge(), folder=tmp_path / "run", listeners=ears, **SMALL)
+        return [ear.heard[-1] if ear.heard else "" for ear in ears]
+
+    assert heard(ValueError, Deaf(), Ear()) == ["ended failed", "", ""]
+    for where, error, end in (
+        ("evaluate_winner", KeyboardInterrupt, "ended done"),
+        ("Results.write", wv.StorageError, "ended None"),
+    ):
+        monkeypatch.setattr(f"warpvox.algos.codesign.run.{where}", Mock(side_effect=error("no")))
+        assert heard(error) == [end]
 
 
 OWN = '''

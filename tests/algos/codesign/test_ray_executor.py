@@ -7,10 +7,11 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import parallel
 import pytest
-from codesign_toys import POPULATION, ToyEvaluator, make_loop
+from codesign_toys import POPULATION, ToyEvaluator, ToySearch, make_loop
 
 from warpvox.algos.candidate import Candidate, Listener, Outcome
 from warpvox.algos.codesign.archive import Archive
@@ -68,6 +69,17 @@ def test_no_cluster_and_no_ray_are_clear_errors(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ConfigError, match=r"warpvox\[ray\]"):
         ray_executor.RayExecutor(ToyEvaluator)
+
+
+def test_what_is_left_of_a_batch_is_not_reported_of_the_next() -> None:
+    worker, body = ray_executor._Worker(ToyEvaluator), ToySearch().ask()[0].body
+    for number in 0, 1:
+        worker.evaluate([Candidate(number, body)], {}, None)
+    assert worker.events() == [{"id": 1}]
+    executor, handle = ray_executor.RayExecutor.__new__(ray_executor.RayExecutor), ray_executor._Handle(None, None)
+    executor._ray, handle.task, handle.news = Mock(), "task", "asked for while it ran"
+    executor._collect(handle)
+    assert (handle.place, handle.task, handle.news) == (None, None, None)
 
 
 @pytest.mark.slow

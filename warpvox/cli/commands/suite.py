@@ -102,7 +102,7 @@ def _check(job: Job) -> None:
     several = len({member.search for member in job.members}) > 1
     for member in {(member.task, member.search): member for member in job.members}.values():
         try:
-            check(dataclasses.replace(member.settings, executor=job.config.executor))
+            check(member.settings, here=job.config.executor == "local")
         except ConfigError as error:
             raise ConfigError(f"{member.search}: {error}" if several else str(error)) from None
 
