@@ -71,10 +71,8 @@ def test_a_batch_of_designs_gives_what_single_environments_give(task: str) -> No
             assert torch.equal(obs[number, :width], own[0][0])
             assert not obs[number, width:].any()
             assert torch.equal(info["final_obs"][number, :width], own[4]["final_obs"][0])
-            assert [float(reward[number]), bool(terminated[number]), bool(truncated[number])] == [
-                float(own[1]),
-                bool(own[2]),
-                bool(own[3]),
+            assert [part[number].item() for part in (reward, terminated, truncated)] == [
+                part.item() for part in own[1:4]
             ]
 
 
@@ -102,15 +100,11 @@ def test_rows_of_cells_are_one_body() -> None:
 def test_what_is_returned_belongs_to_the_caller() -> None:
     env, twin = (make("UpStepper-v0", None, 2, max_episode_steps=3) for _ in range(2))
     for action in some_actions(env, 5):
-        ours, theirs = env.step(action), twin.step(action)
-        parts = [*ours[:4], *ours[4]["reward_terms"].values(), ours[4]["unstable"], *ours[4]["episode"].values()]
-        others = [
-            *theirs[:4],
-            *theirs[4]["reward_terms"].values(),
-            theirs[4]["unstable"],
-            *theirs[4]["episode"].values(),
-        ]
-        for one, other in zip(parts, others, strict=True):
+        parts = (
+            [*step[:4], *step[4]["reward_terms"].values(), step[4]["unstable"], *step[4]["episode"].values()]
+            for step in (env.step(action), twin.step(action))
+        )
+        for one, other in zip(*parts, strict=True):
             assert torch.equal(one, other)
             one.fill_(1)
 
