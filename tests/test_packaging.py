@@ -19,7 +19,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-DATA_SUFFIXES = {".pyi", ".yaml", ".cfg", ".html", ".js", ".css", ".h", ".typed", ".npz", ".csv", ".pt", ".sql"}
 HEAVY = "torch warp botorch neat ribs hydra omegaconf rsl_rl gymnasium matplotlib pxr tensorboard".split()
 IMPORT_SECONDS = 1.0
 
@@ -30,12 +29,12 @@ def project(repository: Path) -> dict[str, object]:
 
 
 def shipped_files(repository: Path) -> set[str]:
-    """Every source and data file of the package, those behind the links included."""
+    """Every file of the package, those behind the links included."""
     return {
         Path(place, name).relative_to(repository).as_posix()
         for place, _, names in os.walk(repository / "warpvox", followlinks=True)
         for name in names
-        if Path(name).suffix in {".py", *DATA_SUFFIXES}
+        if Path(place).name != "__pycache__"
     }
 
 

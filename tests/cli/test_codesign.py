@@ -118,7 +118,7 @@ def test_resuming_refuses_what_would_be_another_search(search: Callable, warpvox
     config.write_text(config.read_text().replace("reuse: true", "reuse: false"))
     warpvox("codesign", "resume=latest", fails="reuse=True, asked for reuse=False")
     assert digest(folder) == before
-    warpvox("train", f"resume={folder}", fails="")
+    warpvox("train", f"resume={folder}", fails="it has no state.pt")
 
 
 def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:

@@ -21,17 +21,21 @@ from warpvox.errors import ConfigError
 from warpvox.io.writing import to_yaml
 from warpvox.types import Physics
 
+TABLE_1 = {
+    "point_mass": 1.0, "drag": 0.1, "gravity": 110.0, "contact_stiffness": 2.1e7, "contact_depth": 5e-3,
+    "friction": 0.1, "friction_multiplier": 2.4e3, "rigid_main": 3e8 / 3.5,
+    "rigid_structural": 3e8 / 7, "soft_main": 3e8 / 5,
+    "soft_structural": 3e8 / 10, "actuator_main": 3e8 / 6, "actuator_structural": 3e8 / 24,
+}  # fmt: skip # paper section A, but for the frictional penalty, which the release does not use
 TABLE_6 = {
-    "learning_rate": 2.5e-4,
-    "schedule": "linear",
-    "clip": 0.1,
-    "value_coef": 0.5,
-    "entropy_coef": 0.01,
-    "steps": 128,
-}  # paper section D.3.
+    "learning_rate": 2.5e-4, "schedule": "linear", "clip": 0.1, "value_coef": 0.5, "entropy_coef": 0.01, "steps": 128,
+}  # fmt: skip # paper section D.3
 
 
-def test_the_papers_settings() -> None:
+def test_the_papers_constants_and_settings() -> None:
+    literal = Physics.preset("paper_literal")
+    assert {name: getattr(literal, name) for name in TABLE_1} == TABLE_1
+    assert Physics.preset("paper") == dataclasses.replace(literal, name="paper", contact_stiffness=2.1e6)
     train, search = load("train", ["ppo=evogym"]), load("codesign", ["training=paper"]).training
     assert {name: getattr(train.ppo, name) for name in TABLE_6} == TABLE_6
     assert (train.num_envs, train.eval_interval, train.max_iterations) == (4, 50, 1000)

@@ -92,7 +92,7 @@ def test_the_runs_of_a_sweep_have_a_panel_for_each_task(warpvox: Callable) -> No
     with Path("curves.csv").open(encoding="utf-8", newline="") as file:
         ends = {row["settings"]: (row["n"], row["mean"]) for row in csv.DictReader(file)}
     assert ends == {"Walker-v0": ("2", "2.5"), "Carrier-v0": ("2", "2.5")}
-    warpvox("curves", "runs=out/train/sweep_2.csv", fails="")
+    warpvox("curves", "runs=out/train/sweep_2.csv", fails="There is no run at out/train/sweep_2.csv")
 
 
 @pytest.mark.parametrize("runs", ["latest", "[latest]", "a", "[a,a]"])

@@ -43,7 +43,7 @@ def test_a_training_takes_the_advice_or_goes_without(warpvox: Callable, free: Ca
     assert fits % 3 == 0
     warpvox(*tiny("train", several, f"num_envs={fits}"))
     warpvox(*tiny("train", several, "num_envs=600", "memory_check=false"))
-    warpvox("train", "resume=latest", "max_iterations=2", "memory_check=true", fails="")
+    warpvox("train", "resume=latest", "max_iterations=2", "memory_check=true", fails="96 fit: num_envs=96")
     warpvox("train", "resume=latest", "max_iterations=2")  # as the run was begun
 
 

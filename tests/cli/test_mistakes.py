@@ -126,9 +126,10 @@ def test_a_folder_that_may_not_be_entered(words: str, warpvox: Callable, monkeyp
 
 
 def test_a_folder_with_another_config_is_not_a_run(warpvox: Callable, tmp_path: Path) -> None:
-    for text in ("a: 1\n", "- 1\n", "{", "\0"):
+    unread = "config.yaml cannot be read as YAML"
+    for text, says in {"a: 1\n": "cut short", "- 1\n": "that of another run", "{": unread, "\0": unread}.items():
         (tmp_path / "config.yaml").write_text(text)
-        warpvox("play", "run=.", fails="")
+        warpvox("play", "run=.", fails=says)
 
 
 def test_a_run_that_fails_before_any_result_leaves_nothing(warpvox: Callable, tmp_path: Path, monkeypatch) -> None:

@@ -128,4 +128,4 @@ def test_every_reaches_every_format(warpvox: Callable, tmp_path: Path) -> None:
     with Image.open(folder / "rollout.gif") as image:
         assert image.n_frames == 5
     assert '"frames":11,' in (folder / "rollout.html").read_text()
-    warpvox(*words, "every=0", fails="")
+    warpvox(*words, "every=0", fails="every must be at least 1, got 0")

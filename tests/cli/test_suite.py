@@ -358,7 +358,7 @@ def test_the_command_that_goes_on_names_the_code_of_the_suite(quick: Callable, m
     )
     with monkeypatch.context() as patch:
         failing(patch, lambda settings: DivergenceError("it diverged"))
-        outcome = quick("tasks=[Walker-v0,own.py:MINE]", "seeds=1", fails="")
+        outcome = quick("tasks=[Walker-v0,own.py:MINE]", "seeds=1", fails="seed 0) with: it diverged")
     (command,) = re.findall("go on: warpvox suite (.*)", outcome.out)
     quick(*shlex.split(command))
 

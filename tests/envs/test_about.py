@@ -9,13 +9,16 @@ import torch
 
 from warpvox.envs.about import UNITS, About, about, about_of
 from warpvox.envs.registry import get_task, task_ids
-from warpvox.envs.spec import observes
+from warpvox.envs.spec import RULES, observes
 from warpvox.envs.vec_env import make_vec
 
 COUNT, EXACT = 300, 1e-12
 # Said in words, because they are no expressions of centres and angles; tests/envs/test_rules.py computes them.
 IN_WORDS = {"grown", "hull", "turned", "approach_goal", "all_goals_reached", "reaches"}
-BOTH = pytest.mark.parametrize("rules", ["evogym", "paper"])
+EACH = pytest.mark.parametrize(
+    ("task", "rules"),
+    [(task, rules) for task in task_ids() for rules in RULES if rules == "evogym" or get_task(task).paper],
+)
 
 
 class Moment:
@@ -72,8 +75,7 @@ def numbers_of(term: object) -> list[float]:
     return [value for _, value in term.params if isinstance(value, float)]
 
 
-@BOTH
-@pytest.mark.parametrize("task", task_ids())
+@EACH
 def test_formulas_of_rewards_and_ends_are_true(task: str, rules: str) -> None:
     spec = get_task(task).under(rules)
     rng = np.random.default_rng(4)
@@ -88,8 +90,7 @@ def test_formulas_of_rewards_and_ends_are_true(task: str, rules: str) -> None:
         assert len(np.unique(value)) > 1  # both sides of every condition were met
 
 
-@BOTH
-@pytest.mark.parametrize("task", task_ids())
+@EACH
 def test_observations_have_the_sizes_units_and_bounds_that_they_say(task: str, rules: str) -> None:
     env = make_vec(task, ["hopper"], device="cpu", rules=rules, dtype="float64", threads=1)
     obs, _ = env.reset()

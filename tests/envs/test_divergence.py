@@ -253,6 +253,7 @@ def test_the_logs_of_training_count_it_and_stay_finite() -> None:
     _, rewards, dones, extras = env.step(torch.zeros((4, env.num_actions)))
     assert torch.isfinite(rewards).all()
     assert dones.tolist() == [False, True, False, False]
+    assert not extras["time_outs"].any()
     assert extras["log"]["Episode/diverged"] == extras["log"]["Episode/unstable"] == 0.25
     assert all(torch.isfinite(value) for value in extras["log"].values())
     again = env.state()

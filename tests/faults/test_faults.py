@@ -54,7 +54,7 @@ def test_a_run_goes_on_from_any_moment_to_the_undisturbed_end(moments: list, war
         assert codes == [0] + [-signal.SIGKILL if how == "killed" else 2 for how, _ in moments]
         assert "Traceback" not in (home / "output").read_text()
         assert "space is left" in (home / "output").read_text()
-        whole = only(home / "whole", command)
+        whole, checked = only(home / "whole", command), 0
         for number in range(len(moments)):
             run = only(home / str(number), command)
             if run is None or not has_begun(run):
@@ -63,6 +63,8 @@ def test_a_run_goes_on_from_any_moment_to_the_undisturbed_end(moments: list, war
             resumed = warpvox(command, f"resume={run}", code=None)
             assert resumed.code == 0 or "has already made" in resumed.err, resumed  # it was stopped when all was done
             WHEN_DONE[command](run, whole)
+            checked += 1
+        assert checked, command
 
 
 @pytest.fixture(scope="module")
@@ -285,10 +287,10 @@ def test_a_damaged_state_names_the_newest_checkpoint_that_is_whole(copied: Calla
 def test_a_configuration_that_was_cut_short_makes_no_other_run(command: str, copied: Callable, warpvox) -> None:
     run = copied(command)
     lines = (run / "config.yaml").read_text().splitlines(keepends=True)
-    for count in (0, len(lines) // 2, len(lines) - 4):
+    short = ("has been cut short", "...")
+    for count, says in {0: "that of another run", len(lines) // 2: short, len(lines) - 4: short}.items():
         (run / "config.yaml").write_text("".join(lines[:count]))
-        warpvox(command, f"resume={run}", fails="")
-    warpvox(command, f"resume={run}", fails=("has been cut short", "..."))
+        warpvox(command, f"resume={run}", fails=says)
 
 
 def test_damaged_curves_say_what_to_do(copied: Callable, warpvox: Callable) -> None:

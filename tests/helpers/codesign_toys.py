@@ -4,20 +4,33 @@ import dataclasses
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
+from warpvox.algos.search import ALGORITHMS
 from warpvox.design import sample_design
 from warpvox.errors import RunError
 from warpvox.io.writing import write_text
 
 SEED = 5
 POPULATION, GENERATIONS = 6, 5
+NEEDS = {"map_elites": pytest.mark.skipif(find_spec("ribs") is None, reason="needs the extra 'search'")}
+EVERY = pytest.mark.parametrize(
+    "algorithm", [pytest.param(name, marks=NEEDS.get(name, ())) for name in ALGORITHMS if name != "custom"]
+)
+HASTY = {"bo": {"optimizer_restarts": 1, "optimizer_iterations": 5, "candidates": 40}}
+"""Turns, seeds and records are the same with a hasty fit."""
+
+
+class Killed(Exception):
+    """Ends a process's work where a kill would."""
 
 
 class ToySearch:

@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 import yaml
+from learning import rows
 from tiny import tiny
 
 from warpvox.algos.checkpoints.files import load_checkpoint
@@ -68,11 +69,7 @@ def check_training(run: Path, whole: Path) -> None:
     check_models(run, whole)
     for name in ("model_3.pt", "model_best.pt", "state.pt"):
         assert same(load_checkpoint(run / name), load_checkpoint(whole / name)), name
-    rows = [
-        str([{key: value for key, value in row.items() if key not in ("elapsed", "steps_per_second")} for row in table])
-        for table in (read_metrics(run), read_metrics(whole))
-    ]
-    assert rows[0] == rows[1]
+    assert rows(run) == rows(whole)
     assert json.loads((run / "summary.json").read_text())["status"] == "done"
     assert not list(run.rglob(f"{MARK}*"))
 

@@ -80,6 +80,30 @@ def test_two_control_steps_of_half_the_sub_steps_make_one(dtype: str) -> None:
         assert torch.equal(expected[name], found[name]), name
 
 
+@pytest.mark.parametrize(("dtype", "arithmetic"), [("float32", "fast"), ("float64", "fast"), ("float64", "exact")])
+def test_the_floor_pushes_and_rubs_as_the_plain_formula_does(dtype: str, arithmetic: str) -> None:
+    depth, speed = 1e-6 * torch.linspace(-1, 2.5, 8).double(), torch.linspace(0.4, -0.3, 8).double()
+    dt, tolerance = 1e-7, 1e-4  # in a sub-step as short as this, depth and speed change by less
+
+    def after(**changes: float) -> torch.Tensor:
+        """``[lanes, points, 2]``: velocities after a sub-step from these depths and speeds."""
+        law = dataclasses.replace(DEFAULT, substeps=1, dt=dt, **changes)
+        options = dict(device="cpu", dtype=dtype, arithmetic=arithmetic, physics=law, threads=1, lanes=8)
+        sim = Simulation([world(5, 5, robot=([[3]], 2, 0))] * 8, **options)
+        state = sim.state()
+        state["pos"][:, 1::2] -= depth[:, None]
+        state["vel"][:, ::2] = speed[:, None]
+        sim.set_state(state)
+        sim.step(torch.ones((8, 1)))
+        return sim.state()["vel"].view(8, 4, 2)
+
+    gained = ((after() - after(floor_stiffness=0.0)) / dt).sum(1)  # of the two lower points alike
+    normal = DEFAULT.floor_stiffness * depth.clamp(min=0.0)
+    most = DEFAULT.friction * normal
+    expected = torch.stack([-DEFAULT.floor_friction * most * torch.tanh(speed * most), normal], dim=1)
+    torch.testing.assert_close(gained / 2, expected, rtol=tolerance, atol=tolerance)
+
+
 def limited(sim: Simulation, pos: np.ndarray) -> np.ndarray:
     """Positions after strain limiting, written plainly (paper section A.4)."""
     law, arrays = sim.physics, {name: sim._state.arrays[name].numpy()[0] for name in ("spring_rest", "free_lanes")}

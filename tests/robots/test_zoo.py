@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-import pins
 import pytest
 import torch
 
@@ -17,13 +16,6 @@ from warpvox.robots.returns import is_better, judge
 
 LARGEST = 1_200_000  # bytes of the whole zoo, which is in the wheel
 TASKS = zoo_tasks()
-
-
-@pytest.fixture(scope="module")
-def known_platform() -> None:
-    """Bits are known where the C library's functions are those of a platform on which digests were recorded."""
-    if pins.fingerprint() not in {record["platform"]["libm"] for record in pins.load()}:
-        pytest.skip("another C library, whose tanh and acos may round otherwise")
 
 
 @pytest.mark.usefixtures("known_platform")

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 import torch
-from codesign_toys import ToySearch
+from codesign_toys import Killed, ToySearch
 from population_cases import candidates, factory, small
 
 from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
@@ -24,10 +24,6 @@ from warpvox.errors import DivergenceError, RunError
 
 pytestmark = pytest.mark.usefixtures("one_thread", "narrow_packs")
 FACTORY = dataclasses.replace(factory(), obs="voxel").computed(grid=(3, 3))
-
-
-class Killed(Exception):
-    """The process ends here."""
 
 
 def how(iterations: int = 3, network: dict[str, int] | None = None, **ppo: Any) -> FewShot:

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
-from codesign_toys import SEED, ToyEvaluator, ToySearch, make_loop
+from codesign_toys import EVERY, HASTY, SEED, ToyEvaluator, ToySearch, make_loop
 
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome
 from warpvox.algos.codesign.finalists import Finalists, TwoStages
@@ -17,10 +16,6 @@ from warpvox.algos.report.members import read_members
 from warpvox.algos.search import ALGORITHMS, make_search
 from warpvox.algos.suite.members import rises
 from warpvox.io.reading import read_table
-
-NEEDS = {"map_elites": "ribs"}
-QUICK = {"bo": {"optimizer_restarts": 1, "optimizer_iterations": 5, "candidates": 10}}
-OURS = [name for name in ALGORITHMS if name != "custom"]
 
 
 def fitness(body: np.ndarray) -> float:
@@ -37,13 +32,10 @@ def run(search: Any, last: int = 10**9) -> list[tuple[list[Candidate], list[floa
     return history
 
 
-@pytest.mark.parametrize("algorithm", OURS)
+@EVERY
 def test_after_every_search_the_best_come_again(algorithm: str) -> None:
-    if algorithm in NEEDS:
-        pytest.importorskip(NEEDS[algorithm])
-
     def search() -> Finalists:
-        settings = ALGORITHMS[algorithm](population=3, max_evaluations=6, **QUICK.get(algorithm, {}))
+        settings = ALGORITHMS[algorithm](population=3, max_evaluations=6, **HASTY.get(algorithm, {}))
         return Finalists(make_search(settings, (3, 3), 0), 2)
 
     history = run(search())

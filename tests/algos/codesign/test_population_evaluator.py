@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import torch
+from codesign_toys import Killed
 from population_cases import candidates, factory, small
 
 from warpvox.algos.candidate import Candidate, Outcome
@@ -120,10 +121,6 @@ def test_the_global_random_numbers_are_left_alone() -> None:
     for evaluator in (PopulationEvaluator, SequentialEvaluator):
         evaluator(factory(), small(iterations=2), 0).evaluate(candidates(1), {})
         assert torch.equal(torch.get_rng_state(), before)
-
-
-class Killed(Exception):
-    """Ends an evaluation as a killed process would."""
 
 
 def killed_at(iteration: int):

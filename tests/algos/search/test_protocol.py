@@ -3,10 +3,10 @@
 import random
 from collections.abc import Callable
 from functools import cache
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from codesign_toys import EVERY, HASTY
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -18,16 +18,11 @@ from warpvox.design import check_design
 from warpvox.errors import ConfigError, DesignError, SearchError
 
 History = list[tuple[list[Candidate], list[float]]]
-OURS = [name for name in ALGORITHMS if name != "custom"]
-NEEDS = {"map_elites": pytest.mark.skipif(find_spec("ribs") is None, reason="needs the extra 'search'")}
-EVERY = pytest.mark.parametrize("algorithm", [pytest.param(name, marks=NEEDS.get(name, ())) for name in OURS])
-QUICK = {"bo": {"optimizer_restarts": 1, "optimizer_iterations": 5, "candidates": 40}}
-"""Turns, seeds and records are the same with a hasty fit."""
 BUDGET = 20  # evaluations: two generations of eight and half of one
 
 
 def fresh(algorithm: str, shape: tuple[int, int] = (5, 5), seed: int = 0, **changes: object) -> BaseSearch:
-    small = {"population": 8, "max_evaluations": BUDGET, **QUICK.get(algorithm, {})}
+    small = {"population": 8, "max_evaluations": BUDGET, **HASTY.get(algorithm, {})}
     settings = ALGORITHMS[algorithm](**{**small, **changes})
     search = make_search(settings, shape, seed)
     assert isinstance(search, BaseSearch)

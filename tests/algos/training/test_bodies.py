@@ -104,6 +104,8 @@ def test_bodies_on_which_the_policy_does_worse_come_more_often() -> None:
     shares = bodies._shares()
     assert shares[0] > shares[1] == shares[3] > shares[2]
     assert shares.sum() == pytest.approx(1)
+    bodies.record(torch.ones(1, dtype=torch.bool), torch.tensor([4.0]))
+    assert bodies._returns[3] == pytest.approx(0.7 * 2.0 + 0.3 * 4.0)
 
 
 def test_a_new_body_is_one_that_was_not_there_until_there_are_no_others() -> None:

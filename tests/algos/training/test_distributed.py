@@ -1,6 +1,5 @@
 """One training on two processes under ``torchrun``, which talk by gloo on the CPU."""
 
-import csv
 import json
 import os
 import subprocess
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from learning import rows
 from tiny import tiny
 
 from warpvox.algos.checkpoints.files import load_checkpoint
@@ -62,12 +62,7 @@ def test_two_processes_train_one_policy_and_go_on_exactly(tmp_path: Path) -> Non
     ours, theirs = (load_checkpoint(folder / "model_6.pt") for folder in (parts, whole))
     for name, value in theirs["actor_state_dict"].items():
         assert torch.equal(value, ours["actor_state_dict"][name]), name
-    timing = {"steps_per_second", "elapsed"}
-    rows = [
-        [{k: v for k, v in row.items() if k not in timing} for row in csv.DictReader((folder / "metrics.csv").open())]
-        for folder in (parts, whole)
-    ]
-    assert rows[0] == rows[1]
+    assert rows(parts) == rows(whole)
     # a state of two processes is none for one
     line = [sys.executable, "-m", "warpvox", "train", f"resume={parts}", "max_iterations=8"]
     alone = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True)
