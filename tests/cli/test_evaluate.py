@@ -44,7 +44,7 @@ def test_groups_differ_by_all_but_the_seed() -> None:
         "ppo.gamma=0.9, rules=paper",
     ]
     (same,) = group_runs(runs(config(device="cuda:0"), config(device="cuda:1", seed=3)))
-    assert (same.label, same.title) == ("Walker-v0", "Walker-v0 (n=2)")
+    assert same.label == "Walker-v0"
 
 
 def test_labels_name_presets_designs_and_tasks() -> None:
