@@ -123,15 +123,11 @@ def summary(rows: Sequence[Mapping[str, str]], disturbed: Sequence[Mapping[str, 
     )
 
 
-def _return(row: Mapping[str, str]) -> float:
-    return float(row["return"] or row["evaluation"])
-
-
 def _line(one: KnownReturn, row: Mapping[str, str] | None, judged: Mapping[str, Mapping[str, str] | None]) -> str:
     mark, noisy, undisturbed, steps, seconds = "", "-", "-", "", ""
     best = "" if one.best is None else f"{one.best:g}"
     if row is not None:
-        value = _return(row)
+        value = float(row["return"] or row["evaluation"])
         below = "▼" if one.best is not None and value < one.best else ""
         mark = "○" * (row["policy"] == GAIT)
         undisturbed = (f"{value:.3f}" if row["return"] else f"*{value:.3f}*") + below

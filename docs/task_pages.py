@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from warpvox.design import load_design
 from warpvox.envs.about import UNITS
 from warpvox.envs.registry import get_task, known_returns, task_ids
 from warpvox.envs.spec import TaskSpec
@@ -118,6 +119,4 @@ def _paper(task: TaskSpec) -> str:
 
 
 def _body(task: str) -> Any:
-    from warpvox.design import load_design
-
     return zoo(task).body if task in zoo_tasks() else load_design("walker")

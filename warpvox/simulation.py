@@ -19,7 +19,7 @@ from warpvox.batch.objects import CompiledWorlds, Objects
 from warpvox.batch.options import SimKeywords, SimOptions
 from warpvox.batch.packs import Batch, group
 from warpvox.checks import check_mask
-from warpvox.compile import Body, mesh
+from warpvox.compile import mesh
 from warpvox.errors import ActionError, SimulationError
 from warpvox.kernels import reset as reset_stage, step as step_stage
 from warpvox.kernels.state import DIVERGED, OVERFLOW, STALE, UNSTABLE
@@ -350,25 +350,14 @@ class Simulation(Sensing):
         """bool [num_designs, points]: which points a design's object has."""
         return self._objects.point_mask(name)
 
-    def object_grid(self, name: str, design: int = 0) -> np.ndarray:
-        """int8 [rows, columns], row 0 on top: the cells of an object."""
-        if name not in self.worlds[design].objects:
-            self._body(name, design)
-        return self.worlds[design].objects[name].grid.copy()
-
     def voxel_corners(self, name: str, design: int = 0) -> np.ndarray:
         """int32 [voxels, 4]: points at the top left, top right, bottom right and bottom left of every voxel."""
-        source = self.worlds[design].objects.get(name)
-        # the object alone: the world's terrain is many times as large
-        body = self._body(name, design) if source is None else mesh(source, self.physics)
-        return np.array(list(body.corners.values()), dtype=np.int32)
-
-    def _body(self, name: str, design: int) -> Body:
         self._objects.index(name)
-        body = self.designs[design].body(name)
-        if body is None:
+        source = self.worlds[design].objects.get(name)
+        if source is None:
             raise SimulationError(f"Design {design} has no object named {name!r}.")
-        return body
+        # the object alone: the world's terrain is many times as large
+        return np.array(list(mesh(source, self.physics).corners.values()), dtype=np.int32)
 
     def state(self) -> dict[str, torch.Tensor]:
         """Everything that changes, a row for every environment: what :meth:`set_state` takes back.
