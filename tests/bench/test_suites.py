@@ -146,7 +146,7 @@ def test_gradients_are_checked_then_timed_then_used(bench: Callable, monkeypatch
 def test_wrong_derivatives_are_not_timed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gradients, "_error", lambda *_: float("nan"))
     config = SimpleNamespace(seed=0)
-    report = SimpleNamespace(status=lambda _: nullcontext())
+    report = SimpleNamespace(console=SimpleNamespace(status=lambda _: nullcontext()))
     with pytest.raises(SimulationError, match="differ by nan% from finite differences"):
         gradients.run(config, report)
 
