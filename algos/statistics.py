@@ -7,7 +7,6 @@ The latter after Agarwal et al. (2021), arXiv:2108.13264: scores of an algorithm
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -132,11 +131,7 @@ def improvement(first: Scores, second: Scores) -> np.ndarray:
 
 
 def bootstrap(
-    statistic: Callable[..., np.ndarray],
-    *algorithms: Scores,
-    level: float = LEVEL,
-    samples: int = SAMPLES,
-    seed: int = 0,
+    statistic: Callable[..., np.ndarray], *algorithms: Scores, samples: int = SAMPLES
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A statistic of the scores of one or more algorithms, with its stratified bootstrap interval.
 
@@ -149,17 +144,17 @@ def bootstrap(
     Returns:
         The statistic and the two ends of the interval.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     drawn = [{task: _draw(values, samples, rng) for task, values in scores.items()} for scores in algorithms]
-    tail = 50 * (1 - level)
+    tail = 50 * (1 - LEVEL)
     low, high = np.percentile(statistic(*drawn), (tail, 100 - tail), axis=0)
     return statistic(*algorithms), low, high
 
 
-def interval(statistic: Callable[..., np.ndarray], *algorithms: Scores, **options: Any) -> Interval:
+def interval(statistic: Callable[..., np.ndarray], *algorithms: Scores, samples: int = SAMPLES) -> Interval:
     """The :func:`bootstrap` interval of a statistic that is one number; NaN as ends where every task has one run."""
     runs = [len(values) for scores in algorithms for values in scores.values()]
-    value, low, high = (float(number) for number in bootstrap(statistic, *algorithms, **options))
+    value, low, high = (float(number) for number in bootstrap(statistic, *algorithms, samples=samples))
     return Interval(value, low, high, sum(runs)) if max(runs) > 1 else Interval(value, np.nan, np.nan, sum(runs))
 
 

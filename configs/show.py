@@ -16,18 +16,23 @@ OWN_TASK = "For a run of a task of your own: its code, file.py:NAME, or stored f
 """Meaning of ``task`` beside ``run``."""
 
 
-def _dtype_of_run() -> Any:
-    """The key of commands that begin with what a run has left."""
-    return key(None, "precision of the simulation; null: that of the run", choices=("float32", "float64"))
+@dataclass
+class _PolicyConfig:
+    """Keys that play, export and evaluate share; named as the first base, they come behind those of the others."""
 
-
-def _own_policy() -> Any:
-    """The key of commands that begin with a run whose policy may be code of the user's."""
-    return key(
+    stochastic: bool = key(False, "sample actions from the policy as in training, instead of taking their mean")
+    policy: str | None = key(
         None,
         "for a run with a network of your own: its code, file.py:Class, or stored for the copy in the run",
         path="read",
     )
+    device: str = key("auto", DEVICES)
+    dtype: str | None = key(None, "precision of the simulation; null: that of the run", choices=("float32", "float64"))
+    arithmetic: str | None = arithmetic_key("that of the run, or chosen by dtype")
+    threads: int | None = key(None, "CPU threads of the simulation; null: all cores", low=1, high=MOST_THREADS)
+    torch_threads: int = key(1, "PyTorch threads", low=1, high=MOST_THREADS)
+    name: str | None = key(None, "appended to the name of the result's folder")
+    output_dir: str = key("outputs", "folder that runs are written to and looked up in", path="written")
 
 
 @dataclass
@@ -50,24 +55,16 @@ class _RolloutConfig:
     )
     every: int = key(1, "show only every n-th control step; films run n times as fast", low=1)
     steps: int | None = key(None, "control steps to record; null: until the episode ends", low=1)
-    device: str = key("auto", DEVICES)
-    dtype: str | None = _dtype_of_run()
-    arithmetic: str | None = arithmetic_key("that of the run, or chosen by dtype")
-    stochastic: bool = key(False, "sample actions from the policy as in training, instead of taking their mean")
     seed: int | None = key(
         None,
         "seed of the episodes' random numbers and of sampled actions; null: the run's, which repeats its evaluations",
         low=0,
     )
-    threads: int | None = key(None, "CPU threads of the simulation; null: all cores", low=1, high=MOST_THREADS)
-    torch_threads: int = key(1, "PyTorch threads", low=1, high=MOST_THREADS)
     memory_check: bool = key(True, "refuse, before allocating, what does not fit into free memory")
-    name: str | None = key(None, "appended to the name of the result's folder")
-    output_dir: str = key("outputs", "folder that runs are written to and looked up in", path="written")
 
 
 @dataclass
-class PlayConfig(_RolloutConfig):
+class PlayConfig(_PolicyConfig, _RolloutConfig):
     """Keys of ``warpvox play``."""
 
     agent: str | None = key(
@@ -77,7 +74,6 @@ class PlayConfig(_RolloutConfig):
         choices=AGENTS,
     )
     task: str | None = key(None, f"with agent: task id; null: Walker-v0. {OWN_TASK}", path="read")
-    policy: str | None = _own_policy()
     design: Any = key(
         None,
         "with agent: body, as for train; null: walker. With a run over many bodies: the bodies to show",
@@ -99,12 +95,11 @@ class PlayConfig(_RolloutConfig):
 
 
 @dataclass
-class ExportConfig(_RolloutConfig):
+class ExportConfig(_PolicyConfig, _RolloutConfig):
     """Keys of ``warpvox export``."""
 
     rollout: str | None = key(None, "rollout file to export; null: record an episode of the run", path="read")
     task: str | None = key(None, OWN_TASK, path="read")
-    policy: str | None = _own_policy()
     num_envs: int = key(1, "number of environments, a multiple of the run's number of designs", low=1)
     format: list[str] = key(
         ["usd"],
@@ -115,8 +110,8 @@ class ExportConfig(_RolloutConfig):
 
 
 @dataclass
-class EvaluateConfig:
-    """Keys of ``warpvox evaluate``."""
+class _EvaluationConfig:
+    """Keys that evaluate alone has."""
 
     runs: list[str] | None = key(
         None,
@@ -138,7 +133,6 @@ class EvaluateConfig:
         "for runs over many bodies: bodies to evaluate on, as for train (random:100); null: those held out",
         path="read",
     )
-    stochastic: bool = key(False, "sample actions from the policy as in training, instead of taking their mean")
     protocol: str = key(
         NOMINAL,
         "episodes: undisturbed (nominal), with noise on the actions (noise), with repeated actions (sticky), with"
@@ -153,14 +147,11 @@ class EvaluateConfig:
     )
     level: float = key(0.95, "confidence level of the intervals", above=0, high=0.9999)
     task: str | None = key(None, OWN_TASK, path="read")
-    policy: str | None = _own_policy()
-    device: str = key("auto", DEVICES)
-    dtype: str | None = _dtype_of_run()
-    arithmetic: str | None = arithmetic_key("that of the run, or chosen by dtype")
-    threads: int | None = key(None, "CPU threads of the simulation; null: all cores", low=1, high=MOST_THREADS)
-    torch_threads: int = key(1, "PyTorch threads", low=1, high=MOST_THREADS)
-    name: str | None = key(None, "appended to the name of the result's folder")
-    output_dir: str = key("outputs", "folder that runs are written to and looked up in", path="written")
+
+
+@dataclass
+class EvaluateConfig(_PolicyConfig, _EvaluationConfig):
+    """Keys of ``warpvox evaluate``."""
 
 
 @dataclass

@@ -32,17 +32,15 @@ def with_tables(text: str) -> str:
         what = match["what"]
         if what == OTHERS:
             others = {name: f"{text[0].upper()}{text[1:]}." for name, text in SENTENCES.items() if name not in named}
-            parts = ([f"## {name}", _prose(text), *_tables(name)] for name, text in others.items())
-            inside = "\n\n".join(line for part in parts for line in part)
+            lines = []
+            for name, text in others.items():  # demo has the keys of train
+                lines += [f"## {name}", _prose(text), *([table_of(name)] if name in COMMANDS else [])]
+            inside = "\n\n".join(lines)
         else:
             inside = table_of(what)
         return f"<!-- help {what} -->\n\n{inside}\n\n{END}"
 
     return PART.sub(part, text)
-
-
-def _tables(command: str) -> list[str]:
-    return [table_of(command)] if command in COMMANDS else []  # demo has the keys of train
 
 
 def table_of(command: str) -> str:

@@ -23,6 +23,7 @@ from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, archives_in
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.protocols import DISTURBANCES, NOMINAL
+from warpvox.algos.report.benchmark import duration
 from warpvox.algos.report.members import SearchResult, read_members
 from warpvox.algos.statistics import mean_interval
 from warpvox.cli.robot_entries import command_of
@@ -122,42 +123,25 @@ def summary(rows: Sequence[Mapping[str, str]], disturbed: Sequence[Mapping[str, 
     )
 
 
-def _return(row: Mapping[str, str]) -> float:
-    return float(row["return"] or row["evaluation"])
-
-
 def _line(one: KnownReturn, row: Mapping[str, str] | None, judged: Mapping[str, Mapping[str, str] | None]) -> str:
+    mark, noisy, undisturbed, steps, seconds = "", "-", "-", "", ""
     best = "" if one.best is None else f"{one.best:g}"
-    cells = [
-        "",
-        "-",
-        best,
-        one.method,
-        "-",
-        *(
-            "" if found is None else f"{float(found['mean']):.3f}"
-            for found in (judged[part] for part in ("sticky", "start", "sensors"))
-        ),
-        "",
-        "",
-    ]
     if row is not None:
-        value = _return(row)
+        value = float(row["return"] or row["evaluation"])
         below = "▼" if one.best is not None and value < one.best else ""
-        cells[0] = "○" * (row["policy"] == GAIT)
-        cells[4] = (f"{value:.3f}" if row["return"] else f"*{value:.3f}*") + below
-        cells[-2:] = [f"{int(row['control_steps']):,}", _duration(row["seconds"])]
-    noisy = judged[NOISE]
-    if noisy is not None:
-        mean, high = float(noisy["mean"]), float(noisy["high"])
+        mark = "○" * (row["policy"] == GAIT)
+        undisturbed = (f"{value:.3f}" if row["return"] else f"*{value:.3f}*") + below
+        steps = f"{int(row['control_steps']):,}"
+        seconds = duration(float(row["seconds"])) if row["seconds"] else ""
+    if found := judged[NOISE]:
+        mean, high = float(found["mean"]), float(found["high"])
         bold = "**" * (one.best is not None and mean >= one.best)
-        cells[1] = f"{bold}{mean:.3f}{bold} ± {high - mean:.3f}"
-    return f"| {' | '.join([one.task, *cells])} |\n"
-
-
-def _duration(seconds: str) -> str:
-    minutes = round(float(seconds) / 60) if seconds else None
-    return "" if minutes is None else f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
+        noisy = f"{bold}{mean:.3f}{bold} ± {high - mean:.3f}"
+    others = [
+        f"{float(found['mean']):.3f}" if (found := judged[part]) else "" for part in ("sticky", "start", "sensors")
+    ]
+    cells = [one.task, mark, noisy, best, one.method, undisturbed, *others, steps, seconds]
+    return f"| {' | '.join(cells)} |\n"
 
 
 def _sources(published: Iterable[KnownReturn]) -> list[str]:

@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from warpvox.design import load_design
 from warpvox.envs.about import UNITS
 from warpvox.envs.registry import get_task, known_returns, task_ids
 from warpvox.envs.spec import TaskSpec
@@ -56,6 +57,8 @@ def _page(task: TaskSpec) -> str:
     robot = zoo(task.id) if task.id in zoo_tasks() else None
     kind = "a gait, without feedback" if robot and isinstance(robot.policy, Gait) else "a network"
     film = f"The best robot so far, with {kind}:\n\n![The best robot at work](../images/tasks/{task.id}.webp)\n"
+    weights = (f"{'-' if term.weight < 0 else '+'} {abs(term.weight):g} ×" for term in task.rewards)
+    units = {term.about.unit for term in task.observations} - {"number"}
     named = ", ".join(f"`{memory.name}`" for memory in task.memory)
     moved = f" Every episode places {', '.join(task.randomized)} anew." if task.randomized else ""
     return PAGE.format(
@@ -63,10 +66,10 @@ def _page(task: TaskSpec) -> str:
         level=task.difficulty.capitalize(),
         film=film if robot else "",
         inside="with its body" if robot else "with a walker",
-        rewards=_table(("weight", "term"), ((_weight(term.weight), f"`{term.formula}`") for term in task.rewards)),
+        rewards=_table(("weight", "term"), zip(weights, (f"`{term.formula}`" for term in task.rewards), strict=True)),
         ends=_table(("when", "added to the reward"), _ends(task)),
         observations=_table(("entries", "what", "unit", "values"), _observations(task)),
-        units=" ".join(f"{name.capitalize()}: {UNITS[name]}." for name in _units(task)),
+        units=" ".join(f"{name.capitalize()}: {UNITS[name]}." for name in UNITS if name in units),
         memory=f"\nEpisode state: {named}.{moved}\n" if named else "",
         episodes="Means of eight episodes" if task.is_random else "One deterministic episode",
         returns=_table(("of", "return"), _returns(task.id)),
@@ -76,10 +79,6 @@ def _page(task: TaskSpec) -> str:
 
 def _table(head: tuple[str, ...], rows: Any) -> str:
     return "\n".join([f"| {' | '.join(head)} |", f"|{'---|' * len(head)}", *(f"| {' | '.join(row)} |" for row in rows)])
-
-
-def _weight(weight: float) -> str:
-    return f"{'-' if weight < 0 else '+'} {abs(weight):g} ×"
 
 
 def _ends(task: TaskSpec) -> Iterator[tuple[str, str]]:
@@ -95,10 +94,6 @@ def _observations(task: TaskSpec) -> Iterator[tuple[str, str, str, str]]:
         size = " + ".join([*([str(fixed)] if fixed else []), *([f"{one - fixed} n"] if one > fixed else [])])
         bounds = "any" if str(term.about.low) == "-inf" else f"{term.about.low:.4g} to {term.about.high:.4g}"
         yield size, f"`{term.formula}`", term.about.unit, bounds
-
-
-def _units(task: TaskSpec) -> list[str]:
-    return [name for name in UNITS if name != "number" and any(term.about.unit == name for term in task.observations)]
 
 
 def _returns(task: str) -> Iterator[tuple[str, str]]:
@@ -124,6 +119,4 @@ def _paper(task: TaskSpec) -> str:
 
 
 def _body(task: str) -> Any:
-    from warpvox.design import load_design
-
     return zoo(task).body if task in zoo_tasks() else load_design("walker")

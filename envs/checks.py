@@ -117,9 +117,6 @@ def _got(value: Any) -> str:
     return f"{str(value.dtype).removeprefix('torch.')} {list(value.shape)} on {value.device}"
 
 
-# ------------------------------------------------------------------------------------------------ states
-
-
 def check_fields(state: Any, like: Mapping[str, Any], inside: str = "") -> None:
     """Check names, types and shapes of a state against those of a valid one; SimulationError names what is wrong.
 

@@ -234,8 +234,6 @@ class DesignVecEnv:
         self._task = torch.zeros(self.num_envs, layout.task, dtype=self.dtype, device=self.device)
         self._begin(self._whole)
 
-    # ------------------------------------------------------------- description
-
     @property
     def num_designs(self) -> int:
         """Different bodies of the environments in use."""
@@ -278,8 +276,6 @@ class DesignVecEnv:
         """bool ``[num_envs, num_actions]``: what counts in the next step (:meth:`DesignLayout.action_mask`)."""
         control = self.env.action_mask[self.env.design_index] & ~self.designing[:, None]
         return torch.cat([control, self.designing[:, None].expand(-1, self.layout.design)], dim=1)
-
-    # --------------------------------------------------------------- episodes
 
     def reset(
         self, seed: int | Sequence[int] | None = None, mask: torch.Tensor | np.ndarray | None = None
@@ -326,8 +322,6 @@ class DesignVecEnv:
             parts.append((cursor * self.designing[:, None]).to(task.dtype))
         done = self._length.clamp(max=self.design_steps).to(task.dtype) / self.design_steps
         return torch.cat([*parts, self.designing.to(task.dtype)[:, None], done[:, None]], dim=1)
-
-    # ---------------------------------------------------------------- stepping
 
     def step(self, actions: torch.Tensor | np.ndarray) -> StepResult:
         """One step everywhere: of the design or of control, whichever stage an environment is in.
@@ -429,8 +423,6 @@ class DesignVecEnv:
     def not_finite(self) -> dict[str, int]:
         """See :meth:`VoxelVecEnv.not_finite`."""
         return self.env.not_finite()
-
-    # ------------------------------------------------------------------- state
 
     _STATE = ("cells", "designing", "terminated", "truncated", "_length", "_returns", "_skipped", "_task")
 

@@ -90,11 +90,6 @@ class StepGraph:
             warnings.warn(text, RuntimeWarning, stacklevel=2)
         return not self._failed
 
-    @property
-    def recorded(self) -> tuple[Hashable, ...]:
-        """The settings under which a step is replayed."""
-        return tuple(self._recorded)
-
 
 def _cloned(value: torch.Tensor | dict[str, Any] | tuple[Any, ...]) -> Any:
     """A copy with fresh tensors of what a step returns: tuples and dictionaries of tensors."""

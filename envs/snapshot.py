@@ -27,7 +27,7 @@ class Snapshot:
 
     Args:
         sim: the simulation, or another object with its sensing methods.
-        memory: the task's episode state, by name.
+        memory: the task's episode state, by name, which is then in ``memory_values``.
         values: quantities that are known already.
         copies: return copies, which terms may write to.
     """
@@ -40,7 +40,7 @@ class Snapshot:
         copies: bool = False,
     ) -> None:
         self.sim = sim
-        self._memory = memory or {}
+        self.memory_values: Mapping[str, Tensor] = memory or {}
         self._copies = copies
         self._values: dict[Quantity, Tensor] = dict(values or {})
 
@@ -55,21 +55,16 @@ class Snapshot:
             self._ask(*quantity)
         return self
 
-    @property
-    def memory_values(self) -> Mapping[str, Tensor]:
-        """The task's episode state, by name."""
-        return self._memory
-
     def value(self, quantity: Quantity) -> Tensor:
         """One of :attr:`quantities`, itself: not to be written to."""
         return self._values[quantity]
 
     def update(self, memories: Iterable[Memory]) -> dict[str, Tensor]:
         """Update the episode state, one memory after the other; return all of it."""
-        self._memory = dict(self._memory)
+        self.memory_values = values = dict(self.memory_values)
         for memory in memories:
-            self._memory[memory.name] = memory.advance(self)
-        return self._memory
+            values[memory.name] = memory.advance(self)
+        return values
 
     def com(self, name: str) -> Tensor:
         """float64 ``[num_envs, 2]``: centre of mass of an object (p in B.1)."""
@@ -124,10 +119,10 @@ class Snapshot:
         Raises:
             TaskError: the task has no such memory.
         """
-        if name not in self._memory:
-            hint = did_you_mean(name, self._memory)
-            raise TaskError(f"The task has no memory {name!r}; it has {listing(self._memory)}.{hint}")
-        value = self._memory[name]
+        if name not in self.memory_values:
+            hint = did_you_mean(name, self.memory_values)
+            raise TaskError(f"The task has no memory {name!r}; it has {listing(self.memory_values)}.{hint}")
+        value = self.memory_values[name]
         return value.clone() if self._copies else value
 
     def _ask(self, method: str, *args: object) -> Tensor:

@@ -67,7 +67,7 @@ class VoxelGrid:
     __name__ = "voxels"
 
     def __init__(self, sim: Simulation, name: str) -> None:
-        grids = [sim.object_grid(name, design) for design in range(sim.num_designs)]
+        grids = [world.objects[name].grid for world in sim.worlds]
         least = sim.grid or (0, 0)
         self.rows, self.columns = (max(least[axis], *(grid.shape[axis] for grid in grids)) for axis in (0, 1))
         count = self.rows * self.columns

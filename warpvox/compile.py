@@ -232,8 +232,8 @@ def exact_tables(designs: list[CompiledWorld], lanes: int) -> dict[str, np.ndarr
 
     Points and springs stand in the order in which the released simulator makes them.
     """
-    parts = [_exact_table(design, lanes) for design in designs]
-    return {name: pad([part[name] for part in parts], FILL.get(name, 0)) for name in parts[0]}
+    tables = [_exact_table(design, lanes) for design in designs]
+    return join([{name: values[None] for name, values in table.items()} for table in tables])
 
 
 def _exact_table(design: CompiledWorld, lanes: int) -> dict[str, np.ndarray]:
@@ -274,14 +274,20 @@ def pack_drives(drives: np.ndarray, axis: int) -> np.ndarray:
     return (one | two << 16).astype(np.int32)
 
 
-def pad(parts: Sequence[np.ndarray], fill: int = 0) -> np.ndarray:
-    """Arrays of different sizes as one, stacked along a new first axis."""
-    if not parts[0].ndim:
-        return np.array(parts)
-    shape = np.max([part.shape for part in parts], axis=0).astype(int)
-    whole = np.full((len(parts), *shape), fill, parts[0].dtype)
-    for row, part in zip(whole, parts, strict=True):
-        row[tuple(slice(n) for n in part.shape)] = part
+def join(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Tables of several lists of packs as one, padded to common capacities."""
+    if len(parts) == 1:
+        return parts[0]
+    return {name: _join([part[name] for part in parts], FILL.get(name, 0)) for name in parts[0]}
+
+
+def _join(values: list[np.ndarray], fill: int) -> np.ndarray:
+    shape = np.max([value.shape[1:] for value in values], axis=0).astype(int)
+    whole = np.full((sum(map(len, values)), *shape), fill, values[0].dtype)
+    begin = 0
+    for value in values:
+        whole[(slice(begin, begin + len(value)), *(slice(n) for n in value.shape[1:]))] = value
+        begin += len(value)
     return whole
 
 

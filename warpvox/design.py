@@ -19,6 +19,7 @@ from warpvox.examples import EXAMPLES
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json, read_npy, read_text
 from warpvox.io.writing import atomic_path, write_text
 from warpvox.types import Cell
+from warpvox.view.palette import CELL_NAMES
 
 Design: TypeAlias = np.ndarray
 """int8 ``[rows, columns]``, row 0 on top, entries are :class:`warpvox.types.Cell`."""
@@ -309,12 +310,15 @@ def _stored_body(text: str) -> Design:
     """The body of a stored robot: a task of the zoo, or a file."""
     if text.lower().endswith(".npz"):
         return _read_file(Path(text).expanduser())
+    return _read_file(zoo_file(text, DesignError))
+
+
+def zoo_file(task: str, error: type[Exception]) -> Path:
+    """The file of the zoo's robot for a task, or an ``error`` that lists those that there are."""
     known = sorted(path.stem for path in ZOO.glob("[!.]*.npz"))
-    if text not in known:
-        raise DesignError(
-            f"The zoo has no robot for {text!r:.80}.{did_you_mean(text, known)} It has {listing(known, 40)}."
-        )
-    return _read_file(ZOO / f"{text}.npz")
+    if task not in known:
+        raise error(f"The zoo has no robot for {task!r:.80}.{did_you_mean(task, known)} It has {listing(known, 40)}.")
+    return ZOO / f"{task}.npz"
 
 
 def save_design(path: str | os.PathLike[str], body: object) -> Path:
@@ -466,22 +470,12 @@ def _check_weights(weights: Sequence[float]) -> np.ndarray:
 
 def _cell_names(robot_only: bool = False) -> str:
     cells = [cell for cell in Cell if not (robot_only and cell == Cell.FIXED)]
-    return ", ".join(f"{int(cell)} {_WORDS[cell]}" for cell in cells)
-
-
-_WORDS = {
-    Cell.EMPTY: "empty",
-    Cell.RIGID: "rigid",
-    Cell.SOFT: "soft",
-    Cell.H_ACT: "horizontal actuator",
-    Cell.V_ACT: "vertical actuator",
-    Cell.FIXED: "fixed",
-}
+    return ", ".join(f"{int(cell)} {CELL_NAMES.get(cell, 'empty')}" for cell in cells)
 
 
 def _size(grid: np.ndarray) -> str:
     return "x".join(str(n) for n in grid.shape)
 
 
-def _shorten(text: str, limit: int = 60) -> str:
-    return text if len(text) <= limit else text[: limit - 3] + "..."
+def _shorten(text: str) -> str:
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -367,17 +367,13 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
     """Write ``summary.json``: ``content``, and which version of the program has made it."""
-    write_text(folder / SUMMARY, json.dumps(content | provenance(), indent=2) + "\n", make_folders=False)
-
-
-def provenance() -> dict[str, str | None]:
-    """For ``summary.json``: version, processor and, in a checkout, the commit (``-dirty`` where files were changed)."""
-    return {"version": __version__, "commit": _commit(), "processor": processor_name()}
+    made = {"version": __version__, "commit": _commit(), "processor": processor_name()}
+    write_text(folder / SUMMARY, json.dumps(content | made, indent=2) + "\n", make_folders=False)
 
 
 @functools.cache
 def _commit() -> str | None:
-    """None: an installed package, or no git."""
+    """With ``-dirty`` where files were changed; None: an installed package, or no git."""
     root = Path(__file__).resolve().parents[1]
     if not (root / ".git").exists():
         return None

@@ -19,7 +19,7 @@ from warpvox.batch.objects import CompiledWorlds, Objects
 from warpvox.batch.options import SimKeywords, SimOptions
 from warpvox.batch.packs import Batch, group
 from warpvox.checks import check_mask
-from warpvox.compile import Body, mesh
+from warpvox.compile import mesh
 from warpvox.errors import ActionError, SimulationError
 from warpvox.kernels import reset as reset_stage, step as step_stage
 from warpvox.kernels.state import DIVERGED, OVERFLOW, STALE, UNSTABLE
@@ -63,7 +63,10 @@ class Simulation(Sensing):
 
     Attributes:
         options: as chosen; ``layout``, ``threads``, ``physics``, ``arithmetic``, ``dtype``, ``device``: what is in use.
+        grid: rows and columns up to which bodies may be exchanged, or None.
         world_numbers: long ``[num_envs]``: equal for equal worlds, also in other simulations and processes.
+        slot: long ``[num_envs]``: where an environment lies in arrays ``[pack, lane]``, flattened.
+        action_buffer: ``[num_envs, num_actions]``: the tensor that :meth:`advance` reads actions from, not a copy.
 
     Positions are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step lasts
     ``physics.substeps * physics.dt``, 30 x 1e-4). Tensors that methods return are fresh; they never alias the
@@ -88,7 +91,7 @@ class Simulation(Sensing):
         if not isinstance(loose, Sequence) or isinstance(loose, str) or not all(isinstance(one, str) for one in loose):
             raise SimulationError(f"loose must be a list of names of objects, got {loose!r:.80}.")
         low, high = _check_range(action_range)
-        self.device, self.physics = self.options.device, self.options.physics
+        self.device, self.physics, self.grid = self.options.device, self.options.physics, self.options.grid
         self.arithmetic, self.threads = self.options.arithmetic, self.options.threads
         self.dtype = DTYPES[self.options.dtype]
         different, index = group(worlds)
@@ -113,10 +116,10 @@ class Simulation(Sensing):
         self._take: Recorded | None = None
         self._views = {name: wp.to_torch(self._state.arrays[name]) for name in (*STATE_FIELDS, "drift")}
         self._env = (_torch(self._state.env_pack), _torch(self._state.env_lane))
-        self._slot = self._env[0] * self._state.lanes + self._env[1]
+        self.slot = self._env[0] * self._state.lanes + self._env[1]
         self.action_range = low, high
-        self._actions = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
-        self._action_array = wp.from_torch(self._actions)
+        self.action_buffer = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
+        self._action_array = wp.from_torch(self.action_buffer)
         self._begin_sensing()
         self._action_places: dict[str, torch.Tensor] = {}
         self._follow_worlds()
@@ -143,12 +146,12 @@ class Simulation(Sensing):
         if actions.dtype == torch.float64 and self.dtype != torch.float64:
             most = torch.finfo(self.dtype).max
             actions = actions.clamp(-most, most)  # beyond it a finite number would become infinite
-        self._actions.copy_(actions.detach())  # or it would remember all that they were computed from
+        self.action_buffer.copy_(actions.detach())  # or it would remember all that they were computed from
 
     @property
     def actions(self) -> torch.Tensor:
         """``[num_envs, num_actions]``: the actions taken last, as they were given."""
-        return self._actions.clone()
+        return self.action_buffer.clone()
 
     def advance(self) -> None:
         """The second half of :meth:`step`; on CUDA it goes to torch's current stream, and a graph may capture it."""
@@ -237,29 +240,19 @@ class Simulation(Sensing):
         """An array of :mod:`warpvox.kernels.state`, not a copy; call :meth:`invalidate` after writing to it."""
         return wp.to_torch(self._state.arrays[name])
 
-    @property
-    def slot(self) -> torch.Tensor:
-        """long ``[num_envs]``: where an environment lies in arrays ``[pack, lane]``, flattened."""
-        return self._slot
-
-    @property
-    def action_buffer(self) -> torch.Tensor:
-        """``[num_envs, num_actions]``: the tensor that :meth:`advance` reads actions from, not a copy."""
-        return self._actions
-
     def set_frozen(self, mask: torch.Tensor) -> None:
         """Freeze (True) or unfreeze environments: a frozen one keeps its state and its time.
 
         Args:
             mask: bool ``[num_envs]``.
         """
-        self._views["frozen"].view(-1)[self._slot] = self._check_mask(mask).to(torch.int32)
+        self._views["frozen"].view(-1)[self.slot] = self._check_mask(mask).to(torch.int32)
 
     def _check_mask(self, mask) -> torch.Tensor:
         return check_mask(mask, self.design_index, SimulationError)
 
     def _of_environments(self, name: str) -> torch.Tensor:
-        return self._views[name].view(-1).index_select(0, self._slot)
+        return self._views[name].view(-1).index_select(0, self.slot)
 
     @property
     def frozen(self) -> torch.Tensor:
@@ -297,11 +290,6 @@ class Simulation(Sensing):
         return self._batch.worlds
 
     @property
-    def grid(self) -> tuple[int, int] | None:
-        """Rows and columns up to which bodies may be exchanged."""
-        return self._batch.grid
-
-    @property
     def num_designs(self) -> int:
         """Number of different worlds."""
         return len(self._batch.worlds)
@@ -332,7 +320,7 @@ class Simulation(Sensing):
         first, end = self._action_places[name].T[..., None]
         column = first + torch.arange(self.num_actions, device=self.device)
         known = (column < end) & (self.time > 0)[:, None]
-        own = self._actions.clamp(*self.action_range).gather(1, column.clamp(max=self.num_actions - 1))
+        own = self.action_buffer.clamp(*self.action_range).gather(1, column.clamp(max=self.num_actions - 1))
         return own.masked_fill(~known, 1.0)
 
     def _places_of_actions(self, name: str) -> torch.Tensor:
@@ -350,25 +338,14 @@ class Simulation(Sensing):
         """bool [num_designs, points]: which points a design's object has."""
         return self._objects.point_mask(name)
 
-    def object_grid(self, name: str, design: int = 0) -> np.ndarray:
-        """int8 [rows, columns], row 0 on top: the cells of an object."""
-        if name not in self.worlds[design].objects:
-            self._body(name, design)
-        return self.worlds[design].objects[name].grid.copy()
-
     def voxel_corners(self, name: str, design: int = 0) -> np.ndarray:
         """int32 [voxels, 4]: points at the top left, top right, bottom right and bottom left of every voxel."""
-        source = self.worlds[design].objects.get(name)
-        # the object alone: the world's terrain is many times as large
-        body = self._body(name, design) if source is None else mesh(source, self.physics)
-        return np.array(list(body.corners.values()), dtype=np.int32)
-
-    def _body(self, name: str, design: int) -> Body:
         self._objects.index(name)
-        body = self.designs[design].body(name)
-        if body is None:
+        source = self.worlds[design].objects.get(name)
+        if source is None:
             raise SimulationError(f"Design {design} has no object named {name!r}.")
-        return body
+        # the object alone: the world's terrain is many times as large
+        return np.array(list(mesh(source, self.physics).corners.values()), dtype=np.int32)
 
     def state(self) -> dict[str, torch.Tensor]:
         """Everything that changes, a row for every environment: what :meth:`set_state` takes back.

@@ -29,8 +29,6 @@ LARGEST_FILE = 16_000_000
 MOST_OBJECTS = 1000
 """Objects that a world file may hold."""
 
-_LETTERS = {Cell.EMPTY: ".", Cell.RIGID: "R", Cell.SOFT: "S", Cell.H_ACT: "H", Cell.V_ACT: "V", Cell.FIXED: "F"}
-
 
 @dataclass(frozen=True, eq=False)
 class WorldObject:
@@ -64,8 +62,10 @@ class WorldObject:
         """
         if not isinstance(name, str) or not name:
             raise WorldError(f"An object needs a name (text that is not empty), got {name!r:.80}.")
-        if not _is_writable(name):
-            raise WorldError(f"The name {name!r:.80} holds half of a character (a lone surrogate).")
+        try:
+            name.encode()  # JSON's escapes allow halves of characters, which no file or page can hold
+        except UnicodeEncodeError:
+            raise WorldError(f"The name {name!r:.80} holds half of a character (a lone surrogate).") from None
         grid = as_grid(structure, what=f"object '{name}'", error=WorldError)
         if not grid.any():
             raise WorldError(f"The object '{name}' has no cells: all of its {grid.size} entries are empty.")
@@ -247,7 +247,7 @@ class World:
 
     def pretty(self) -> str:
         """Return a drawing in letters: R rigid, S soft, H and V actuators, F fixed, a dot for empty."""
-        return "\n".join("".join(_LETTERS[Cell(cell)] for cell in row) for row in self.grid())
+        return "\n".join("".join(".RSHVF"[cell] for cell in row) for row in self.grid())
 
     def __eq__(self, other: object) -> bool:
         return self.key() == other.key() if isinstance(other, World) else NotImplemented
@@ -312,15 +312,6 @@ def _check_size(width: int, height: int, why: str = "") -> None:
         )
 
 
-def _is_writable(text: str) -> bool:
-    """Whether files and pages can hold a text: JSON's escapes allow halves of characters."""
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
 def _check_position(name: str, x: object, y: object) -> tuple[int, int]:
     if not is_integer(x) or not is_integer(y):
         raise WorldError(f"The position of '{name}' must be two integers, in cells, got ({x!r}, {y!r}).")
@@ -356,7 +347,6 @@ def _check_pairs(name: str, grid: np.ndarray, connections: object) -> np.ndarray
     return np.array(sorted(given), np.int32)
 
 
-#
 # {"grid_width": W, "grid_height": H, "objects": {name: {"indices": [...], "types": [...],
 #  "neighbors": {"index": [index, ...], ...}}}}, index = y * W + x with y upward from the bottom row.
 

@@ -393,7 +393,7 @@ def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, 
     policy = PurePath(row["policy"] or "")
     if policy.is_absolute() or ".." in policy.parts:
         raise ValueError(f"the policy of candidate {number} lies outside of the experiment: {row['policy']!r:.80}")
-    candidate = Candidate(number, body_of(body), tuple(parents), origin, generation)
+    candidate = Candidate(number, as_grid(parse_json(body)), tuple(parents), origin, generation)
     known = {name: row[name] for name in KINDS if name in Record.__dataclass_fields__}
     known |= {"stopped": None if stopped is None else bool(stopped), "diverged": stopped == DIVERGED}
     return Record(candidate, **known, curve=curve)
@@ -418,11 +418,6 @@ def archives_in(folder: Path) -> list[Path]:
 def body_text(body: np.ndarray) -> str:
     """A body as the archive stores it: JSON without blanks."""
     return json.dumps(np.asarray(body).tolist(), separators=(",", ":"))
-
-
-def body_of(text: str) -> np.ndarray:
-    """The body, int8 ``[rows, columns]``, of its text."""
-    return as_grid(parse_json(text))
 
 
 def _now() -> str:

@@ -119,7 +119,8 @@ class CpgNetwork(nn.Module):
             tokens = tokens + functional.silu(self.local[k](grid)).flatten(2).transpose(1, 2) * present
             tokens = block(tokens, distance, present[..., 0] > 0)
             scaled = self.norms[2 * k + 1](tokens)
-            added = _driving(response, _by_oscillation(self.wanted[k](scaled), self.oscillations)) / reach
+            wanted = self.wanted[k](scaled).unflatten(2, (self.oscillations, 2, 2)).transpose(1, 2).flatten(2, 3)
+            added = _driving(response, wanted) / reach
             own = self.own[k](scaled).unflatten(2, (self.oscillations, 2)).transpose(1, 2)
             swing = swing + (added + own) * driven
         middle = wave[..., :1] + self.rest(self.norms[-1](tokens))
@@ -156,8 +157,3 @@ def _driving(response: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
 def _by_cell(motion: torch.Tensor, cells: int) -> torch.Tensor:
     """``[rows, periods, 2 * cells, 2]`` as ``[rows, cells, 4 * periods]``."""
     return motion.unflatten(2, (cells, 2)).transpose(1, 2).flatten(2)
-
-
-def _by_oscillation(values: torch.Tensor, periods: int) -> torch.Tensor:
-    """The inverse of :func:`_by_cell`."""
-    return values.unflatten(2, (periods, 2, 2)).transpose(1, 2).flatten(2, 3)

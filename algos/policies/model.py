@@ -113,10 +113,6 @@ class VoxelModel(Network):
         cells, count = self.layout.cells, self.layout.cells * FEATURES
         self._parts = [count, self.layout.rest, cells, self.layout.actions]
 
-    def scaled(self, obs: torch.Tensor) -> torch.Tensor:
-        """Inputs of :meth:`run`, ``[rows, inputs]``, from observations ``[rows, num_obs]``."""
-        return self.obs_normalizer(obs)
-
     def unpack(self, latent: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Inputs ``[rows, inputs]`` in parts: voxels ``[rows, cells, 26]``, the rest, order of actions.
 

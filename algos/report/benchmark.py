@@ -125,7 +125,7 @@ def _row(task: str, name: str, runs: Sequence[SearchResult]) -> str:
         ("", "") if published is None else (published, f"{published:g}"),
         (total := sum(one.evaluated for one in runs), f"{total:,}"),
         (total := sum(int(one.steps[-1]) for one in runs), f"{total:,}"),
-        (sum(seconds), _duration(sum(seconds))) if seconds else ("", ""),
+        (sum(seconds), duration(sum(seconds))) if seconds else ("", ""),
     ]
     return row([(None, escape(task)), (None, escape(name)), *numbers])
 
@@ -134,7 +134,8 @@ def _fresh(facts: Mapping[str, Any]) -> str:
     return str(Interval(facts["mean"], facts["low"], facts["high"], facts["episodes"]))
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """Hours and minutes."""
     minutes = round(seconds / 60)
     return f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
 

@@ -34,11 +34,6 @@ class Group:
     label: str
     runs: tuple[Any, ...]
 
-    @property
-    def title(self) -> str:
-        """The label and how many runs there are."""
-        return f"{self.label} (n={len(self.runs)})"
-
 
 @dataclass(frozen=True)
 class Curve:
@@ -54,11 +49,6 @@ class Curve:
     low: np.ndarray
     high: np.ndarray
     runs: tuple[np.ndarray, ...]
-
-    @property
-    def n(self) -> int:
-        """Number of runs."""
-        return len(self.runs)
 
 
 def curves_of_searches(members: Sequence[SearchResult], x: str = "steps") -> dict[str, list[Curve]]:
@@ -152,11 +142,11 @@ def _plot(curves: Sequence[Curve], axes: Any) -> None:
     for number, curve in enumerate(curves):
         turn, place = divmod(number, len(COLOURS))
         look = {"color": COLOURS[place], "linestyle": STYLES[turn % len(STYLES)]}
-        if curve.n > 1:
+        if len(curve.runs) > 1:
             axes.fill_between(curve.places, curve.low, curve.high, color=COLOURS[place], alpha=0.18, linewidth=0)
             for points in curve.runs:
                 axes.plot(*points, **look, linewidth=0.8, alpha=0.3)
-        label = escaped(curve.group.title).replace("$", r"\$")
+        label = escaped(f"{curve.group.label} (n={len(curve.runs)})").replace("$", r"\$")
         axes.plot(curve.places, curve.mean, **look, linewidth=2.2, label=label)
 
 
@@ -181,7 +171,7 @@ def _write_csv(panels: Mapping[str, Sequence[Curve]], path: Path, x: str) -> Non
     for label, curve in labelled(panels):
         for numbers in zip(curve.places, curve.mean, curve.low, curve.high, strict=True):
             place, *others = (f"{number:.9g}" if math.isfinite(number) else "" for number in numbers)
-            rows.append([label, place, curve.n, *others])
+            rows.append([label, place, len(curve.runs), *others])
     write_table(path, ("settings", x, "n", "mean", "low", "high"), rows)
 
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
+from functools import partial
 from html import escape
-from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from warpvox.view.palette import body_svg
+from warpvox.view.player import asset, fill_template
 
 if TYPE_CHECKING:
     from warpvox.algos.codesign.archive import Record
 
+text = partial(asset, package="warpvox.algos.report")
+"""The content of a file of this package."""
 NOTHING = '<p class="faint">No design is evaluated yet.</p>'
 
 
@@ -23,17 +25,7 @@ def page(template: str, title: str, slots: Mapping[str, str]) -> str:
         slots: HTML for the ``{{names}}`` in it.
     """
     frame = {"title": escape(title), "style": text("page.css"), "script": text("page.js")}
-    return _fill(text("page.html"), frame | {"main": _fill(text(template), slots)})
-
-
-def _fill(template: str, slots: Mapping[str, str]) -> str:
-    # one pass: what is filled in is not searched for slots again
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: slots[match[1]], template)
-
-
-def text(name: str) -> str:
-    """The content of a file of this package."""
-    return files("warpvox.algos.report").joinpath(name).read_text(encoding="utf-8")
+    return fill_template(text("page.html"), main=fill_template(text(template), **slots), **frame)
 
 
 def fact_list(facts: Mapping[str, object]) -> str:

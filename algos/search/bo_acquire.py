@@ -81,7 +81,8 @@ def improve(model: SingleTaskGP, best: float, starts: np.ndarray, iterations: in
         return_best_only=False,
         options={"maxiter": iterations},
     )
-    return from_one_hot(ends[:, 0], starts.shape[1:])
+    entries = ends[:, 0].detach().view(*starts.shape, CELL_TYPES)
+    return entries.argmax(-1).numpy().astype(np.int8)
 
 
 def log_improvement(model: SingleTaskGP, best: float) -> Callable[[np.ndarray], np.ndarray]:
@@ -186,11 +187,6 @@ def one_hot(bodies: np.ndarray) -> torch.Tensor:
     """float64 ``[..., cells * 5]`` of int8 ``[..., rows, columns]``: a 1 for the type of each voxel."""
     flat = torch.as_tensor(np.asarray(bodies, dtype=np.int64)).flatten(-2)
     return torch.nn.functional.one_hot(flat, CELL_TYPES).flatten(-2).double()
-
-
-def from_one_hot(points: torch.Tensor, shape: tuple[int, int]) -> np.ndarray:
-    """int8 ``[n, rows, columns]`` of points ``[n, cells * 5]``: each voxel is of the type with the largest entry."""
-    return points.detach().view(len(points), *shape, CELL_TYPES).argmax(-1).numpy().astype(np.int8)
 
 
 def make_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> SingleTaskGP:

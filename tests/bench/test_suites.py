@@ -146,7 +146,7 @@ def test_gradients_are_checked_then_timed_then_used(bench: Callable, monkeypatch
 def test_wrong_derivatives_are_not_timed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gradients, "_error", lambda *_: float("nan"))
     config = SimpleNamespace(seed=0)
-    report = SimpleNamespace(status=lambda _: nullcontext())
+    report = SimpleNamespace(console=SimpleNamespace(status=lambda _: nullcontext()))
     with pytest.raises(SimulationError, match="differ by nan% from finite differences"):
         gradients.run(config, report)
 
@@ -166,9 +166,6 @@ def test_scaling_in_three_ways(bench: Callable, fake_reference: Callable) -> Non
     assert [row[0] for row in envs] == ["1", "8"]
     assert threads[0][2] == 1
     assert "means of 2 robots, one at a time, 0.04 simulated seconds each" in said
-    pytest.importorskip("matplotlib", reason="plots need the extra view")
-    (plot,) = Path("outputs").rglob("figure2.png")
-    assert plot.stat().st_size > 1000
 
 
 @pytest.mark.parametrize(

@@ -46,9 +46,9 @@ def test_curves_hold_the_evaluations_and_their_interval(tmp_path: Path) -> None:
     assert _points(first, "steps").tolist() == [[20, 40], [1, 3]]
     second = make_run(tmp_path / "b", [(10, 0.0), (60, 5.0)])
     (alone,) = curves_of(group_runs([first]))
-    assert (alone.n, alone.mean.tolist(), np.isnan(alone.low).all()) == (1, [1, 3], True)
+    assert (len(alone.runs), alone.mean.tolist(), np.isnan(alone.low).all()) == (1, [1, 3], True)
     (curve,) = curves_of(group_runs([first, second]))
-    assert (curve.places[0], curve.places[-1], curve.n) == (20, 60, 2)
+    assert (curve.places[0], curve.places[-1], len(curve.runs)) == (20, 60, 2)
     assert (curve.mean[0], curve.mean[-1]) == ((1 + 1) / 2, (3 + 5) / 2)  # the shorter one keeps its last value
     interval = mean_interval([3, 5])
     assert (curve.low[-1], curve.high[-1]) == pytest.approx((interval.low, interval.high))

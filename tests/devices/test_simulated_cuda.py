@@ -80,7 +80,7 @@ def check_life(task: str, cuda: SimulatedCuda, **options: Any) -> None:
 
     def watched(env: VoxelVecEnv, actions: torch.Tensor) -> tuple:
         cuda.stream = Stream(number=cuda.stream.cuda_stream + 1)  # launches must be on torch's current one
-        capturing = env._graph is not None and not env._graph.recorded
+        capturing = env._graph is not None and not env._graph._recorded
         with cuda.watched() as waits:
             found = env.step(actions)
         assert capturing or not waits

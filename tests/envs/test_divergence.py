@@ -196,7 +196,7 @@ def test_actions_that_are_not_finite_stop_an_environment_where_they_cannot_be_lo
     actions = torch.ones((3, env.num_actions))
     env.sim.take(actions)
     for number, value in enumerate((float("nan"), float("inf"))):
-        env.sim._actions[number, 0] = value  # as take leaves them on CUDA
+        env.sim.action_buffer[number, 0] = value  # as take leaves them on CUDA
     obs, reward, terminated, _, info = env._whole_step()
     assert info["diverged"].tolist() == terminated.tolist() == [True, True, False]
     assert reward[:2].tolist() == [-3.0, -3.0]

@@ -92,7 +92,7 @@ def test_a_graph_misses_nothing_that_is_done_between_steps(task: str, auto_reset
             assert equal(*(look(env) for env in envs))
             kept.append(results)
         assert equal(*(env.state() for env in envs))
-    assert set(envs[1]._graph.recorded) == {True, False}
+    assert set(envs[1]._graph._recorded) == {True, False}
     assert all(equal(*results) for results in kept), "results must stay as they were returned"
 
 
@@ -107,7 +107,7 @@ def test_what_was_sensed_between_steps_is_not_taken_for_the_present(cuda: None) 
     for _ in range(6):
         assert equal(*acting(envs, random))
         assert equal(*(look(env) for env in envs))
-    assert envs[1]._graph.recorded
+    assert envs[1]._graph._recorded
 
 
 @pytest.mark.gpu

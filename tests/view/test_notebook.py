@@ -61,7 +61,7 @@ def test_bodies_and_worlds_are_drawings() -> None:
 def test_svg_paints_every_cell_once_in_its_colour(seed: int) -> None:
     body = sample_design((4, 6), seed)
     painted = np.zeros_like(body)
-    root = ET.fromstring(body_svg(body, title="a"))
+    root = ET.fromstring(body_svg(body))
     assert root.get("stroke") == "#1c1e24"  # or equal cells beside each other would be one bar
     for path in root.findall("path"):
         kind = int(path.get("class")[1:])

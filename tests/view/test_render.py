@@ -140,7 +140,7 @@ def test_png_and_filmstrip(rollouts: Callable[..., Rollout], tmp_path: Path) -> 
     rollout = rollouts(30, 2, ends=(20,))
     with Image.open(render.write_png(rollout, tmp_path / "one.png", frame=5, size=(200, 120))) as picture:
         assert picture.size == (200, 120)
-    strip = render.filmstrip(rollout, 5, size=(1000, 160))
+    strip = np.asarray(Image.open(render.write_filmstrip(rollout, tmp_path / "strip.png", 5, size=(1000, 160))))
     assert strip.shape == (160, 1000, 3)
     each = (1000 - 4 * render.MARGIN) // 5
     for number in range(5):
@@ -173,7 +173,7 @@ def test_mp4(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
         (lambda r, p: render.write_gif(r, p, every=0), "every must be an integer"),
         (lambda r, p: render.write_gif(r, p, fps=0), "fps must lie in 1 to 50, got 0"),
         (lambda r, p: render.write_gif(r, p, start=4, stop=4), "no frames from 4 to 4"),
-        (lambda r, p: render.filmstrip(r, 0), "1 to 64 frames"),
+        (lambda r, p: render.write_filmstrip(r, p, 0), "1 to 64 frames"),
     ],
 )
 def test_wrong_requests_get_one_clear_line(rollouts, tmp_path: Path, call, words: str) -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpvox.batch.grid_mesh import TWIN_PAIRS, GridMesh, RobotCells, most_points, pack_bits
-from warpvox.compile import FILL, NOTHING_MOVES, CompiledWorld, compile_others, pack_drives, world_arrays
+from warpvox.compile import NOTHING_MOVES, CompiledWorld, compile_others, join, pack_drives, world_arrays
 from warpvox.errors import SimulationError
 from warpvox.types import Physics
 from warpvox.world import World, WorldObject
@@ -159,8 +159,7 @@ class Frame:
         """Tables of packs whose lanes hold these bodies, int ``[packs, lanes]``; see :class:`_PackTables`."""
         cells = sum(bodies.cells[0].size for bodies in self.bodies)
         most = max(1, CHUNK // max(1, 200 * cells * index.shape[1]))
-        parts = [self._tables(index[begin : begin + most]) for begin in range(0, len(index), most)]
-        return join(parts)
+        return join([self._tables(index[begin : begin + most]) for begin in range(0, len(index), most)])
 
     def _tables(self, index: np.ndarray) -> dict[str, np.ndarray]:
         meshes = [
@@ -168,23 +167,6 @@ class Frame:
             for bodies, place in zip(self.bodies, self.places, strict=True)
         ]
         return _PackTables(self, meshes, *index.shape).arrays
-
-
-def join(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Tables of several lists of packs as one, padded to common capacities."""
-    if len(parts) == 1:
-        return parts[0]
-    return {name: _join([part[name] for part in parts], FILL.get(name, 0)) for name in parts[0]}
-
-
-def _join(values: list[np.ndarray], fill: int) -> np.ndarray:
-    shape = np.max([value.shape[1:] for value in values], axis=0).astype(int)
-    whole = np.full((sum(map(len, values)), *shape), fill, values[0].dtype)
-    begin = 0
-    for value in values:
-        whole[(slice(begin, begin + len(value)), *(slice(n) for n in value.shape[1:]))] = value
-        begin += len(value)
-    return whole
 
 
 class _Numbers:

@@ -173,17 +173,17 @@ class GridMesh:
         self._link_springs()
         self._mark_surface()
 
-    def _around(self, values: np.ndarray, empty: int) -> list[np.ndarray]:
+    def _around(self, values: np.ndarray) -> list[np.ndarray]:
         """``[P, nodes, L]`` of the four cells around every node, from ``[P, rows, columns, L]``."""
-        padded = np.pad(values, ((0, 0), (1, 1), (1, 1), (0, 0)), constant_values=empty)
+        padded = np.pad(values, ((0, 0), (1, 1), (1, 1), (0, 0)))
         parts = padded[:, :-1, :-1], padded[:, :-1, 1:], padded[:, 1:, :-1], padded[:, 1:, 1:]
         return [part.reshape(len(part), -1, part.shape[-1]) for part in parts]
 
     def _share_points(self) -> None:
         """``owner`` [4, P, nodes, L]: which of the cells around a node has made the point that a cell has there."""
         robot = self.robot
-        there = self._around(robot.cells != Cell.EMPTY, False)
-        right, down = self._around(robot.right, False), self._around(robot.down, False)
+        there = self._around(robot.cells != Cell.EMPTY)
+        right, down = self._around(robot.right), self._around(robot.down)
         top, bottom = right[ABOVE_LEFT], right[BELOW_LEFT]  # connections between the cells around a node
         left, side = down[ABOVE_LEFT], down[ABOVE_RIGHT]
         a = np.zeros(top.shape, np.int8)
@@ -207,7 +207,7 @@ class GridMesh:
         for s, t in reversed(TWIN_PAIRS):  # the lowest slot of a point is looked at last
             same = (used[:, :, s] == used[:, :, t]) & (used[:, :, s] >= 0)
             leader[:, :, s] = np.where(same, t, leader[:, :, s])
-        fixed_cell = self._around(robot.cells == Cell.FIXED, False)
+        fixed_cell = self._around(robot.cells == Cell.FIXED)
         fixed = np.zeros(used.shape, bool)
         for place in range(4):
             fixed |= (fixed_cell[place][:, :, None] & (owner[place][:, :, None] == used)) & (used >= 0)

@@ -5,9 +5,9 @@ from dataclasses import InitVar, dataclass, field
 
 import numpy as np
 
-from warpvox.batch.frames import Frame, capacities, frame_key, is_cut, join
+from warpvox.batch.frames import Frame, capacities, frame_key, is_cut
 from warpvox.batch.options import ResolvedOptions, choose_lanes
-from warpvox.compile import compile_world, exact_tables, pad, world_arrays
+from warpvox.compile import compile_world, exact_tables, join, world_arrays
 from warpvox.contact_order import no_order
 from warpvox.errors import SimulationError
 from warpvox.world import World
@@ -230,7 +230,7 @@ class Batch:
     def frame_tables(self) -> dict[str, np.ndarray]:
         """Tables of the terrain of all frames."""
         parts = [frame.arrays for frame in self.frames] or [world_arrays(world) for world in self.compiled]
-        return {name: pad([part[name] for part in parts], -1 if name == "fixed_at" else 0) for name in FRAME_TABLES}
+        return join([{name: part[name][None] for name in FRAME_TABLES} for part in parts])
 
     def capacities(self) -> dict[str, int]:
         """Capacities that bodies up to ``grid`` may need; empty without one."""

@@ -41,18 +41,18 @@ TIMED = 20
 def run(config: Any, report: Report) -> None:
     """The error of derivatives in the air, the time of a step with them, and displacements of gaits."""
     bodies = sampled_bodies(SIDE, BODIES, config.seed)
-    with report.status("checking"):
+    with report.console.status("checking"):
         error = _error(config, bodies)
     if not error < ALLOWED:
         raise SimulationError(f"Derivatives by actions differ by {error:.1%} from finite differences.")
     report.note(f"Checked: derivatives by actions in the air, within {error:.2%} of finite differences in float64.")
-    with report.status("measuring"):
+    with report.console.status("measuring"):
         rates = _times(config, bodies)
     plain, *_ = map(middle, rates.values())
     title = f"{config.task}, {len(bodies)} different bodies {SIDE}x{SIDE}, microseconds a control step"
     rows = [[name, times, middle(times) / plain] for name, times in rates.items()]
     report.table(title, ["", "time", "ratio"], rows)
-    with report.status("making gaits"):
+    with report.console.status("making gaits"):
         gaits = {smoothing: _gaits(config, bodies, ITERATIONS, smoothing) for smoothing in SMOOTHINGS}
         waves = _gaits(config, bodies, COST * ITERATIONS)
     shown = [[f"gradients, smoothing {smoothing:g}", *row] for smoothing, row in gaits.items()]

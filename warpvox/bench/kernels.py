@@ -36,7 +36,7 @@ STAGES = {
 def run(config: Any, report: Report) -> None:
     """Stages of a sub-step (of the layout ``lanes``), parts of a control step, memory, seconds of compilation."""
     where = f"{config.task}, {config.num_envs} environments, {config.dtype}, {config.device}"
-    with report.status("checking, then measuring"):
+    with report.console.status("checking, then measuring"):
         runner = Runner(config, [one_body(config)])
         rates = measure({"": runner}, ["bare", *config.columns], config.repeats)[""]
         # those of a group are parts of one kernel
@@ -57,7 +57,7 @@ def run(config: Any, report: Report) -> None:
     report.table(f"{where}: memory", ["arrays", "kB an environment"], shown)
     report.note(f"Checked: within {runner.error:.1e} of one environment alone in float64.")
     report.figures["check_error"] = runner.error
-    with report.status("compiling all kernels of a control step"):
+    with report.console.status("compiling all kernels of a control step"):
         report.figures["compile"] = compile_seconds(config, report)
 
 

@@ -29,7 +29,7 @@ def run(config: Any, report: Report) -> None:
     for name in keys.ppo:
         runs[name] = []
         for seed in range(keys.seeds):
-            with report.status(f"ppo={name}, seed {seed}: at most {limit:.0f} s"):
+            with report.console.status(f"ppo={name}, seed {seed}: at most {limit:.0f} s"):
                 runs[name].append(learn(config, body, name, config.seed + seed))
         done = [row for row in runs[name] if row["seconds"] is not None]
         medians = {what: middle([row[what] for row in done]) if done else None for what in MEDIANS}

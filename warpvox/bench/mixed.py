@@ -24,7 +24,7 @@ def run(config: Any, report: Report) -> None:
     count, bodies = config.num_envs, sampled_bodies(SIDE, config.num_envs, config.seed)
     cases = {f"{count} different bodies": bodies}
     cases |= {f"body {k} in all": [body] for k, body in enumerate(bodies[:ALONE])} | {"a full body in all": [FULL]}
-    with report.status("building, checking, then measuring"):
+    with report.console.status("building, checking, then measuring"):
         # that of different bodies last: the others load the kernels
         made = {name: Runner(config, cases[name], arithmetic="fast") for name in reversed(cases)}
         runners = {name: made[name] for name in cases}

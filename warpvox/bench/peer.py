@@ -25,11 +25,11 @@ def run(config: Any, report: Report) -> None:
     with open_reference(config, report) as reference:
         if reference is None:
             raise ConfigError(f"The reference is missing: {HOW_TO_GET_IT}")
-        with report.status("checking the physics"):
+        with report.console.status("checking the physics"):
             error = against_reference(config, config.task, body, reference)
             runner = Runner(config, [body])
         report.note(f"Checked: within {error:.1e} of the reference over {STEPS} steps in float64.")
-        with report.status("measuring"):
+        with report.console.status("measuring"):
             one = {"id": f"warpvox/{config.task}", "body": body, "device": config.device}
             drop_in = {"id": released_id(config.task), "body": body.astype(float)}
             theirs = f"evogym {reference.versions['evogym']}, Python {reference.versions['python']}"

@@ -32,7 +32,7 @@ def open_reference(config: Any, report: Any) -> AbstractContextManager[Reference
     """The reference that ``peer`` names, made first if so asked; None: none; ConfigError: it does not run."""
     made = python_of(reference_folder())
     if config.peer == MAKE:
-        with report.status(f"making an environment with {PACKAGE}"):
+        with report.console.status(f"making an environment with {PACKAGE}"):
             make_reference(reference_folder())
         echo(report.console, f"the reference: {made}")
     if config.peer in (None, MAKE):

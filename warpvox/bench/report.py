@@ -1,4 +1,4 @@
-"""The output of a suite: tables and sentences on the terminal, the same as Markdown and JSON, and plots."""
+"""The output of a suite: tables and sentences on the terminal, the same as Markdown and JSON."""
 
 import math
 import re
@@ -14,11 +14,11 @@ from rich.table import Table
 
 from warpvox.errors import ConfigError
 from warpvox.io.console import echo, literal
-from warpvox.io.writing import atomic_path, write_text
+from warpvox.io.writing import write_text
 from warpvox.runs import write_summary
 
 Item = TypeVar("Item")
-TABLES, PLOT_SIZE, DOTS = "tables.md", (11.0, 4.5), 110
+TABLES = "tables.md"
 
 
 def middle(values: Sequence[float]) -> float:
@@ -26,8 +26,8 @@ def middle(values: Sequence[float]) -> float:
     return statistics.median(values) if values else float("nan")
 
 
-def number(value: float | Sequence[float] | None, digits: int = 3) -> str:
-    """A figure with so many significant digits at least and all digits before the point.
+def number(value: float | Sequence[float] | None) -> str:
+    """A figure with three significant digits at least and all digits before the point.
 
     The median of several; a count as it is; - for none or NaN.
     """
@@ -39,7 +39,7 @@ def number(value: float | Sequence[float] | None, digits: int = 3) -> str:
     if value and abs(value) < 1e-3:
         return f"{value:.1e}"
     whole = len(str(int(abs(value)))) if abs(value) >= 1 else 0
-    return f"{value:,.{max(digits - whole, 0)}f}"
+    return f"{value:,.{max(3 - whole, 0)}f}"
 
 
 def spread(value: float | Sequence[float] | None) -> str:
@@ -86,24 +86,6 @@ class Report:
         """Show a sentence."""
         echo(self.console, text)
         self._texts.append(text)
-
-    def status(self, text: str) -> Any:
-        """A spinner while something takes time."""
-        return self.console.status(text)
-
-    def plot(self, name: str, draw: Callable[[Any], None]) -> None:
-        """Write ``<name>.png``: ``draw`` is given a matplotlib figure. Without matplotlib say so."""
-        try:
-            from matplotlib.figure import Figure
-        except ModuleNotFoundError:
-            echo(self.console, "no plot: matplotlib is missing (pip install 'warpvox[view]')")
-            return
-        figure = Figure(figsize=PLOT_SIZE, layout="constrained")
-        draw(figure)
-        path = self.folder / f"{name}.png"
-        with atomic_path(path) as temporary:
-            figure.savefig(temporary, dpi=DOTS)
-        echo(self.console, f"plot: {path}")
 
     def write(self) -> str:
         """Write all tables and sentences as ``tables.md``, the figures as ``summary.json``; returns the text."""

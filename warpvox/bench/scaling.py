@@ -34,12 +34,10 @@ CHECK_STEPS = 20
 def run(config: Any, report: Report) -> None:
     """Three tables: by size of the body, by number of environments, by threads."""
     with open_reference(config, report) as reference:
-        bodies = scale_bodies(config, report, reference)
-    report.figures["bodies"] = bodies
+        report.figures["bodies"] = scale_bodies(config, report, reference)
     scale_envs(config, report)
     if config.device == "cpu":
         scale_threads(config, report)
-    report.plot("figure2", lambda figure: _draw_bodies(figure, config, bodies))
 
 
 def scale_bodies(config: Any, report: Report, reference: Reference | None) -> list[dict[str, Any]]:
@@ -47,7 +45,7 @@ def scale_bodies(config: Any, report: Report, reference: Reference | None) -> li
     scaling = config.scaling
     rows = []
     for side in scaling.sizes:
-        with report.status(f"{scaling.bodies} bodies of {side} x {side}"):
+        with report.console.status(f"{scaling.bodies} bodies of {side} x {side}"):
             rows.append(_one_size(config, scaling, side, reference))
     _show_bodies(config, report, scaling, rows)
     return rows
@@ -115,25 +113,6 @@ def _show_bodies(config: Any, report: Report, scaling: Any, rows: list[dict[str,
     )
 
 
-def _draw_bodies(figure: Any, config: Any, rows: list[dict[str, Any]]) -> None:
-    """Both panels of the paper's figure, a point for each robot."""
-    panels = figure.subplots(1, 2)
-    series = [
-        ("one robot", "o", [(row["voxels"], row["one"]) for row in rows]),
-        ("reference, one robot", "x", [(row["voxels"], row["reference"]) for row in rows if "reference" in row]),
-        ("a batch", "s", [(row["voxels"][:1], [middle(row["rates"])]) for row in rows]),
-    ]
-    for label, marker, pairs in series:
-        if pairs:
-            voxels, rates = np.concatenate(pairs, axis=1)
-            for axes, values in zip(panels, (rates, rates * voxels), strict=True):
-                axes.plot(voxels, values, marker, label=label, alpha=0.7, markersize=4)
-    for axes, label in zip(panels, (f"control steps per {unit(config.device)}", "the same times voxels"), strict=True):
-        axes.set(xlabel="voxels that are not empty", ylabel=label, yscale="log")
-        axes.grid(which="both", alpha=0.3)
-        axes.legend()
-
-
 def scale_envs(config: Any, report: Report) -> None:
     """The columns for numbers of environments; what needs too much time or memory is left out, with the reason."""
     body, rows, left_out, needed = one_body(config), [], [], 0.0
@@ -142,7 +121,7 @@ def scale_envs(config: Any, report: Report) -> None:
             left_out.append(f"{count:,} (memory: {count * needed / 2**30:.1f} GiB)")
             continue
         try:
-            with report.status(f"{count:,} environments"):
+            with report.console.status(f"{count:,} environments"):
                 runner = Runner(config, [body], count)
                 if not runner.fits:
                     left_out.append(f"{count:,} (over {config.limit:g} s a repetition)")
@@ -162,7 +141,7 @@ def scale_envs(config: Any, report: Report) -> None:
 def scale_threads(config: Any, report: Report) -> None:
     """One thread and all: control steps per second of wall-clock time, alternating."""
     body, counts = one_body(config), sorted({1, usable_cores()})
-    with report.status("threads"):
+    with report.console.status("threads"):
         runners = {str(n): Runner(config, [body], threads=n, now=time.perf_counter) for n in counts}
         found = measure(runners, ["step"], config.repeats)
     base = middle(found["1"]["step"])

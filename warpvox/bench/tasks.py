@@ -16,7 +16,7 @@ def run(config: Any, report: Report) -> None:
     tasks = [get_task(task).id for task in config.tasks] or task_ids()
     with open_reference(config, report) as reference:
         for place, task in enumerate(tasks, 1):
-            with report.status(f"{task} ({place} of {len(tasks)})"):
+            with report.console.status(f"{task} ({place} of {len(tasks)})"):
                 runner, others = Runner(config, [body], task=task), {}
                 errors.append(runner.error)
                 if reference is not None:

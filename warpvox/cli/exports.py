@@ -92,8 +92,8 @@ def tiles_of(rollout: Rollout, most: int = BODIES) -> list[int]:
 
 def write_exports(
     rollout: Rollout, folder: Path, formats: list[str], console: Console, size: list[int] | None = None, every: int = 1
-) -> list[Path]:
-    """Write each format, say what there is (the rollout itself, if it was written, first); returns the paths.
+) -> None:
+    """Write each format and say what there is, the rollout itself, if it was written, first.
 
     ``every``: show every n-th control step only; films then run n times as fast.
     """
@@ -114,7 +114,8 @@ def write_exports(
         written.append(folder / file)
     for path in written:
         echo(console, f"{shown(path)}  ({_size(path)})")
-    return written
+    if "html" in formats:
+        echo(console, f"open in a browser: {(folder / WRITERS['html'][0]).resolve().as_uri()}")
 
 
 def _tell(status: Status, file: str, done: int, total: int) -> None:

@@ -18,7 +18,7 @@ from warpvox.code import Code, is_code
 from warpvox.configs.codesign import SuiteConfig
 from warpvox.configs.composition import quoted, shape_of
 from warpvox.envs.registry import get_task, task_ids
-from warpvox.envs.spec import TaskSpec
+from warpvox.envs.spec import DIFFICULTIES, TaskSpec
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.trust import COPIES, STORED, allowed
 
@@ -28,7 +28,7 @@ BENCHMARK10 = (
 )  # fmt: skip
 """The tasks of the paper's main comparison (section B)."""
 NAMED = {"all": task_ids, "benchmark10": lambda: BENCHMARK10}
-DIFFICULTIES, DEFAULT = ("easy", "medium", "hard"), "default"
+DEFAULT = "default"
 OF_SUITES = (
     "task", "seed", "search", "device", "threads", "executor", "address", "workers", "resume", "report", "name",
     "config", "shape", "output_dir", "preset", "export",

@@ -29,10 +29,6 @@ class Engine:
     Points come object by object, robots first, then the others, each by name; an object's points in the order of its
     cells, row by row from the top. Positions are in simulator units (0.1 a voxel).
 
-    Args:
-        world: the objects.
-        loose: names of objects that may be moved although none of their cells can move.
-
     Attributes:
         time: complete control steps.
         goals: by the name of each robot float64 ``[actuators]``, target lengths for the next step. May be written into.
@@ -42,10 +38,10 @@ class Engine:
         SimulationError: the world is empty.
     """
 
-    def __init__(self, world: World, loose: tuple[str, ...] = ()) -> None:
-        if all(obj.is_static for obj in world.objects.values()):
-            loose = tuple(world.objects)  # a simulation needs something that can move
-        self.world, self._loose = world, loose
+    def __init__(self, world: World) -> None:
+        self.world = world
+        # Objects that may be moved although none of their cells can: a simulation needs something that can move.
+        self._loose = tuple(world.objects) if all(obj.is_static for obj in world.objects.values()) else ()
         self._build()
         self.time = self.changes = 0
         start = np.array([point for name in self._spans for point in self._bodies[name].points])

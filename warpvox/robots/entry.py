@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.design import ZOO, Design, check_design, full_connections
-from warpvox.errors import RunError, did_you_mean, listing
+from warpvox.design import ZOO, Design, check_design, full_connections, zoo_file
+from warpvox.errors import RunError
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
 from warpvox.robots.gait import ARRAYS, Gait
@@ -113,12 +113,7 @@ def zoo(task: str) -> Robot:
     Raises:
         RunError: the zoo has none for it; the message lists those that there are.
     """
-    if task not in zoo_tasks():
-        known = zoo_tasks()
-        raise RunError(
-            f"The zoo has no robot for {task!r:.80}.{did_you_mean(task, known)} It has {listing(known, 40)}."
-        )
-    return read_robot(FOLDER / f"{task}.npz")
+    return read_robot(zoo_file(task, RunError))
 
 
 def zoo_tasks() -> list[str]:

@@ -52,13 +52,13 @@ def cell_colour(cell: int) -> tuple[int, int, int]:
     return ramp[len(ramp) // 2]
 
 
-def body_svg(body: Design, cell: int = 8, title: str | None = None) -> str:
+def body_svg(body: Design, cell: int = 8) -> str:
     """A body, or other cells, as an ``<svg>`` element, a path a material; ``cell`` is the size of a cell in pixels.
 
     The paths have the classes ``c1`` to ``c4`` beside their colours and edges, so that a page can restyle them.
     """
     rows, columns = body.shape
-    parts = [f"<title>{title}</title>"] if title else []
+    parts = []
     for kind in sorted({int(value) for value in np.unique(body)} - {int(Cell.EMPTY)}):
         squares = "".join(f"M{x} {y}h1v1h-1z" for y, x in np.argwhere(body == kind).tolist())
         colour = "#{:02x}{:02x}{:02x}".format(*cell_colour(kind))

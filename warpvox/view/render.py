@@ -135,17 +135,32 @@ def draw_frame(
     return Film(rollout, env, size, hud, voxels).array(frame)
 
 
-def filmstrip(
+def write_png(
     rollout: Rollout,
+    path: str | os.PathLike[str],
+    frame: int = -1,
+    envs: int | Sequence[int] | None = 0,
+    size: tuple[int, int] = SIZE,
+    hud: bool = True,
+    voxels: float | None = None,
+) -> Path:
+    """Write the picture of one frame; arguments as for :class:`Film`. Returns the path."""
+    return save_png(Film(rollout, envs, size, hud, voxels).image(frame), path)
+
+
+def write_filmstrip(
+    rollout: Rollout,
+    path: str | os.PathLike[str],
     frames: int | Sequence[int] = 6,
     env: int = 0,
     size: tuple[int, int] = (1440, 200),
     voxels: float | None = None,
-) -> np.ndarray:
-    """Key frames of an episode side by side with their times, uint8 ``[height, width, 3]``.
+) -> Path:
+    """Write key frames of an episode side by side with their times as PNG. Returns the path.
 
     Args:
         rollout, env: what to show.
+        path: where to; written whole or not at all.
         frames: frame numbers, or how many, spread evenly from the reset to the end of the episode.
         size: of the whole strip in pixels.
         voxels: voxels from bottom to top; None fits the robot.
@@ -173,32 +188,7 @@ def filmstrip(
         at = (each - height // 24, height // 24)
         ImageDraw.Draw(tile).text(at, f"{frame * FRAME_SECONDS:.1f} s", INK, letters, "rt")
         strip.paste(tile, (number * (each + MARGIN), 0))
-    return np.array(strip)
-
-
-def write_png(
-    rollout: Rollout,
-    path: str | os.PathLike[str],
-    frame: int = -1,
-    envs: int | Sequence[int] | None = 0,
-    size: tuple[int, int] = SIZE,
-    hud: bool = True,
-    voxels: float | None = None,
-) -> Path:
-    """Write the picture of one frame; arguments as for :class:`Film`. Returns the path."""
-    return save_png(Film(rollout, envs, size, hud, voxels).image(frame), path)
-
-
-def write_filmstrip(
-    rollout: Rollout,
-    path: str | os.PathLike[str],
-    frames: int | Sequence[int] = 6,
-    env: int = 0,
-    size: tuple[int, int] = (1440, 200),
-    voxels: float | None = None,
-) -> Path:
-    """Write what :func:`filmstrip` draws as PNG. Returns the path."""
-    return save_png(Image.fromarray(filmstrip(rollout, frames, env, size, voxels)), path)
+    return save_png(strip, path)
 
 
 def write_gif(

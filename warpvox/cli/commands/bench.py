@@ -1,6 +1,6 @@
 """``warpvox bench``: speed, with the results checked before a time is printed.
 
-A suite is a file of :mod:`warpvox.bench`. Each leaves ``summary.json``, ``tables.md`` and plots in
+A suite is a file of :mod:`warpvox.bench`. Each leaves ``summary.json`` and ``tables.md`` in
 ``outputs/bench/<suite>/<date_time>/``.
 """
 

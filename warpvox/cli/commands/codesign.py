@@ -7,6 +7,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from warpvox.algos.codesign.archive import FILE, Archive
+from warpvox.algos.codesign.archive_export import export
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load, load_values
@@ -14,7 +16,7 @@ from warpvox.configs.codesign import CodesignConfig
 from warpvox.errors import RunError, listing
 from warpvox.io.console import echo, shown
 from warpvox.io.writing import check_writable, to_yaml
-from warpvox.runs import find_codesign, find_searches, new_folder, read_summary
+from warpvox.runs import check_unchanged, find_codesign, find_searches, new_folder, read_summary
 from warpvox.trust import again, as_stored
 
 
@@ -39,7 +41,6 @@ def run(words: list[str]) -> None:
 def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | None) -> Job:
     """The job of a configuration; with ``resume`` on top of that of the search that it goes on with."""
     from warpvox.algos.codesign.run import check
-    from warpvox.runs import check_unchanged
 
     job = Job(config)
     if config.report is not None:
@@ -64,7 +65,6 @@ def _make(job: Job, console: Console) -> Path:
     if job.config.report is not None:
         return _report(job.config, console)
     with console.status("loading"):
-        from warpvox.algos.codesign.archive import FILE, Archive
         from warpvox.algos.codesign.progress import SearchProgress
         from warpvox.algos.codesign.results import Results, film_designs
         from warpvox.algos.codesign.run import run_codesign
@@ -79,9 +79,6 @@ def _make(job: Job, console: Console) -> Path:
 
 
 def _export(folder: Path, formats: Sequence[str], console: Console) -> None:
-    from warpvox.algos.codesign.archive import FILE, Archive
-    from warpvox.algos.codesign.archive_export import export
-
     with Archive.read(folder / FILE) as archive:
         for name in dict.fromkeys(formats):
             echo(console, shown(export(archive, folder, name)))
@@ -89,7 +86,6 @@ def _export(folder: Path, formats: Sequence[str], console: Console) -> None:
 
 def _report(config: CodesignConfig, console: Console) -> Path:
     """Make report, pictures and exports of a search again, also while it is running; returns its folder."""
-    from warpvox.algos.codesign.archive import FILE, Archive
     from warpvox.algos.codesign.results import Results, film_designs
 
     texts = [str(text) for text in (config.report if isinstance(config.report, list) else [config.report])]

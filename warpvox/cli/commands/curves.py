@@ -81,5 +81,5 @@ def _print(panels: Mapping[str, Sequence[Curve]], x: str, console: Console) -> N
         last = mean_interval([points[1, -1] for points in curve.runs])
         best = mean_interval([points[1].max() for points in curve.runs])
         end = f"{max(points[0, -1] for points in curve.runs):,.0f}"
-        table.add_row(*map(literal, (label, curve.n, end, last, best)))
+        table.add_row(*map(literal, (label, len(curve.runs), end, last, best)))
     console.print(table)

@@ -53,7 +53,12 @@ def play(config: PlayConfig, console: Console) -> Path:
             raise ConfigError(
                 "agent acts in place of a policy, zoo names one: give one of them (design=zoo:TASK takes the body)."
             )
-        rollout, source = play_agent(config, console), f"agent {config.agent}"
+        with console.status("loading"):
+            from warpvox.devices.startup import prepare
+
+            prepare(config.torch_threads, config.seed or 0)
+        with console.status("simulating"):
+            rollout, source = record_agent(config), f"agent {config.agent}"
         config = dataclasses.replace(config, run="")
     folder = write_results(rollout, config, source, "play", formats, console, config.record)
     if in_window:
@@ -112,16 +117,6 @@ def stored_rollout(config: PlayConfig) -> tuple[Rollout, str]:
     return Rollout.load(source), source
 
 
-def play_agent(config: PlayConfig, console: Console) -> Rollout:
-    """The rollout of an agent that needs no training."""
-    with console.status("loading"):
-        from warpvox.devices.startup import prepare
-
-        prepare(config.torch_threads, config.seed or 0)
-    with console.status("simulating"):
-        return record_agent(config)
-
-
 def write_results(
     rollout: Rollout, config: Any, source: str, command: str, formats: list[str], console: Console, keep: bool = True
 ) -> Path:
@@ -140,9 +135,6 @@ def write_results(
             rollout.save(folder / ROLLOUT)
         write_exports(rollout, folder, formats, console, config.size, config.every)
         write_summary(folder, summary_of(rollout, command, source))
-    page = folder / "rollout.html"
-    if page.is_file():
-        echo(console, f"open in a browser: {page.resolve().as_uri()}")
     return folder
 
 

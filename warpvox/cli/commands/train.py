@@ -11,7 +11,6 @@ from rich.console import Console
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load
 from warpvox.configs.train import TrainConfig
-from warpvox.io.console import echo
 from warpvox.runs import TRAINING, find_run
 
 if TYPE_CHECKING:
@@ -60,6 +59,3 @@ def _export(folder: Path, config: TrainConfig, console: Console) -> None:
     print_returns(rollout, console)
     rollout.save(folder / ROLLOUT)
     write_exports(rollout, folder, config.export, console)
-    page = folder / "rollout.html"
-    if page.is_file():
-        echo(console, f"open in a browser: {page.resolve().as_uri()}")

@@ -24,6 +24,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,8 +38,6 @@ from warpvox.view.scene import Scene
 
 if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
-
-__all__ = ["asset", "fill_template", "page_of", "write_html"]
 
 PRECISION = 4096  # steps per simulator unit: 0.24 % of a voxel
 MOST_NUMBERS = 1 << 28
@@ -85,9 +84,9 @@ def page_of(rollout: Rollout, envs: Sequence[int] | None = None, title: str | No
     )
 
 
-def fill_template(template: str, values: Mapping[str, Any], **texts: str) -> str:
+def fill_template(template: str, values: Mapping[str, Any] = MappingProxyType({}), **texts: str) -> str:
     """A page: ``{{name}}`` becomes the text of that name, or the JSON of the value of that name."""
-    # "<" could end the element that carries the text
+    # one pass: what is filled in is not searched again; "<" could end the element that carries the text
     parts = texts | {
         name: json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
         for name, value in values.items()
