@@ -25,7 +25,7 @@ def page(template: str, title: str, slots: Mapping[str, str]) -> str:
         slots: HTML for the ``{{names}}`` in it.
     """
     frame = {"title": escape(title), "style": text("page.css"), "script": text("page.js")}
-    return fill_template(text("page.html"), main=fill_template(text(template), **slots), **frame)
+    return fill_template(text("page.html"), {}, main=fill_template(text(template), {}, **slots), **frame)
 
 
 def fact_list(facts: Mapping[str, object]) -> str:

@@ -24,7 +24,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -84,7 +83,7 @@ def page_of(rollout: Rollout, envs: Sequence[int] | None = None, title: str | No
     )
 
 
-def fill_template(template: str, values: Mapping[str, Any] = MappingProxyType({}), **texts: str) -> str:
+def fill_template(template: str, values: Mapping[str, Any], **texts: str) -> str:
     """A page: ``{{name}}`` becomes the text of that name, or the JSON of the value of that name."""
     # one pass: what is filled in is not searched again; "<" could end the element that carries the text
     parts = texts | {
