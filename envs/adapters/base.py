@@ -59,7 +59,7 @@ def metadata_here(metadata: dict[str, Any]) -> dict[str, Any]:
     """Metadata of an environment with those render modes alone that work on this machine."""
     if window.why_no_window() is None:
         return metadata
-    return metadata | {"render_modes": [mode for mode in metadata["render_modes"] if mode not in WINDOWED]}
+    return metadata | {"render_modes": [mode for mode in metadata.get("render_modes", ()) if mode not in WINDOWED]}
 
 
 def spaces_of(env: Any) -> tuple[Box, Box]:

@@ -4,7 +4,7 @@ import os
 import random
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -158,6 +158,24 @@ def test_the_worlds_of_the_benchmark_serve_other_environments() -> None:
         ours, theirs = own.step(row)[0], walker.step(row)[0][2:]
     assert np.allclose(ours, theirs, atol=1e-13, rtol=0)
     assert own.default_viewer._tracked == ["robot"]
+
+
+class OtherTerrain(envs.WalkingBumpy2):
+    """Steps of the release in another world, as scripts do: its constructor is left out."""
+
+    metadata: ClassVar = {"render_modes": ["human"]}
+
+    def __init__(self, body: np.ndarray) -> None:
+        self.world = EvoWorld.from_json(os.path.join(self.DATA_PATH, "UpStepper-v0.json"))
+        self.world.add_from_array("robot", body, 1, 1)
+        envs.StairsBase.__init__(self, self.world, "rgb_array")
+
+
+def test_a_subclass_may_bring_its_own_world_and_metadata() -> None:
+    own, theirs = OtherTerrain(BODY), gymnasium.make("UpStepper-v0", body=BODY).unwrapped
+    assert own.reset()[0].shape == theirs.reset()[0].shape
+    row = np.full(21, 1.3)
+    assert [own.step(row)[1] for _ in range(9)] == [theirs.step(row)[1] for _ in range(9)]
 
 
 def test_goals_come_from_the_global_generator_or_the_seed() -> None:

@@ -1,5 +1,6 @@
 """``install()`` makes ``import evogym`` mean the drop-in, in processes of their own."""
 
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -76,6 +77,20 @@ print(sorted({"torch", "warp", "gymnasium"} & set(sys.modules)))
 """
     done = run(code, tmp_path)
     assert done.stdout == "[]\n", done.stderr
+
+
+@pytest.mark.parametrize("method", multiprocessing.get_all_start_methods())
+def test_processes_of_a_script_have_it_too(method: str, package: Path) -> None:
+    (package / "run_it.py").write_text(
+        "import multiprocessing, sys, evogym\n"
+        "def main(): print(evogym.__name__)\n"
+        "if __name__ == '__main__':\n"
+        f"    process = multiprocessing.get_context('{method}').Process(target=main)\n"
+        "    process.start(); process.join(); sys.exit(process.exitcode)\n"
+    )
+    command = [sys.executable, "-m", "warpvox.evogym", "run_it.py"]
+    done = subprocess.run(command, cwd=package, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "warpvox.evogym\n"), done.stderr
 
 
 def test_a_script_is_run_as_python_runs_it(tmp_path: Path) -> None:

@@ -79,7 +79,7 @@ class EvoGymBase(gym.Env):
     def __init__(
         self, world: EvoWorld, render_mode: str | None = None, render_options: dict[str, Any] | None = None
     ) -> None:
-        check_choice("render_mode", render_mode, [None, *self.metadata["render_modes"]])
+        check_choice("render_mode", render_mode, [None, *EvoGymBase.metadata["render_modes"]])
         self._sim = EvoSim(world)
         self._default_viewer = EvoViewer(self._sim)
         self.render_mode = self._render_mode = render_mode

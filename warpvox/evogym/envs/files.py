@@ -1,9 +1,9 @@
 """The benchmark's worlds as files in the format of EvoGym's design tool, under the names of the release."""
 
-import atexit
 import shutil
 import tempfile
 from functools import cache
+from multiprocessing.util import Finalize
 from pathlib import Path
 
 from warpvox.envs.registry import get_task, task_ids
@@ -28,7 +28,8 @@ _SINGLE = {
 def world_files() -> str:
     """Write all of them into a folder, which is removed when the process ends; return it."""
     folder = tempfile.mkdtemp(prefix="warpvox-worlds-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    # unlike atexit's functions it is called in multiprocessing's processes, and in none that is forked from this one
+    Finalize(None, shutil.rmtree, (folder,), {"ignore_errors": True}, exitpriority=0)
     worlds = {
         _SHARED.get(task, task): [obj for obj in get_task(task).objects if not obj.name.startswith("block_")]
         for task in task_ids()

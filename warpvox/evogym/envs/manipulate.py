@@ -11,6 +11,7 @@ from warpvox.evogym.envs.base import BenchmarkBase
 from warpvox.evogym.envs.task import TaskEnv, task_env
 from warpvox.evogym.sim import EvoSim
 from warpvox.evogym.world import EvoWorld
+from warpvox.types import VOXEL
 
 __all__ = [
     "CarrySmallRect",
@@ -81,6 +82,7 @@ class CatchSmallRect(TaskEnv, PackageBase):
     """
 
     task = "Catcher-v0"
+    thresh_height = 5 * VOXEL
     _random: Any = random
 
     def _make_world(self, spec: TaskSpec, body: np.ndarray, connections: np.ndarray | None) -> EvoWorld:
@@ -103,8 +105,8 @@ class CatchSmallRect(TaskEnv, PackageBase):
         return self._observe(self._state()), {}
 
 
-CarrySmallRect = task_env("CarrySmallRect", "Carrier-v0", PackageBase)
-CarrySmallRectToTable = task_env("CarrySmallRectToTable", "Carrier-v1", PackageBase)
+CarrySmallRect = task_env("CarrySmallRect", "Carrier-v0", PackageBase, thresh_height=3 * VOXEL)
+CarrySmallRectToTable = task_env("CarrySmallRectToTable", "Carrier-v1", PackageBase, thresh_height=6 * VOXEL)
 PushSmallRect = task_env("PushSmallRect", "Pusher-v0", PackageBase)
 PushSmallRectOnOppositeSide = task_env("PushSmallRectOnOppositeSide", "Pusher-v1", PackageBase)
 ThrowSmallRect = task_env("ThrowSmallRect", "Thrower-v0", PackageBase)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from warpvox.envs.registry import get_task
 from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.spec import TaskSpec
 from warpvox.evogym.envs.base import BenchmarkBase
@@ -120,7 +121,7 @@ class BiWalk(TaskEnv, GoalBase):
 
     def _judge(self, before: Snapshot, after: Snapshot, stopped: bool) -> tuple[float, bool]:
         reward, done = self.get_reward({_BEFORE: self._points(1 - stopped), _AFTER: self._points()})
-        return float(reward) + done + stopped * self._spec.unstable_penalty, done or stopped
+        return float(reward) + done + stopped * get_task(self.task).unstable_penalty, done or stopped
 
     def _points(self, ago: int = 0) -> np.ndarray:
         """``[2, points]``: the robot some steps ago."""

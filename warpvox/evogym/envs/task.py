@@ -48,17 +48,12 @@ class TaskEnv(BenchmarkBase):
         render_mode: str | None = None,
         render_options: dict[str, Any] | None = None,
     ) -> None:
-        from warpvox.envs.adapters.single import RowTerms  # brings torch, which registering must not
-
-        self._spec = self._rules()
-        self.world = self._make_world(self._spec, body, connections)
+        self.world = self._make_world(self._rules(), body, connections)
         BenchmarkBase.__init__(self, self.world, render_mode, render_options)
         self.default_viewer.track_objects("robot", *(name for name in _FOLLOWED if name in self.world.objects))
-        for params in (dict(term.params) for term in self._spec.observations):
+        for params in (dict(term.params) for term in self._rules().observations):
             if "reach" in params:
                 self.sight_dist, self.terrain_list = params["reach"], list(params["objects"])
-        self._terms, self._compared, self._seen = RowTerms(self._spec), (), None
-        self._compared = self._terms.compared(self._state())
         self.action_space = spaces.Box(ACTION_LOW, ACTION_HIGH, (self.get_dim_action_space("robot"),), np.float64)
         self.observation_space = spaces.Box(-_BOUND, _BOUND, self._observe(self._state()).shape, np.float64)
 
@@ -74,6 +69,11 @@ class TaskEnv(BenchmarkBase):
 
     def _state(self) -> Snapshot:
         """The present state; the one of the last step if nothing has happened since."""
+        if not hasattr(self, "_terms"):  # a subclass may make its own world and call another base's __init__
+            from warpvox.envs.adapters.single import RowTerms  # brings torch, which registering must not
+
+            self._terms, self._compared, self._seen = RowTerms(self._rules()), (), None
+            self._compared = self._terms.compared(self._state())
         engine = self._sim._engine
         if self._seen != (engine, engine.changes):
             self._seen = engine, engine.changes
@@ -105,8 +105,8 @@ class TaskEnv(BenchmarkBase):
         return self._observe(self._state()), {}
 
 
-def task_env(name: str, task: str, *bases: type) -> type:
-    """The class of a task that adds nothing to :class:`TaskEnv` and to ``bases``, in the module that calls this."""
+def task_env(name: str, task: str, *bases: type, **constants: float) -> type:
+    """The class of a task that adds ``constants`` alone to :class:`TaskEnv` and ``bases``, in the calling module."""
     module = sys._getframe(1).f_globals["__name__"]
-    members = {"__module__": module, "__doc__": f"{task}: {get_task(task).summary}", "task": task}
+    members = {"__module__": module, "__doc__": f"{task}: {get_task(task).summary}", "task": task, **constants}
     return type(name, (TaskEnv, *bases), members)
