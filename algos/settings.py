@@ -73,6 +73,12 @@ class Ppo(Settings):
     def check(self, num_envs: int, prefix: str = "ppo") -> None:
         """Raise ConfigError if an iteration of so many environments is too small for its minibatches."""
         samples = self.steps * num_envs
+        if not self.hidden:
+            raise ConfigError(f"{prefix}.hidden must name the width of one layer or more, got [].")
+        if self.rnn is not None and self.steps < 2:
+            raise ConfigError(f"{prefix}.rnn needs {prefix}.steps of 2 or more, got {self.steps}.")
+        if samples < 2:
+            raise ConfigError(f"An iteration needs 2 samples or more, got {prefix}.steps=1 of one environment.")
         if samples < self.minibatches:
             raise ConfigError(
                 f"{prefix}.minibatches={self.minibatches} is more than the samples of an iteration: {num_envs}"

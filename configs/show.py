@@ -51,6 +51,7 @@ class _RolloutConfig:
         None,
         "width and height of pictures in pixels, [640,360] for instance; null: by format",
         low=16,
+        high=8192,
         form="[width,height]",
     )
     every: int = key(1, "show only every n-th control step; films run n times as fast", low=1)

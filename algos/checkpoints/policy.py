@@ -167,6 +167,14 @@ class RecurrentPolicy(ModelPolicy):
     def outputs(self, obs: torch.Tensor) -> torch.Tensor:
         return self.model({OBS_GROUP: obs.to(next(self.parameters()).dtype)})
 
+    def in_float64(self) -> "Policy":
+        """As :meth:`Policy.in_float64`; the copy begins new episodes."""
+        memory = self.model.get_hidden_state()
+        self.reset()  # it may have a history of derivatives, which cannot be copied
+        copied = super().in_float64()
+        self.model.reset(None, memory)
+        return copied
+
 
 KINDS = {"gait": GaitPolicy, "rnn": RecurrentPolicy, "voxels": VoxelPolicy}
 """Policies by the entry of a specification that they have."""

@@ -26,7 +26,7 @@ class VoxelNormalizer(nn.Module):
     What moves is scaled; place, type, neighbours and the clock stay as they are.
 
     Args:
-        learns: whether :meth:`update` learns; otherwise inputs stay as they are.
+        learns: whether :meth:`update` learns; otherwise inputs are only cut to their bounds.
     """
 
     mean: torch.Tensor

@@ -197,7 +197,7 @@ def _axes(frame: _Frame, x_label: str, y_label: str, y_ticks: bool = True) -> li
 def _marks(series: Series, frame: _Frame) -> list[str]:
     kept = [(k, point) for k, point in enumerate(series.points) if all(map(math.isfinite, point))]
     places = [frame.at(point) for _, point in kept]
-    if series.kind == "dots":
+    if series.kind == "dots" or len(places) == 1:  # a line of one point could not be seen
         parts = []
         for (number, _), (x, y) in zip(kept, places, strict=True):
             note = f"<title>{escape(series.notes[number])}</title>" if series.notes else ""

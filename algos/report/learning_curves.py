@@ -125,7 +125,7 @@ def write_curves(
     figure = Figure(figsize=inches, dpi=100, layout="constrained")
     for number, (title, several) in enumerate(panels.items()):
         said = [curve.group.label for curve in several] == [title]  # by the legend
-        axes = figure.add_subplot(rows, columns, number + 1, title="" if said else escaped(title))
+        axes = figure.add_subplot(rows, columns, number + 1, title="" if said else _plain(title))
         _plot(several, axes)
         _dress(axes, AXES[x])
         axes.locator_params(axis="x", nbins=max(2, size[0] // 110))
@@ -146,8 +146,14 @@ def _plot(curves: Sequence[Curve], axes: Any) -> None:
             axes.fill_between(curve.places, curve.low, curve.high, color=COLOURS[place], alpha=0.18, linewidth=0)
             for points in curve.runs:
                 axes.plot(*points, **look, linewidth=0.8, alpha=0.3)
-        label = escaped(f"{curve.group.label} (n={len(curve.runs)})").replace("$", r"\$")
-        axes.plot(curve.places, curve.mean, **look, linewidth=2.2, label=label)
+        label = _plain(f"{curve.group.label} (n={len(curve.runs)})")
+        dot = "o" if curve.places[0] == curve.places[-1] else None  # a line of one point could not be seen
+        axes.plot(curve.places, curve.mean, **look, linewidth=2.2, label=label, marker=dot)
+
+
+def _plain(text: str) -> str:
+    """What matplotlib shows as ``text``, without control characters."""
+    return escaped(text).replace("$", r"\$")
 
 
 def check_file(path: str | os.PathLike[str]) -> Path:

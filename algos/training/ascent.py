@@ -155,6 +155,8 @@ class AscentRunner(Runner):
     def __init__(self, *args: Any, **settings: Any) -> None:
         super().__init__(*args, **settings)
         check_gradients(self.env.env, self.group.size)
+        if self.ppo.steps > (limit := self.env.env.max_episode_steps):
+            raise ConfigError(f"method=gradients: ppo.steps={self.ppo.steps} is more than an episode has, {limit}.")
         self._gradients = Gradients(self.env.env.sim)
         _, slope, stopped = self._roll_out(*self.alg.look(self.env.reset())[1:], min(PROBE, self.ppo.steps))
         self.env.reset()

@@ -50,7 +50,8 @@ CHANGEABLE = (
 )  # fmt: skip
 """Keys that may differ when a run is resumed: they do not change what is learned.
 
-But for rounding: another device, or other ``torch_threads``, adds up the products of matrices in another order.
+But for ``max_iterations`` where the rate falls to the end (``ppo.schedule=linear``), and rounding: another device, or
+other ``torch_threads``, adds up the products of matrices in another order.
 """
 PREPARING = "preparing the simulation (the first time on a machine its kernels are compiled)"
 

@@ -151,6 +151,7 @@ class Runner(OnPolicyRunner):
         self.current_learning_iteration, self.saved_iteration, self.elapsed = 0, None, 0.0
         self.best_return, self.best_iteration, self.last_return = -math.inf, 0, math.nan
         self._metrics: Metrics | None = None
+        self._kept = -math.inf  # the return of the file of the best, which may be later than the state
         self._turned_back = False  # to a checkpoint beside a state that may be of a later iteration
 
     def _configure_multi_gpu(self) -> None:
@@ -284,7 +285,7 @@ class Runner(OnPolicyRunner):
         self.last_return = value
         if value > self.best_return:
             self.best_return, self.best_iteration = value, self.current_learning_iteration
-            if self.folder is not None and self.group.is_main_process:
+            if self.folder is not None and self.group.is_main_process and value >= self._kept:
                 save_checkpoint(self.folder / BEST, self._policy_content())
         return value
 
@@ -306,7 +307,9 @@ class Runner(OnPolicyRunner):
         }
 
     def _action_std(self) -> float:
-        return self.alg.get_policy().output_std.mean().item()
+        # output_std has a 1 for each action that a body lacks
+        deviations: Any = self.alg.get_policy().distribution
+        return deviations.log_std_param.detach().clamp(*deviations.log_std_range).exp().mean().item()
 
     def _quantiles(self, evaluated: float) -> dict[str, float]:
         """Quantiles of the returns of the last evaluation, over its bodies where there are several."""
@@ -404,8 +407,10 @@ class Runner(OnPolicyRunner):
             self._turned_back = True
             times = [row["elapsed"] for row in read_metrics(path.parent) if row["iteration"] <= content["iter"]]
             self.elapsed = times[-1] if times else 0.0
-            with contextlib.suppress(RunError):  # there may be none
-                best = load_checkpoint(path.with_name(BEST))
+        with contextlib.suppress(RunError):  # there may be none
+            best = load_checkpoint(path.with_name(BEST))
+            self._kept = best["eval_return"]
+            if self._turned_back:
                 self.best_return, self.best_iteration = best["eval_return"], best["iter"]
 
     def begin_with(self, learned: Mapping[str, Any], optimizer: bool = False) -> None:

@@ -18,6 +18,8 @@ MISTAKES = {
     "train total_timesteps=1000": "Did you mean 'max_iterations'",
     "codesign lr=1": "Did you mean 'training.ppo.learning_rate'",
     "train num_envs=3 design=mini lanes=8 threads=1 ppo.minibatches=100": "environments make 48 in 16 steps",
+    "train num_envs=1 ppo.steps=1 ppo.minibatches=1": "2 samples or more",
+    "train ppo.hidden=[]": "the width of one layer or more",
     "train -m hydra.launcher._target_=os.system": "chosen by name, such as hydra/launcher=joblib",
     "train +extra=1": "cannot be added",
     "train hydra.run.dir=x": "Unknown key",

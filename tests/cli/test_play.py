@@ -34,7 +34,10 @@ def test_an_agent_plays_any_task_and_design(warpvox: Callable, agent: str) -> No
     assert json.loads((folder / "summary.json").read_text())["source"] == f"agent {agent}"
 
 
-def test_without_a_window_there_is_a_page(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("switch", ["", "none"])
+def test_without_a_window_there_is_a_page(switch: str, warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    if switch:
+        monkeypatch.setenv("WARPVOX_WINDOW", switch)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setattr("sys.platform", "linux")
     outcome = warpvox("play", "agent=sine", *[word for word in QUICK if not word.startswith("window")])
@@ -60,10 +63,11 @@ def test_a_recorded_rollout_is_exported_as_it_is(warpvox: Callable) -> None:
 def test_a_name_out_of_a_file_leads_nowhere_else(warpvox: Callable) -> None:
     warpvox("play", "agent=zero", *QUICK, "export=[]")
     rollout = Rollout.load(only("play/Walker-v0/*/rollout.npz"))
-    rollout.metadata["task"] = "../../../elsewhere"
+    rollout.metadata |= {"task": "../../../elsewhere", "names": ["[/a]", "b"]}
     rollout.save("foreign.npz")
     warpvox("export", "rollout=foreign.npz", "format=png")
     assert only("export/*/*/rollout.png").is_relative_to("outputs/export")
+    assert "[/a]" in warpvox("play", "rollout=foreign.npz", "window=off", "export=[]").out
 
 
 class Screen:

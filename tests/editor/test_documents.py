@@ -164,6 +164,11 @@ def test_files_that_cannot_be_shown_are_refused(tmp_path: Path, content: bytes, 
         read_file(path)
 
 
+def test_an_empty_world_has_an_object_to_paint(tmp_path: Path) -> None:
+    World(4, 3).to_json(tmp_path / "empty.json")
+    assert read_file(tmp_path / "empty.json")["names"] == ["object"]
+
+
 def test_cut_connections_are_refused_not_lost(tmp_path: Path) -> None:
     world = World(4, 4)
     world.add_from_array("robot", [[3, 4]], 0, 0, connections=np.zeros((2, 0), int))

@@ -80,6 +80,7 @@ def test_nothing_moving_in_view_is_no_error(rollouts: Callable[..., Rollout]) ->
     rollout.positions[:, 0, second.first_point :] += 300
     assert count_near(render.draw_frame(rollout, 2), actuator_colours()) > 500
     rollout.positions[:, 0, : first.num_points] -= 500
+    rollout.metadata["task"] = "two\nlines"
     render.draw_frame(rollout, 2, size=(320, 180))
 
 
@@ -169,6 +170,7 @@ def test_mp4(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
         (lambda r, p: render.draw_frame(r, 5), "No frame 5: the rollout has 5"),
         (lambda r, p: render.draw_frame(r, 0, 2), "No environment 2: the rollout has 2"),
         (lambda r, p: render.draw_frame(r, 0, size=(5, 5)), "16 to 8192"),
+        (lambda r, p: render.draw_frame(r, 0, size=(float("inf"), 20)), "width, height"),
         (lambda r, p: render.draw_frame(r, 0, voxels=0), "voxels"),
         (lambda r, p: render.write_gif(r, p, every=0), "every must be an integer"),
         (lambda r, p: render.write_gif(r, p, fps=0), "fps must lie in 1 to 50, got 0"),

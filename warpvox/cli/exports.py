@@ -142,7 +142,8 @@ def print_returns(rollout: Rollout, console: Console) -> None:
         table.add_column(heading, justify="left" if heading == "end" else "right")
     for env in range(min(rollout.num_envs, ROWS)):
         design = [str(rollout.design_index[env])] if several else []
-        table.add_row(rollout.names[env], *design, f"{returns[env]:.3f}", str(lengths[env]), _end(rollout, env))
+        row = f"{returns[env]:.3f}", str(lengths[env]), _end(rollout, env)
+        table.add_row(literal(rollout.names[env]), *design, *row)
     if rollout.num_envs > ROWS:
         table.add_row("...", *([""] if several else []), "", "", f"{rollout.num_envs - ROWS} more")
     if rollout.num_envs > 1:

@@ -81,7 +81,7 @@ def document_of(content: Design | World) -> dict[str, Any]:
         box = slice(top, top + obj.height), slice(obj.x, obj.x + obj.width)
         filled = obj.grid != Cell.EMPTY
         types[box][filled], owners[box][filled] = obj.grid[filled], number
-    return _document("world", list(content.objects), types, owners)
+    return _document("world", list(content.objects) or ["object"], types, owners)
 
 
 def check(document: Mapping[str, Any]) -> str:

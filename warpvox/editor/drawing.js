@@ -71,11 +71,6 @@ class Drawing {
     }
     return other;
   }
-
-  equals(other) {
-    return this.kind === other.kind && this.width === other.width && this.names.join("\n") === other.names.join("\n")
-      && this.types.join() === other.types.join() && this.owners.join() === other.owners.join();
-  }
 }
 
 // Cells on the straight way from one to another, both included.

@@ -85,7 +85,7 @@ class Editor {
     const { width, height } = this.drawing;
     const found = await ask("sample", { rows: Math.min(10, height), columns: Math.min(10, width) });
     if (found.error) this.say("outcome", found.error, true);
-    else this.replace(Drawing.from(found));
+    else if (this.drawing.kind === found.kind) this.replace(Drawing.from(found)); // it may be the world's turn by now
   }
 
   addObject() {
@@ -141,7 +141,12 @@ class Editor {
     if (found.error) { this.say("outcome", found.error, true); return; }
     byId("name").value = name.replace(/\.json$/, "");
     if (found.kind === this.drawing.kind) this.history.keep(this.drawing);
-    else { this.other = this.drawing; this.history = new History(); }
+    else {
+      const before = this.other;
+      this.other = this.drawing;
+      this.history = new History();
+      if (before) this.history.keep(before);
+    }
     this.active = 0;
     this.drawing = Drawing.from(found);
     this.changed();
@@ -208,7 +213,7 @@ class Editor {
     on("theme", "click", () => this.toggleTheme());
     for (const id of ["columns", "rows"]) on(id, "change", () => this.resize(byId("columns").value, byId("rows").value));
     on("example", "change", (event) => { if (event.target.value) this.begin(setup.examples[event.target.value]); event.target.value = ""; });
-    on("open", "change", (event) => { if (event.target.value) this.open(event.target.value); });
+    on("open", "change", (event) => { if (event.target.value) this.open(event.target.value); event.target.value = ""; });
     on("ask", "close", () => { if (byId("ask").returnValue === "yes") this.save(true); });
     addEventListener("resize", () => this.show());
     addEventListener("keydown", (event) => this.onKey(event));
@@ -218,7 +223,7 @@ class Editor {
 
   onKey(event) {
     const { key, ctrlKey, metaKey, shiftKey, altKey, target } = event, control = ctrlKey || metaKey;
-    if (byId("ask").open || altKey) return;
+    if (byId("ask").open || altKey || this.board.from) return; // in a stroke nothing else happens
     if (control && key.toLowerCase() === "s") { event.preventDefault(); this.save(); return; }
     if (target.matches("input, select")) return;
     const letter = key.toLowerCase();

@@ -93,7 +93,7 @@ def is_better(robot: Robot, entry: Robot) -> bool:
         one, other = (each.about.get("noise", {}).get("returns") for each in (seeing, gait))
         if one and other and difference(one, other).low >= -EQUAL * abs(gait.robust_return):
             return robot.has_feedback
-    return not robot.robust_return <= entry.robust_return  # nor is a NaN better
+    return not robot.robust_return <= entry.robust_return  # than an entry's NaN anything is better
 
 
 def recorded(robot: Robot, about: dict[str, Any]) -> Robot:

@@ -27,6 +27,7 @@ SKY, GRID, GRID_STRONG = (249, 250, 252), (233, 237, 242), (214, 220, 229)
 BEYOND, BEYOND_INK = (226, 230, 236), (120, 128, 140)
 GROUND, GROUND_LINE, GROUND_EDGE = (74, 80, 92), (86, 93, 106), (40, 44, 52)
 INK, PALE_INK = (28, 30, 36), (98, 100, 108)
+LARGEST_SPRITE = 5e7  # pixels of terrain that are painted beforehand
 SMOOTH = 4  # pictures of moving objects are painted this many times larger
 VIEW = 12.0  # voxels from the bottom to the top of a picture, if the robot is not higher than half of that
 BELOW = 1.25  # voxels that the camera shows below and beside the world
@@ -209,7 +210,9 @@ class Painter:
         self._canvas = Canvas(scene, size, scale)
         view = (size[0] / scale, size[1] / scale)
         self.camera = np.rint(camera_path(scene, rollout.positions[:, env], view) * scale).astype(int)
-        self._canvas.cover(self.camera.min(axis=0), self.camera.max(axis=0))
+        low, high = self.camera.min(axis=0), self.camera.max(axis=0)
+        if np.prod((high - low + size).astype(float)) < LARGEST_SPRITE:  # a robot may be flung away
+            self._canvas.cover(low, high)
 
     def frame(self, frame: int) -> Image.Image:
         """The picture of a frame."""

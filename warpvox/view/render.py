@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw
 
 from warpvox.checks import check_integer, is_integer
 from warpvox.errors import RolloutError
+from warpvox.io.console import escaped
 from warpvox.io.writing import atomic_path
 from warpvox.types import FRAME_SECONDS, VOXEL
 from warpvox.view.gif import write_pictures
@@ -92,7 +93,7 @@ class Film:
         """Task, time and return on a light panel in the upper left corner."""
         unit = max(8, round(min(self.size[1] / 22, self.size[0] / 34)))
         draw, large, small = ImageDraw.Draw(picture, "RGBA"), font(unit), font(round(unit * 0.86))
-        title = self.rollout.title
+        title = escaped(self.rollout.title)
         wide = max(draw.textlength(title, font=large), unit * 9.2) + unit * 1.6
         gap = unit // 2
         draw.rounded_rectangle((gap, gap, gap + wide, gap + unit * 3.3), radius=gap, fill=(255, 255, 255, 216))
@@ -107,7 +108,7 @@ class Film:
     def _write_label(self, tile: Image.Image, env: int, frame: int) -> None:
         unit = max(8, round(self._tile[1] / 14))
         draw, letters = ImageDraw.Draw(tile, "RGBA"), font(unit)
-        text = f"{self.rollout.names[env]}:  {self.rollout.returns[frame, env]:.2f}"
+        text = f"{escaped(self.rollout.names[env])}:  {self.rollout.returns[frame, env]:.2f}"
         if "names" in self.rollout.metadata:  # in the order of returns, which therefore stand there from the beginning
             text += f" of {self.rollout.returns[-1, env]:.2f}"
         wide = draw.textlength(text, font=letters)
@@ -118,7 +119,7 @@ class Film:
         unit = round(self._band * 0.62)
         draw, letters, middle = ImageDraw.Draw(picture), font(unit), self._band / 2
         mean = self.rollout.returns[frame, self.envs].mean()
-        draw.text((unit / 2, middle), self.rollout.title, INK, letters, "lm")
+        draw.text((unit / 2, middle), escaped(self.rollout.title), INK, letters, "lm")
         right = f"{frame * FRAME_SECONDS:.2f} s    mean return {mean:.2f}"
         draw.text((self.size[0] - unit / 2, middle), right, INK, letters, "rm")
 
@@ -348,7 +349,7 @@ def _layout(count: int, size: tuple[int, int]) -> tuple[int, tuple[int, int]]:
 def _check_size(size: tuple[int, int]) -> tuple[int, int]:
     try:
         width, height = (int(value) for value in size)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise RolloutError(f"A size is (width, height) in pixels, got {size!r}.") from None
     if not (16 <= width <= MAX_PIXELS and 16 <= height <= MAX_PIXELS):
         raise RolloutError(f"Width and height must lie in 16 to {MAX_PIXELS} pixels, got {width} x {height}.")

@@ -58,7 +58,7 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     if suffix not in SUFFIXES:
         raise RolloutError(f"A USD file ends in .usdc, .usd or .usda, got {str(path)!r}.")
     check_integer("stride", stride, 1, error=RolloutError)
-    chosen = rollout.check_envs(envs)
+    chosen = list(dict.fromkeys(rollout.check_envs(envs)))
     frames = list(range(0, rollout.num_frames, stride))
     _check_fits(rollout, chosen, len(frames), stride)
     stage = Usd.Stage.CreateInMemory(f"rollout{suffix}")

@@ -13,7 +13,7 @@ OTHERWISE = f"Render pictures instead (mode 'rgb_array'), or set {SWITCH}=none t
 """Advice where there is no window, for error messages."""
 
 
-def _wanted() -> bool:
+def wanted() -> bool:
     """Whether windows shall be shown; ``WARPVOX_WINDOW=none`` lets scripts with windows run on servers as they are."""
     choice = os.environ.get(SWITCH, "")
     if choice not in ("", "none"):
@@ -27,7 +27,7 @@ def why_no_window() -> str | None:
     A display that is named but does not answer is only noticed by :class:`Window`. With ``WARPVOX_WINDOW=none`` nothing
     does: windows then show nothing.
     """
-    if not _wanted():
+    if not wanted():
         return None
     try:
         import tkinter  # noqa: F401
@@ -56,7 +56,7 @@ class Window:
         if reason is not None:
             raise DisplayError(f"Cannot open a window: {reason}. {OTHERWISE}")
         self.closed, self._root = False, None
-        if not _wanted():
+        if not wanted():
             return
         import tkinter
 

@@ -101,6 +101,7 @@ def test_charts_put_points_where_they_belong() -> None:
     assert y[1] < y[2] < y[0]  # up is less
     assert "a &amp; b" in svg
     assert "Nothing to show" in chart([Series("none", [])], "x", "y")
+    assert "<circle" in chart([Series("one", [(1.0, 2.0)])], "x", "y")
 
 
 @settings(max_examples=40)

@@ -162,6 +162,8 @@ def test_what_has_no_derivative_is_refused() -> None:
         make_runner(task="Lifter-v0")
     with pytest.raises(ConfigError, match="layout='lanes', got 'group'"):
         make_runner(layout="group", lanes=None)
+    with pytest.raises(ConfigError, match="is more than an episode has, 5"):
+        make_runner(max_episode_steps=5)
     with pytest.raises(ConfigError, match="which is not observed: it needs obs=timed"):
         make_runner(obs="voxel")
 

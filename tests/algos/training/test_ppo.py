@@ -1,5 +1,6 @@
 """Learning: schedules, time limits, and that a resumed run is the run that was not interrupted."""
 
+import math
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 
@@ -123,6 +124,13 @@ def test_a_resumed_checkpoint_writes_later_rows_again_and_keeps_the_best_policy(
     assert sorted(row["elapsed"] for row in table) == [row["elapsed"] for row in table]
     assert load_checkpoint(tmp_path / "model_best.pt")["eval_return"] == 1e9
     assert (second.best_return, second.best_iteration) == (1e9, best["iter"])
+    save_checkpoint(tmp_path / "model_best.pt", best | {"iter": 5})  # of an evaluation after the last save
+    third = make_runner(6, folder=tmp_path)
+    third.resume(tmp_path / STATE)
+    third.best_return = -math.inf
+    third.run()
+    assert third.best_iteration > 4
+    assert load_checkpoint(tmp_path / "model_best.pt")["eval_return"] == 1e9
 
 
 def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:

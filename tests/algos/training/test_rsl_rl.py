@@ -75,6 +75,9 @@ def test_a_recurrent_policy_comes_back_from_its_file_and_forgets_where_episodes_
     for ours, theirs in given:
         torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-5)
     assert not torch.equal(policy(obs[0]), given[0][0])
+    exact = policy.in_float64()  # a copy at the beginning of episodes
+    torch.testing.assert_close(exact(obs[0]), given[0][0], rtol=0, atol=1e-5)
+    assert not torch.equal(policy(obs[0]), given[0][0]), "the original remembers what it has seen"
     policy.reset()
     assert torch.equal(policy(obs[0]), given[0][0])
     again = parse_policy(policy_text(policy), "text")
@@ -140,6 +143,7 @@ def test_symmetric_samples_are_learned_from(tmp_path: Path) -> None:
     ("changes", "words"),
     [
         ({"rnn": {"rnn_typ": "gru"}}, "Did you mean 'rnn_type'"),
+        ({"rnn": GRU, "steps": 1}, "ppo.steps of 2 or more, got 1"),
         ({"rnn": 3}, "ppo.rnn must be settings by name"),
         ({"extra": {"rnd_confg": {}}}, "Did you mean 'rnd_cfg'"),
         ({"extra": {"gamma": 0.9}}, "ppo.extra has the settings"),

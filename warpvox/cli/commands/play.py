@@ -20,7 +20,7 @@ from warpvox.io.console import echo, escaped, shown
 from warpvox.io.writing import to_yaml
 from warpvox.runs import ZOO, as_name, find_run, new_folder, write_summary
 from warpvox.trust import STORED
-from warpvox.view.window import Window, why_no_window
+from warpvox.view.window import SWITCH, Window, wanted, why_no_window
 
 if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
@@ -159,7 +159,7 @@ REST = 1.0  # seconds that the last picture stands before the episode is shown a
 
 def wants_window(choice: str) -> bool:
     """True if a window is to be shown: ``on``, ``off``, or ``auto``, where there is a display."""
-    reason = why_no_window()
+    reason = why_no_window() if wanted() else f"{SWITCH}=none switches windows off"
     if choice == "on" and reason is not None:
         raise DisplayError(f"window=on cannot be: {reason}. Leave it away, and look at files: export=[gif,html].")
     return choice != "off" and reason is None

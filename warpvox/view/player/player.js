@@ -145,7 +145,12 @@ class Player {
       const box = stage.getBoundingClientRect();
       return { x: event.clientX - box.left, y: event.clientY - box.top };
     };
+    const letGo = () => {
+      this.drag = null;
+      stage.classList.remove("dragging");
+    };
     stage.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0) return;
       stage.setPointerCapture(event.pointerId);
       this.drag = { ...place(event), moved: false };
     });
@@ -156,10 +161,10 @@ class Player {
     });
     stage.addEventListener("pointerup", (event) => {
       const hit = this.drag && !this.drag.moved && this.boxUnder(place(event));
-      this.drag = null;
-      stage.classList.remove("dragging");
+      letGo();
       if (hit && this.many) { this.choose(hit.env.number); this.showMany(false); }
     });
+    stage.addEventListener("pointercancel", letGo);
     stage.addEventListener("pointerleave", () => { this.pointer = null; this.dirty = true; });
     stage.addEventListener("wheel", (event) => {
       event.preventDefault();
@@ -183,7 +188,7 @@ class Player {
     const far = shiftKey ? 10 : 1;
     const actions = {
       " ": () => this.toggle(), ArrowLeft: () => this.step(-far), ArrowRight: () => this.step(far),
-      Home: () => this.seek(0), End: () => this.seek(this.last),
+      Home: () => this.seek(0), End: () => this.step(this.last),
       ArrowUp: () => this.shiftSpeed(1), ArrowDown: () => this.shiftSpeed(-1),
       n: () => this.choose(this.chosen + 1), p: () => this.choose(this.chosen - 1),
       g: () => this.showMany(!this.many), f: () => this.follow(Boolean(this.pan)), t: () => this.toggleTheme(),
