@@ -168,7 +168,7 @@ class RecurrentPolicy(ModelPolicy):
         return self.model({OBS_GROUP: obs.to(next(self.parameters()).dtype)})
 
     def in_float64(self) -> "Policy":
-        """As :meth:`Policy.in_float64`; the copy begins new episodes."""
+        """A copy as :meth:`Policy.in_float64` makes it, at the beginning of episodes."""
         memory = self.model.get_hidden_state()
         self.reset()  # it may have a history of derivatives, which cannot be copied
         copied = super().in_float64()

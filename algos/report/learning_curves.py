@@ -152,7 +152,7 @@ def _plot(curves: Sequence[Curve], axes: Any) -> None:
 
 
 def _plain(text: str) -> str:
-    """What matplotlib shows as ``text``, without control characters."""
+    """A text that matplotlib shows as it is."""
     return escaped(text).replace("$", r"\$")
 
 
