@@ -56,8 +56,8 @@ def train(
         progress: show messages and a live line.
         resume: a run to go on with: ``latest``, its folder, a checkpoint in it; settings are what changes.
         sim: how environments are computed; also by name, ``device="cpu"``, which goes before what ``sim`` says.
-        settings: fields of :class:`warpvox.Training`; ``ppo`` may be the name of a set, ``ppo="evogym"``. A mapping
-            changes what it names, of the part that ``task`` or the run has.
+        settings: fields of :class:`warpvox.Training`; ``ppo`` may be the name of a set, ``ppo="evogym"``, of which a
+            ``task`` that is settings, or a run, takes ``ppo`` alone. A mapping changes what it names, of their part.
 
     Raises:
         ConfigError: an unknown setting, or a value that it does not take. WarpvoxError: as the command, in words.
@@ -87,7 +87,8 @@ def train(
     if isinstance(given.get("ppo"), str):
         from warpvox.configs.composition import settings_named
 
-        given = settings_named("train", ppo=given.pop("ppo")) | given
+        others = settings_named("train", ppo=given.pop("ppo"))
+        given = (others if base is None else {"ppo": others["ppo"]}) | given
     check_known(given, train, Training)
     named = set(_dotted(given))
     if isinstance(task, Training):  # a pretrained policy must agree with what it says, too
@@ -192,22 +193,23 @@ def evaluate(
 
     check_known(options, evaluate, Playing, without=("num_envs",))
     check_choice("protocol", protocol, PROTOCOLS)
-    several = isinstance(policies, Sequence) and not isinstance(policies, str)
+    ones = policies if isinstance(policies, Sequence) and not isinstance(policies, str) else [policies]
+    beside = any(map(callable, ones))  # task and design are theirs
     own = Code(task) if is_code(task) else task
     network = Code(policy) if is_code(policy) else policy
     how = Playing(episodes, checkpoint, stochastic, seed, task=own, policy=network, protocol=protocol, **options)
     rows = []
     with own_torch(1):
-        for number, one in enumerate(policies if several else [policies]):
+        for number, one in enumerate(ones):
             if isinstance(one, TrainedRun | Found):
                 one = one.folder or one.policy
             if isinstance(one, str | Path) and is_alone(Path(one).expanduser()):
                 one = load_policy(one, policy=network)
             if isinstance(one, str | Path):
-                if not several and isinstance(own, str) and not isinstance(own, Code) and own != STORED:
+                if isinstance(own, str) and not (beside or isinstance(own, Code) or own == STORED):
                     raise ConfigError(f"task={own!r} goes with functions, or is the code of a run's own task.")
                 for run in find_runs([str(one)], str(output_dir)):
-                    rows.extend(evaluate_run(run, how, None if several and not run.is_many else design, level))
+                    rows.extend(evaluate_run(run, how, None if beside and not run.is_many else design, level))
                 continue
             about: Mapping[str, Any] = getattr(one, "metadata", {})
             where, body = own or about.get("task"), about.get("design") if design is None else design
@@ -216,7 +218,7 @@ def evaluate(
                 raise ConfigError(f"Policy {number} must be {what}; got {one!r:.80}.")
             names = ("rules", "physics", "dtype", "arithmetic")
             known = Training.of({key: about[key] for key in names if about.get(key) is not None})
-            known = dataclasses.replace(known, arithmetic=None) if "dtype" in options else known
+            known = dataclasses.replace(known, arithmetic=None) if options.get("dtype") else known
             sim = {"dtype": known.dtype, "arithmetic": known.arithmetic, "physics": physics_of(known)}
             sim |= {key: value for key, value in options.items() if value is not None}
             given: dict[str, Any] = {"rules": known.rules, "obs": obs or about.get("obs") or "task"} | sim

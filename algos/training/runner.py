@@ -200,7 +200,7 @@ class Runner(OnPolicyRunner):
             self.env.episode_length_buf = lengths.to(self.env.device)
         if self.folder is not None and self.group.is_main_process:
             for number in Run(self.folder, {}).iterations:
-                if number > self.current_learning_iteration:  # they go with the rows that will be written again
+                if number > self.current_learning_iteration > 0:  # they go with the rows that will be written again
                     (self.folder / f"model_{number}.pt").unlink()
             self._metrics = Metrics(self.folder, self.current_learning_iteration, self._writer)
         if self.group.size > 1:

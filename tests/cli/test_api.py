@@ -170,7 +170,8 @@ def test_a_part_that_is_changed_keeps_its_other_values(train: Callable[..., Path
     base = wv.Training(seed=3, num_envs=7)
     rnn = {"rnn_type": "gru", "rnn_hidden_dim": np.int64(8)}
     assert type(asked(monkeypatch, base, ppo={"rnn": rnn}).ppo.rnn["rnn_hidden_dim"]) is int
-    assert asked(monkeypatch, base, ppo="evogym") == wv.Training(seed=3, **settings_named("train", ppo="evogym"))
+    evogym = settings_named("train", ppo="evogym")["ppo"]
+    assert asked(monkeypatch, base, ppo="evogym") == wv.Training(seed=3, num_envs=7, ppo=evogym)
     assert asked(monkeypatch, resume=folder, ppo={"epochs": 1}, max_iterations=2).ppo == wv.Ppo(**PPO)
 
 
@@ -195,6 +196,7 @@ def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None
         (len, {}, "Policy 0 must be a run, or a function"),
         (policies[1], {"stochastic": True}, "policy 0 acts without chance"),
         (folder, {"task": "Climber-v0"}, "task='Climber-v0' goes with functions"),
+        ([folder], {"task": "Climber-v0"}, "task='Climber-v0' goes with functions"),
         (folder, {"design": "worm"}, "Other bodies go with a run over many of them"),
         (folder, {"episods": 3}, "evaluate has no argument 'episods'. Did you mean 'episodes'"),
         ("nowhere", {}, "no run at nowhere"),

@@ -83,14 +83,15 @@ print(sorted({"torch", "warp", "gymnasium"} & set(sys.modules)))
 def test_processes_of_a_script_have_it_too(method: str, package: Path) -> None:
     (package / "run_it.py").write_text(
         "import multiprocessing, sys, evogym\n"
-        "def main(): print(evogym.__name__)\n"
-        "if __name__ == '__main__':\n"
-        f"    process = multiprocessing.get_context('{method}').Process(target=main)\n"
-        "    process.start(); process.join(); sys.exit(process.exitcode)\n"
+        "def begin(deep):\n"
+        "    print(evogym.__name__, flush=True)\n"
+        f"    process = multiprocessing.get_context('{method}').Process(target=begin, args=(deep + 1,))\n"
+        "    if deep < 2: process.start(); process.join(); sys.exit(process.exitcode)\n"
+        "if __name__ == '__main__': begin(0)\n"
     )
     command = [sys.executable, "-m", "warpvox.evogym", "run_it.py"]
     done = subprocess.run(command, cwd=package, capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (0, "warpvox.evogym\n"), done.stderr
+    assert (done.returncode, done.stdout) == (0, "warpvox.evogym\n" * 3), done.stderr
 
 
 def test_a_script_is_run_as_python_runs_it(tmp_path: Path) -> None:

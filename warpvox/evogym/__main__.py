@@ -1,21 +1,13 @@
 """``python -m warpvox.evogym SCRIPT [ARGUMENT ...]``: runs a script written for EvoGym, as ``python SCRIPT`` would."""
 
 import argparse
-import multiprocessing.spawn
 import runpy
 import sys
 from pathlib import Path
 
-from warpvox.evogym.switch import install
+from warpvox.evogym.switch import install_everywhere
 
 __all__ = ["main"]
-
-
-class _Installed:
-    """Calls ``install`` where it is unpickled."""
-
-    def __reduce__(self) -> tuple:
-        return install, ()
 
 
 def main() -> None:
@@ -26,10 +18,7 @@ def main() -> None:
     script = parser.parse_args().script
     if not script.is_file():
         parser.error(f"there is no script {script}")
-    install()
-    # processes that spawn or forkserver starts read this before they import the script
-    prepare = multiprocessing.spawn.get_preparation_data
-    multiprocessing.spawn.get_preparation_data = lambda name: prepare(name) | {"evogym": _Installed()}
+    install_everywhere()
     sys.argv = sys.argv[1:]
     sys.path[0] = str(script.resolve().parent)
     runpy.run_path(str(script), run_name="__main__")

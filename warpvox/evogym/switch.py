@@ -1,6 +1,7 @@
 """``install()``: from then on ``import evogym`` means this package."""
 
 import importlib.util
+import multiprocessing.spawn
 import sys
 from collections.abc import Sequence
 from importlib.abc import Loader, MetaPathFinder
@@ -55,3 +56,15 @@ def install() -> None:
         )
     if not any(isinstance(finder, _Alias) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Alias())
+
+
+def install_everywhere() -> None:
+    """Call :func:`install` here and, before they import the script, in processes that spawn or forkserver starts."""
+    install()
+    prepare = multiprocessing.spawn.get_preparation_data
+    multiprocessing.spawn.get_preparation_data = lambda name: prepare(name) | {"evogym": _Everywhere()}
+
+
+class _Everywhere:
+    def __reduce__(self) -> tuple:
+        return install_everywhere, ()  # called where it is unpickled
