@@ -56,7 +56,7 @@ CPG = {"width": 8, "heads": 2, "layers": 1}
 
 
 def cpg(iterations: int) -> FewShot:
-    settings = dataclasses.asdict(small().ppo) | {"steps": 20, "learning_rate": 0.01}
+    settings = dataclasses.asdict(small().ppo) | {"steps": 16, "learning_rate": 0.01}
     return FewShot(policy="cpg", network=CPG, envs=1, iterations=iterations, save_interval=1, ppo=settings)
 
 
@@ -116,7 +116,7 @@ def test_a_policy_without_feedback_is_tuned_by_gradients(pretrained_cpg: dict[st
     assert not torch.equal(after[0].policy["network.wave"], before[0].policy["network.wave"])
     assert torch.equal(after[0].policy["distribution.log_std_param"], before[0].policy["distribution.log_std_param"])
     assert values(after) == values(again)
-    assert [outcome.curve[0][0] for outcome in after] == [4 * 20] * 3
+    assert [outcome.curve[0][0] for outcome in after] == [4 * 16] * 3
     one = SharedEvaluator(TIMED, cpg(2), 0)
     first, second = one.evaluate(found, {}), one.evaluate(later(found, 1), {})
     assert not torch.equal(first[0].policy["network.wave"], second[0].policy["network.wave"])
