@@ -34,7 +34,7 @@ def fingerprint() -> str:
 
 @cache
 def known_libm() -> bool:
-    """Whether the C library rounds as on a platform whose digests are recorded."""
+    """True where the C library rounds as on a platform whose digests are recorded."""
     return fingerprint() in {record["platform"]["libm"] for record in load()}
 
 

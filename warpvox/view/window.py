@@ -14,7 +14,7 @@ OTHERWISE = f"Render pictures instead (mode 'rgb_array'), or set {SWITCH}=none t
 
 
 def wanted() -> bool:
-    """Whether windows shall be shown; ``WARPVOX_WINDOW=none`` lets scripts with windows run on servers as they are."""
+    """False with ``WARPVOX_WINDOW=none``, which lets scripts with windows run on servers as they are."""
     choice = os.environ.get(SWITCH, "")
     if choice not in ("", "none"):
         raise DisplayError(f"{SWITCH} must be 'none' or not set, got '{choice}'.")
