@@ -170,7 +170,8 @@ class VoxelVecEnv:
         self._finite = FiniteGuard(spec, sim, self.layout)
         self.dump: DivergenceDump | None = None
         self._graph: StepGraph | None = None
-        if not self._on_cpu and sim.options.cuda_graph:
+        wanted = sim.options.cuda_graph
+        if not self._on_cpu and (not self._has_code if wanted is None else wanted):
             self._graph = StepGraph(self._whole_step, capture_on_cuda(sim.device))
 
     def __repr__(self) -> str:

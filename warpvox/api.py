@@ -118,8 +118,8 @@ def _options(sim: SimOptions) -> dict[str, Any]:
         ConfigError: some that a training chooses itself.
     """
     values = {name: value for name, value in vars(sim).items() if value != getattr(type(sim), name)}
-    if "layout" in values:
-        raise ConfigError("sim.layout cannot be given: a training chooses it.")
+    for name in values.keys() & {"layout", "cuda_graph"}:
+        raise ConfigError(f"sim.{name} cannot be given: a training chooses it.")
     if "grid" in values:
         raise ConfigError("sim.grid cannot be given: the room for bodies is designs={'grid': [rows, columns]}.")
     return values

@@ -18,7 +18,7 @@ from warpvox.algos.population.model import Normalizer, PopulationActor, Populati
 from warpvox.algos.training.ppo import PPO
 
 BLOCK = 16
-"""Most designs that learn in one go; fewer cost more overhead, more leave threads without work."""
+"""Most designs that learn in one go on the CPU; fewer cost more overhead, more leave threads without work."""
 SLOWEST, FASTEST = 1e-5, 1e-2
 """Bounds of the learning rate in rsl-rl's adaptive schedule."""
 
@@ -53,6 +53,7 @@ class PopulationPPO(PPO):
     actor: PopulationActor
     critic: PopulationModel
     optimizer: VectorAdam
+    _noise: torch.Tensor  # of the actions of this rollout
 
     def __init__(
         self,
@@ -93,8 +94,9 @@ class PopulationPPO(PPO):
         for name, values in obs.items():
             storage.observations[name][step] = values
         policy.update(self.actor.run(inputs))
-        noise = self.streams.normal(inputs.shape[1], self.actor.outputs)
-        storage.actions[step] = (noise * policy.std + policy.mean).flatten(0, 1)
+        if step == 0:
+            self._noise = self.streams.normal(storage.num_transitions_per_env, inputs.shape[1], self.actor.outputs)
+        storage.actions[step] = (self._noise[step] * policy.std + policy.mean).flatten(0, 1)
         self._means[step] = policy.mean.flatten(0, 1)
         return storage.actions[step]
 
@@ -143,7 +145,7 @@ class PopulationPPO(PPO):
         """
         if self.decays:
             self.rates.fill_(self.decayed_rate)
-        data, count = self._shuffled(), -(-self.num_designs // BLOCK)
+        data, count = self._shuffled(), -(-self.num_designs // BLOCK) if str(self.device) == "cpu" else 1
         ends = [self.num_designs * k // count for k in range(count + 1)]
         blocks = [slice(*pair) for pair in itertools.pairwise(ends)]
         run = self._pool.map if self._pool else map
@@ -357,11 +359,17 @@ class Streams:
         if torch.device(device).type == "cpu":
             self.set_state(states)
 
-    def normal(self, rows: int, columns: Sequence[int]) -> torch.Tensor:
-        """``[designs, rows, max(columns)]``: standard normal in the first ``columns`` of each design, else 0."""
-        numbers = torch.zeros((len(columns), rows, max(columns)), device=self.device)
-        for number, generator, count in zip(numbers, self._generators, columns, strict=True):
-            number[:, :count] = torch.randn((rows, count), generator=generator, device=self.device)
+    def normal(self, steps: int, rows: int, columns: Sequence[int]) -> torch.Tensor:
+        """``[steps, designs, rows, max(columns)]``: standard normal in the first ``columns`` of each design, else 0.
+
+        On the CPU step by step, on CUDA at once, where launches are what takes time.
+        """
+        numbers = torch.zeros((steps, len(columns), rows, max(columns)), device=self.device)
+        parts = numbers if torch.device(self.device).type == "cpu" else numbers[None]
+        for part in parts:
+            for d, (generator, count) in enumerate(zip(self._generators, columns, strict=True)):
+                drawn = part[..., d, :, :count]
+                drawn.copy_(torch.randn(drawn.shape, generator=generator, device=self.device))
         return numbers
 
     def permutations(self, count: int) -> torch.Tensor:

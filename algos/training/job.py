@@ -46,7 +46,7 @@ from warpvox.trust import as_stored, keep_code
 
 CHANGEABLE = (
     "max_iterations", "eval_interval", "eval_envs", "stop_return", "save_interval", "device", "threads",
-    "torch_threads", "cuda_graph", "logger", "nan_guard", "memory_check", "export", "resume", "output_dir",
+    "torch_threads", "logger", "nan_guard", "memory_check", "export", "resume", "output_dir",
 )  # fmt: skip
 """Keys that may differ when a run is resumed: they do not change what is learned.
 
@@ -133,7 +133,7 @@ class Job:
             bodies = training_bodies(settings)
             exchanged = Bodies.of(bodies, settings, group.seed(settings.seed)) if settings.is_many else None
             designs = bodies.trained if exchanged is None else exchanged.first(settings.num_envs)
-            sim = dataclasses.replace(sim_of(settings), cuda_graph=settings.cuda_graph, grid=bodies.grid)
+            sim = dataclasses.replace(sim_of(settings), grid=bodies.grid)
             if settings.memory_check:
                 _ask_for_memory(settings, designs, sim)
         count, runner = settings.num_envs, Runner

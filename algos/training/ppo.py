@@ -53,7 +53,7 @@ class PPO(RslRlPPO):
 
     def _configure_adam(self) -> None:
         for group in self.optimizer.param_groups:
-            group |= {"eps": self.adam_eps, "fused": torch.device(self.device).type == "cpu"}
+            group |= {"eps": self.adam_eps, "fused": torch.device(self.device).type in ("cpu", "cuda")}
 
     @property
     def decayed_rate(self) -> float:

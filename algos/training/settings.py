@@ -114,7 +114,6 @@ class Training(Settings):
     lanes: int | None = key(
         None, "environments that a thread advances at once, in SIMD lanes; null: chosen by their number"
     )
-    cuda_graph: bool = key(False, "on CUDA: launch each control step, with rewards and resets, as one CUDA graph")
     logger: str = key(
         "tensorboard",
         "where metrics are logged besides metrics.csv: tensorboard, wandb, neptune (by rsl-rl's writer) or none",

@@ -75,7 +75,7 @@ def test_values_of_python_arrive_as_they_are(tmp_path: Path, monkeypatch: pytest
     place = tmp_path / "with 'quotes', = and [brackets]"
     run = wv.train(
         **(KEYS | {"design": body, "max_iterations": 1}), output_dir=place, name=None, stop_return=-1.5, ppo=PPO,
-        physics={"friction": 0.25}, nan_guard="on", cuda_graph=False, progress=False,
+        physics={"friction": 0.25}, nan_guard="on", progress=False,
         sim=wv.SimOptions(threads=2, lanes=8),
     )  # fmt: skip
     assert run.folder.is_relative_to(place)

@@ -43,7 +43,8 @@ class SimOptions:
         grid: rows and columns that bodies have at most, those put in later, too; arrays, observations and actions have
             room for the largest of them. Only in fast arithmetic.
         cuda_graph: of environments: on CUDA launch a whole control step, from the physics to rewards and resets, as one
-            graph (see :mod:`warpvox.envs.graph`). Means nothing on the CPU.
+            graph (see :mod:`warpvox.envs.graph`). None: but for tasks with functions of one's own, of which a graph
+            would repeat only what they do on the device. Means nothing on the CPU.
         memory_check: of environments: refuse at once what does not fit into the memory that is free.
     """
 
@@ -55,7 +56,7 @@ class SimOptions:
     threads: int | None = None
     layout: str | None = None
     grid: tuple[int, int] | None = None
-    cuda_graph: bool = False
+    cuda_graph: bool | None = None
     memory_check: bool = True
 
     @classmethod
@@ -110,7 +111,7 @@ class SimKeywords(TypedDict, total=False):
     threads: int | None
     layout: str | None
     grid: tuple[int, int] | None
-    cuda_graph: bool
+    cuda_graph: bool | None
     memory_check: bool
 
 

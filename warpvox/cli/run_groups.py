@@ -15,7 +15,7 @@ from warpvox.runs import Run
 
 NOT_SETTINGS = (
     "seed", "name", "output_dir", "resume", "config", "export", "threads", "torch_threads", "lanes", "save_interval",
-    "nan_guard", "cuda_graph", "logger", "memory_check", "preset",
+    "nan_guard", "logger", "memory_check", "preset",
 )  # fmt: skip
 """Keys that do not make a run another experiment; what a preset has set stands in the other keys."""
 LONGEST = 28
