@@ -91,10 +91,21 @@ class StepGraph:
         return not self._failed
 
 
-def _cloned(value: torch.Tensor | dict[str, Any] | tuple[Any, ...]) -> Any:
+def _cloned(value: Any) -> Any:
     """A copy with fresh tensors of what a step returns: tuples and dictionaries of tensors."""
-    if isinstance(value, torch.Tensor):
-        return value.clone()
-    if isinstance(value, dict):
-        return {name: _cloned(item) for name, item in value.items()}
-    return tuple(_cloned(item) for item in value)
+    fresh: dict[torch.dtype, tuple[list[torch.Tensor], list[torch.Tensor]]] = {}
+
+    def made(value: Any) -> Any:
+        if isinstance(value, torch.Tensor):
+            new, old = fresh.setdefault(value.dtype, ([], []))
+            new.append(torch.empty_like(value))
+            old.append(value)
+            return new[-1]
+        if isinstance(value, dict):
+            return {name: made(item) for name, item in value.items()}
+        return tuple(map(made, value))
+
+    copies = made(value)
+    for new, old in fresh.values():
+        torch._foreach_copy_(new, old)  # one launch for all of a type
+    return copies

@@ -173,9 +173,11 @@ def test_threads_and_neighbours_change_nothing():
 @pytest.mark.gpu
 def test_a_gpu_gives_the_derivatives_of_a_cpu():
     def derivative(device):
+        lanes = 1 if device == "cpu" else None
         sim = Simulation(
-            [world_of(body) for body in bodies()], device=device, dtype="float64", arithmetic="fast", lanes=1
-        )
+            [world_of(body) for body in bodies()], device=device, dtype="float64", arithmetic="fast",
+            layout="lanes", lanes=lanes,
+        )  # fmt: skip
         grads = Gradients(sim)
         actions = torch.full((8, sim.num_actions), 1.2, dtype=torch.float64, device=device, requires_grad=True)
         state = lifted(grads)

@@ -103,7 +103,9 @@ def test_what_was_sensed_between_steps_is_not_taken_for_the_present(cuda: None) 
         return after.extent(name)[:, 0]
 
     spec = replace(get_task("Walker-v0"), observations=(observes(orientation),), rewards=(rewards(widest),))
-    assert make_vec(spec, device="cuda")._graph is None, "a graph would repeat nothing but what such a function launches"
+    assert make_vec(spec, device="cuda")._graph is None, (
+        "a graph would repeat nothing but what such a function launches"
+    )
     assert make_vec("Walker-v0", device="cuda")._graph is not None
     envs, random = pair(spec), torch.Generator().manual_seed(0)
     for _ in range(6):

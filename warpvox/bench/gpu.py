@@ -26,7 +26,7 @@ ON_CUDA = "sanitizer", "graph", "stream"
 
 @dataclass(frozen=True)
 class Size:
-    """How much is done: environments of the parts, sides of bodies, designs of a population."""
+    """How much is done: environments of the parts, sides of bodies, designs of a population, environments of each."""
 
     envs: tuple[int, ...]
     checked: int
@@ -35,10 +35,11 @@ class Size:
     bodies: int
     training: tuple[int, ...]
     designs: int
+    each: tuple[int, ...]
 
 
-LARGE = Size((16384, 65536, 4096, 1024), 4096, 16384, (5, 15, 25, 35), 1024, (4096, 16384), 25)
-SMALL = Size((1, 8), 8, 8, (3,), 8, (8,), 2)
+LARGE = Size((16384, 65536, 4096, 1024), 4096, 16384, (5, 15, 25, 35), 1024, (1024, 4096, 16384, 65536), 25, (16, 512))
+SMALL = Size((1, 8), 8, 8, (3,), 8, (8,), 2, (8,))
 
 
 def run(config: Any, report: Report) -> None:
@@ -71,8 +72,8 @@ def _parts(config: Any, size: Size, report: Report) -> dict[str, Callable[[], An
         "graph": lambda: checks.graph(*common, size.checked),
         "stream": lambda: checks.stream(*common, size.checked),
         "sizes": lambda: rates.sizes(*common, size.envs),
-        "profile": lambda: tools.profile(*common, size.training[-1]),
-        "training": lambda: rates.training(*common, size.training, size.designs),
+        "profile": lambda: tools.profile(*common, size.tasks),
+        "training": lambda: rates.training(*common, size.training, size.designs, size.each),
         "learning": lambda: rates.learning(*common),
         "recordings": lambda: checks.recordings(*common),
         "other tasks": compared("other tasks", rest, config.dtype),

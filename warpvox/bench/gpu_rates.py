@@ -14,21 +14,11 @@ from warpvox.bench.runner import Runner, measure, seconds
 from warpvox.configs.composition import training_preset
 from warpvox.kernels.step import record_step
 
-PREDICTED = {4096: (5.3, 13.8), 16384: (5.3, 13.8), 65536: (6.6, 13.8)}
-"""Million control steps per second of its physics by number of environments, least and most: Walker-v0 in float32 on an
-H100 or H200; the arithmetic is in docs/performance.md."""
 LAUNCHES = 3
 LEARNING_SECONDS = 60.0
 """Seconds that learning may take at the most."""
 POPULATION_STEPS = 16
 """Control steps of an iteration of the population's training that is timed."""
-
-
-def predicted(task: str, dtype: str, num_envs: int) -> str:
-    """``5.30 to 13.8 M``, or ``-`` for what was not predicted."""
-    if num_envs not in PREDICTED or (task, dtype) != ("Walker-v0", "float32"):
-        return "-"
-    return " to ".join(map(number, PREDICTED[num_envs])) + " M"
 
 
 def _runner(config: Any, count: int, task: str | None = None, body: Any = None, **options: Any) -> Runner:
@@ -43,7 +33,7 @@ def _median(runner: Runner, config: Any) -> float:
 
 
 def sizes(config: Any, report: Report, counts: tuple[int, ...]) -> None:
-    """The physics alone and whole steps, launched one by one and as a graph; predictions beside them."""
+    """The physics alone, whole steps as a graph, and the same launched one by one."""
     rows, needed = [], 0.0
     for count in report.in_time("sizes", counts, "{:,} environments"):
         before = available_memory(config.device)
@@ -53,18 +43,17 @@ def sizes(config: Any, report: Report, counts: tuple[int, ...]) -> None:
         runner = _runner(config, count)
         taken, needed = before - available_memory(config.device), per_environment(runner.env)
         physics, step = _physics(runner), _median(runner, config)
-        graph = None if config.device == "cpu" else _median(_runner(config, count, cuda_graph=True), config)
-        told = predicted(config.task, config.dtype, count)
-        rows.append([f"{count:,}", physics, told, step, graph])
+        single = None if config.device == "cpu" else _median(_runner(config, count, cuda_graph=False), config)
+        rows.append([f"{count:,}", physics, step, single])
         report.row(
             "sizes",
-            f"{count:,} environments: {number(physics / 1e6)} M (physics), predicted {told}; whole steps"
-            f" {number(step / 1e6)} M, as a graph {number(graph and graph / 1e6)} M",
-            num_envs=count, layout=runner.env.sim.layout, physics=physics, predicted=told, step=step, graph=graph,
-            bytes=needed, taken=taken,
+            f"{count:,} environments: {number(physics / 1e6)} M (physics), {number(step / 1e6)} M (whole steps),"
+            f" {number(single and single / 1e6)} M (without a graph)",
+            num_envs=count, layout=runner.env.sim.layout, physics=physics, step=step, single=single, bytes=needed,
+            taken=taken,
         )  # fmt: skip
-    title = f"{config.task}, control steps per second, {config.dtype}, {config.device}; predicted: the physics"
-    report.table(title, ["environments", "physics", "predicted", "step only", "as a graph"], rows)
+    title = f"{config.task}, control steps per second, {config.dtype}, {config.device}"
+    report.table(title, ["environments", "physics", "step only", "without a graph"], rows)
 
 
 def _physics(runner: Runner) -> float:
@@ -97,8 +86,8 @@ def bodies(config: Any, report: Report, count: int, sides: tuple[int, ...]) -> N
     report.table(title, ["body", "steps/s", "voxel steps/s"], rows)
 
 
-def training(config: Any, report: Report, counts: tuple[int, ...], designs: int) -> None:
-    """Whole iterations of PPO, and of a population of designs that are trained side by side."""
+def training(config: Any, report: Report, counts: tuple[int, ...], designs: int, each: tuple[int, ...]) -> None:
+    """Whole iterations of PPO, and of ``designs`` that are trained side by side in so many environments each."""
     rows = []
     for count in report.in_time("training", counts, "{:,} environments"):
         found = measure({"": _runner(config, count)}, ["step", "training"], 1)[""]
@@ -107,16 +96,15 @@ def training(config: Any, report: Report, counts: tuple[int, ...], designs: int)
         report.row("training", text, num_envs=count, **rates)
         rows.append([f"{count:,}", *rates.values()])
     report.table("Control steps per second", ["environments", "step only", "with training"], rows)
-    if not report.time_for("training: population"):
-        return
-    settings = training_preset("paper_wide", {"steps": POPULATION_STEPS})
     sim = SimOptions(config.device, config.dtype, config.arithmetic, threads=config.threads)
     several = sampled_bodies(5, designs, config.seed), list(range(designs))
-    population = PopulationTraining(EnvFactory(config.task, sim=sim), *several, settings)
-    population.iterate()  # loads the kernels
-    rate = designs * settings.envs * POPULATION_STEPS / seconds(population.iterate, config.device)
-    text = f"{designs} designs of {settings.envs} environments side by side: {number(rate)} steps/s with training"
-    report.row("training", text, noted=True, designs=designs, envs=settings.envs, rate=rate)
+    for envs in report.in_time("training", each, f"{designs} designs of {{}} environments"):
+        settings = training_preset("paper_wide", {"steps": POPULATION_STEPS}, envs=envs)
+        population = PopulationTraining(EnvFactory(config.task, sim=sim), *several, settings)
+        population.iterate()  # loads the kernels
+        rate = designs * envs * POPULATION_STEPS / seconds(population.iterate, config.device)
+        text = f"{designs} designs of {envs} environments side by side: {number(rate)} steps/s with training"
+        report.row("training", text, noted=True, designs=designs, envs=envs, rate=rate)
 
 
 def learning(config: Any, report: Report) -> None:

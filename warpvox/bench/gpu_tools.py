@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +21,21 @@ TOOLS = "memcheck", "racecheck", "synccheck", "initcheck"
 SECONDS = 90
 """For one run under a tool, at most."""
 TOOLKIT = "/usr/local/cuda/bin"
-ONE_LAUNCH = "--set full --kernel-name regex:group_step --launch-skip 1 --launch-count 1".split()
+ONE_LAUNCH = "--set full --clock-control none --kernel-name regex:group_step --launch-skip 1 --launch-count 1".split()
 ITERATIONS, LINES = 3, 40
 """Iterations of the training that is profiled; rows of its table."""
 
 
 def sanitizer(config: Any, report: Report) -> None:
-    """Control steps of different bodies under compute-sanitizer, tool by tool."""
+    """Control steps of different bodies under compute-sanitizer, all tools at once."""
     program, wrong = _find("compute-sanitizer", report), []
-    for tool in report.in_time("sanitizer", TOOLS if program else ()):
-        done = _sample([str(program), "--tool", tool, "--error-exitcode", "9"], config, report, envs=64, bodies=8)
+
+    def watched(tool: str) -> subprocess.CompletedProcess[str] | None:
+        return _sample([str(program), "--tool", tool, "--error-exitcode", "9"], config, report, envs=64, bodies=8)
+
+    with ThreadPoolExecutor(len(TOOLS)) as pool:
+        outcomes = list(pool.map(watched, TOOLS if program else ()))
+    for tool, done in zip(TOOLS, outcomes, strict=False):
         if done is None:
             continue
         last = [line for line in done.stdout.splitlines() if "SUMMARY" in line][-1:] or [done.stderr[-300:]]
