@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
@@ -367,8 +368,15 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
     """Write ``summary.json``: ``content``, and which version of the program has made it."""
-    made = {"version": __version__, "commit": _commit(), "processor": processor_name()}
+    made = {"version": __version__, "commit": _commit(), "processor": _processors()}
     write_text(folder / SUMMARY, json.dumps(content | made, indent=2) + "\n", make_folders=False)
+
+
+def _processors() -> str:
+    """The name of the processor, and of the GPU that this process has used."""
+    torch = sys.modules.get("torch")
+    gpu = torch.cuda.get_device_name() if torch is not None and torch.cuda.is_initialized() else None
+    return ", ".join(filter(None, (processor_name(), gpu)))
 
 
 @functools.cache
