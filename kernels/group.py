@@ -11,7 +11,6 @@ few units in the last place of float32, positions and velocities are accumulated
 """
 
 import functools
-import re
 from dataclasses import dataclass
 
 import warp as wp
@@ -115,38 +114,32 @@ def choose(points: int, springs: int, precision: str, device: str) -> Group | No
     return group if fits and (not on_cuda(device) or group.bytes * (WARP // parts) <= SHARED_BYTES) else None
 
 
-def places() -> list[str]:
-    """Names of the places in the source whose visits can be counted (``tallied``)."""
-    return re.findall(r"^ *COUNT\((\w+)\);", text(*(f"native/group/{file}" for file in FILES)), re.M)
-
-
-def source(group: Group, tallied: bool = False) -> str:
-    """The C++ of a group kernel."""
+def source(group: Group, whole_warps: bool = False) -> str:
+    """The C++ of a group kernel; with ``whole_warps`` the groups of a warp are one block on the CPU, too."""
     sizes = dict(PARTS=group.parts, POINTS=group.points, SPRINGS=group.springs, LINKS=LINKS)
     sizes |= dict(GROUP_BYTES=group.bytes, FEW=group.few, CODED=CODED, CLOSE=group.layout["close"][0])
     sizes |= CPP_CONSTANTS | dict(VOXEL=VOXEL, PARALLEL=PARALLEL, DEGENERATE=DEGENERATE, CLOSE_MARGIN=CLOSE_MARGIN)
-    sizes |= dict(SHARED_BYTES=SHARED_BYTES, PLACES=len(places()))
-    sizes |= {f"PLACE_{name}": k for k, name in enumerate(places())}
+    sizes |= dict(SHARED_BYTES=SHARED_BYTES, WHOLE_WARPS=int(whole_warps))
     lines = [f"typedef {'float' if group.precision == 'float32' else 'double'} Real;"]
     lines += [f"typedef unsigned {'long long' if group.points > 32 * group.parts else 'int'} Bits;"]
-    lines += [f"#define APPROXIMATE {int(group.approximate)}", f"#define TALLIED {int(tallied)}"]
+    lines += [f"#define APPROXIMATE {int(group.approximate)}"]
     lines += [constants(**sizes)]
     files = (f"native/group/{file}" for file in FILES)
     shared = (f"native/{name}.h" for name in ("triangles", "crossing", "forces", "contact_law"))
     lines += [text("native/pairs.h", next(files), *shared, *files)]
-    lines += ["#undef APPROXIMATE", "#undef TALLIED\n"]
+    lines += ["#undef APPROXIMATE\n"]
     return "\n".join(lines)
 
 
 @functools.cache
-def group_kernel(group: Group, tallied: bool = False) -> wp.Kernel:
+def group_kernel(group: Group, whole_warps: bool = False) -> wp.Kernel:
     """The kernel; launch over (rows, parts), whole warps, whatever the number of packs.
 
     ``order`` permutes the threads, which on the CPU must change nothing.
     """
     kit = kit_of(group.precision, 1)
 
-    @wp.func_native(source(group, tallied))
+    @wp.func_native(source(group, whole_warps))
     def control_step(
         model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), mesh: int, pack: int, part: int,
         live: int, substeps: int, dt: wp.float64,

@@ -1,4 +1,4 @@
-"""Reports of NVIDIA's assembler on a kernel, without a GPU, and how often groups come to a place in the source.
+"""Reports of NVIDIA's assembler on a kernel, without a GPU.
 
 The program ``ptxas`` is in build/ptxas, where ``make ptxas`` (and ``make test``) fetches it, or on PATH.
 """
@@ -11,16 +11,10 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import torch
 import warp as wp
 
 from warpvox.errors import WarpvoxError
-from warpvox.kernels.device import record, zeros
-from warpvox.kernels.group import WARP, group_kernel, places
-from warpvox.kernels.step import record_actions
-from warpvox.simulation import Simulation
-from warpvox.types import ACTION_HIGH, ACTION_LOW
+from warpvox.kernels.group import WARP
 
 ARCHITECTURES = {80: "A100", 89: "RTX 40", 90: "H100, H200", 100: "B200"}
 """Compute capabilities for which limits are held, and what has them."""
@@ -31,8 +25,6 @@ SHARED = {80: 164, 89: 100, 90: 228, 100: 228}
 """Shared memory of a multiprocessor by compute capability, KiB."""
 RESERVED = 1024
 """Bytes of it that CUDA takes for every block."""
-SETTLING = 20
-"""Control steps before visits are counted."""
 
 
 @dataclass(frozen=True)
@@ -79,26 +71,3 @@ def blocks(limits: Limits, architecture: int) -> int:
     """Blocks of a warp that a multiprocessor has registers and shared memory for."""
     by_registers = REGISTERS // (-(-limits.registers // 8) * 8 * WARP)
     return min(by_registers, SHARED[architecture] * 1024 // (limits.shared + RESERVED))
-
-
-def visits(sim: Simulation, steps: int, seed: int) -> np.ndarray:
-    """How often each place is visited in a sub-step by a warp: the most of its threads. Random actions, on the CPU."""
-    state, names = sim.buffers, places()
-    group, substeps = state.group, sim.physics.substeps
-    assert group is not None
-    rows = group.row + substeps * len(names)
-    scratch = zeros((sim.num_envs, rows), wp.float64, "cpu")
-    inputs = [state.model, state.data, scratch, 0, sim.num_envs, 0, substeps, state.dt]
-    kernel = group_kernel(group, tallied=True)
-    count = record(kernel, (sim.num_envs, group.parts), inputs, "cpu", WARP, together=True)
-    actions = torch.zeros((sim.num_envs, sim.num_actions), dtype=sim.dtype)
-    take = record_actions(state, wp.from_torch(actions), ACTION_LOW, ACTION_HIGH)
-    draw, found = torch.Generator().manual_seed(seed), []
-    for step in range(SETTLING + steps):
-        actions.uniform_(ACTION_LOW, ACTION_HIGH, generator=draw)
-        take.launch()
-        count.launch()
-        if step >= SETTLING:
-            table = scratch.numpy()[:, group.row :].copy().view(np.int32)[:, : substeps * len(names)]
-            found.append(table.reshape(sim.num_envs, substeps, len(names)))
-    return np.stack(found).mean((0, 1, 2))

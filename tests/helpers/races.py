@@ -17,7 +17,7 @@ import torch
 import warp as wp
 
 from warpvox.kernels.device import record, zeros
-from warpvox.kernels.group import WARP, choose, group_kernel, places
+from warpvox.kernels.group import WARP, choose, group_kernel
 from warpvox.kernels.step import record_actions
 from warpvox.simulation import Simulation
 from warpvox.types import ACTION_HIGH, ACTION_LOW
@@ -50,8 +50,8 @@ def races(
     if parts is not None:
         points, springs = (-(-state.sizes[name] // parts) * parts for name in ("point", "spring"))
         group = type(group)("float32", parts, points, springs, True)
-    kernel = group_kernel(group, tallied=True)  # the groups of a warp in one block
-    scratch = zeros((sim.num_envs, group.row + substeps * len(places())), wp.float64, "cpu")
+    kernel = group_kernel(group, whole_warps=True)
+    scratch = zeros((sim.num_envs, group.row), wp.float64, "cpu")
     actions = torch.zeros((sim.num_envs, sim.num_actions), dtype=sim.dtype)
     take = record_actions(state, wp.from_torch(actions), ACTION_LOW, ACTION_HIGH)
     inputs = [state.model, state.data, scratch, 0, sim.num_envs, 0, substeps, state.dt]
@@ -85,7 +85,7 @@ def _source(kernel: wp.Kernel, folder: Path) -> str:
         wp.config.enable_cpu_blocks = before
     text = next(folder.glob("*.cpp")).read_text(encoding="utf-8")
     assert "{ WP_TILE_SYNC(); }" in text
-    text = text.replace("{ WP_TILE_SYNC(); }", "{ meet(1); }").replace("if (TALLIED) sync();", "meet(0);")
+    text = text.replace("{ WP_TILE_SYNC(); }", "{ meet(1); }").replace("if (WHOLE_WARPS) sync();", "meet(0);")
     before, rest = text.split("auto join =", 1)
     votes, after = rest.split("return joined;", 1)
     return f'extern "C" void meet(int);\n{before}auto join ={votes.replace("sync();", "meet(0);")}return joined;{after}'

@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 import torch
 import warp as wp
-from ptxas import SETTLING, visits
 from worlds import crowded_world
 
 from warpvox.batch import arrays, options
@@ -13,9 +12,8 @@ from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import SimulationError
 from warpvox.kernels import group
-from warpvox.kernels.device import zeros
+from warpvox.kernels.device import record, zeros
 from warpvox.simulation import Simulation
-from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 ROUNDING = 5e-9
 """Of positions after a control step, approximate against exact: springs round in float32 in both. The same batches in
@@ -62,15 +60,20 @@ def test_every_task_takes_the_same_way_in_both_layouts(task):
     run(sims, 4, seed=1)
 
 
+def take_parts(sim, parts):
+    state = sim._state
+    state.group = replace(state.group, parts=parts)
+    state.scratch = zeros((state.packs, state.group.row), wp.float64, "cpu")
+    return state
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("parts", [8, 16, 32])
 @pytest.mark.parametrize("task", ["Walker-v0", "BeamToppler-v0", "Climber-v1", "Traverser-v0"])
 def test_double_precision_and_other_groups(task, parts):
     for dtype in ("float32", "float64"):
         sims = pair_of_task(task, dtype=dtype)
-        state = sims[1]._state
-        state.group = replace(state.group, parts=parts)
-        state.scratch = zeros((state.packs, state.group.row), wp.float64, "cpu")
+        take_parts(sims[1], parts)
         run(sims, 12)
 
 
@@ -111,14 +114,13 @@ def test_all_corners_are_tested_where_there_are_more_candidates_than_codes(monke
 @pytest.mark.slow
 @pytest.mark.parametrize("parts", [8, 16])
 def test_groups_of_a_warp_go_the_same_way(parts):
-    """Counted, the groups of a warp are one block that votes and waits together, as on CUDA: different bodies."""
-    lanes, groups = pair_of(crowd(8))
-    groups._state.group = replace(groups._state.group, parts=parts)
-    visits(groups, steps=4, seed=3)
-    draw, actions = torch.Generator().manual_seed(3), torch.zeros((8, lanes.num_actions))
-    for _ in range(SETTLING + 4):
-        lanes.step(actions.uniform_(ACTION_LOW, ACTION_HIGH, generator=draw))
-    assert not {"pos", "vel", "true_vel"} & set(differences(lanes, groups))
+    """The groups of a warp are one block that votes and waits together, as on CUDA: different bodies."""
+    sims = pair_of(crowd(8))
+    state = take_parts(sims[1], parts)
+    inputs = [state.model, state.data, state.scratch, 0, 8, 0, sims[1].physics.substeps, state.dt]
+    kernel = group.group_kernel(state.group, whole_warps=True)
+    sims[1]._launches = [record(kernel, (8, parts), inputs, "cpu", group.WARP, together=True)]
+    run(sims, 24)
 
 
 def crowd(count):

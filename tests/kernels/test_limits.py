@@ -1,14 +1,11 @@
 """Registers, spills, stack and shared memory of the step kernels, from NVIDIA's assembler: no GPU is needed."""
 
 import pytest
-from ptxas import ARCHITECTURES, Limits, assemble, blocks, find_program, visits
+from ptxas import ARCHITECTURES, Limits, assemble, blocks, find_program
 
-from warpvox.design import sample_design
-from warpvox.envs.vec_env import make_vec
 from warpvox.errors import WarpvoxError
 from warpvox.kernels import group
 from warpvox.kernels.step import step_kernel
-from warpvox.simulation import Simulation
 
 WARPS = {80: 7, 89: 4, 90: 10, 100: 10}
 """Warps of walkers on a multiprocessor, by compute capability: four environments each."""
@@ -49,18 +46,6 @@ def test_a_walker_needs_no_memory_but_registers_and_shared_memory(architecture, 
     found, most = limits_of(WALKER, "float32", architecture, tmp_path)
     check_group(found, most)
     assert blocks(found, architecture) == WARPS[architecture]
-
-
-def test_springs_that_only_fill_a_round_are_never_beyond_their_limit():
-    """Else all sub-steps would make the pass over springs, besides that over rigid voxels."""
-    body = sample_design((5, 5), seed=107)  # 100 springs of 104 that 8 threads take: the kernel of the walker
-    env = make_vec("Walker-v0", [body], num_envs=1, device="cpu", dtype="float32", lanes=1, threads=1)
-    sim = Simulation([env.sim.worlds[0]] * 4, env.sim.options, layout="group", lanes=None)
-    sizes = sim.buffers.sizes
-    assert sizes["spring"] % 8
-    sim.buffers.group = group.choose(sizes["point"], sizes["spring"], "float32", "cuda:0")
-    passes = dict(zip(group.places(), visits(sim, steps=4, seed=0), strict=True))["limit_pass"]
-    assert 1.0 <= passes < 1.9
 
 
 @needs_assembler

@@ -3,16 +3,6 @@
 // is number `part`. It owns the points and springs part, part + PARTS, ... and keeps what belongs to them in registers; what
 // others read is in `at`, shared memory on CUDA.
 
-// How often a group comes to a place in a sub-step, for tests; the place is the rest of the block.
-#if TALLIED
-int visits[PLACES] = {};
-#define COUNT(place) ++visits[PLACE_##place]
-#define TALLY(substep) tally(substep)
-#else
-#define COUNT(place)
-#define TALLY(substep)
-#endif
-
 #if defined(__CUDA_ARCH__)
 constexpr bool TIGHT = true;  // POINTS and SPRINGS are the sizes of the tables, rounded up
 #define UNROLL _Pragma("unroll")
@@ -136,18 +126,18 @@ auto largest = [&](float a) -> float {  // of a warp, not negative
 #endif
 };
 #else
-// A group is alone; where visits are counted, those of a warp are a block and go the same way, as on CUDA.
-constexpr int GROUPS = TALLIED ? 32 / PARTS : 1;
+// A group is alone; with WHOLE_WARPS, those of a warp are a block and go the same way, as on CUDA.
+constexpr int GROUPS = WHOLE_WARPS ? 32 / PARTS : 1;
 Shared& at = *reinterpret_cast<Shared*>(&wp::index(scratch, pack, 0));
 auto place_of = [](const Pair*, int n) -> unsigned { return n; };
 auto pair_at = [](const Pair* pairs, unsigned place) -> Pair { return pairs[place]; };
 auto pos_at = [&](unsigned place) -> Place { return at.pos[place]; };
-// Behind the memory of a group is what its threads vote with, then what is counted.
+// Behind the memory of a group is what its threads vote with.
 int* const turn = reinterpret_cast<int*>(reinterpret_cast<Shared*>(&wp::index(scratch, pack - pack % GROUPS, 0)) + 1);
 const int first_thread = pack % GROUPS * PARTS;
 auto sync = [&]() { WP_TILE_SYNC(); };
 auto fence = [&]() {
-    if (TALLIED) sync();
+    if (WHOLE_WARPS) sync();
 };
 // Joins what threads of the warp have, of the group alone where `own`.
 auto join = [&](int a, bool own, auto&& act) -> int {
@@ -260,14 +250,3 @@ auto tanh_of = [](double a) -> double {
     return wp::tanh(a);
 #endif
 };
-
-#if TALLIED
-auto tally = [&](int substep) {  // of the threads of a warp the most
-    int* all = reinterpret_cast<int*>(&at + 1) + 32;
-    for (int k = 0; k < PLACES; ++k) {
-        const int visited = join(visits[k], false, larger);
-        if (part == 0) all[substep * PLACES + k] = visited;
-        visits[k] = 0;
-    }
-};
-#endif

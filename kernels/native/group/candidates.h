@@ -31,7 +31,6 @@ auto find_tables = [&]() {
 };
 
 auto collect = [&]() {
-    COUNT(collect);
     const int* terrain_side = row_of(model.terrain_side, frame);
     const int columns = wp::index(model.terrain, frame)[0], lattice_rows = wp::index(model.terrain, frame)[1];
     const int first_other = wp::index(model.first_other, here);

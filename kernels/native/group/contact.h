@@ -60,7 +60,6 @@ auto boxes_overlap = [](const Box& a, const Box& b) -> bool {
 
 // Forces of contact `code` = 8 x candidate + 4 x way + corner.
 auto force_of = [&](int code, Hit& hit) {
-    COUNT(contact_force);
     const wp::vec_t<4, int> pair = candidates[code >> 3];
     const int way = code >> 2 & 1, c = code & 3, i = way ? pair[1] : pair[0], j = way ? pair[0] : pair[1];
     hit.point[0] = hit.point[1] = hit.point[2] = -1;
@@ -80,18 +79,15 @@ auto force_of = [&](int code, Hit& hit) {
     double depth = 0.0, ux = 0.0, uy = 0.0;
     ROLL for (int e = 0; e < 4; ++e) {
         if (!(r_sides >> e & 1)) continue;
-        COUNT(contact_side);
         const Place a = corner_at(j, e), b = corner_at(j, (e + 1) & 3);
         bool met = false;
         ROLL for (int edge = 0; edge < 2 && !met; ++edge) {
-            COUNT(contact_edge);
             const bool turned = edge ? !turn_last : turn_next;
             const Place other = edge ? last : next;
             const Place from = turned ? other : tip, to = turned ? tip : other;
             met = crosses(from.x, from.y, to.x, to.y, a.x, a.y, b.x, b.y);
         }
         if (!met) continue;
-        COUNT(contact_depth);
         const double d = depth_under(tip.x, tip.y, a.x, a.y, b.x, b.y);
         if (best < 0 || d < depth) {
             best = e;
@@ -101,7 +97,6 @@ auto force_of = [&](int code, Hit& hit) {
         }
     }
     if (best < 0) return;
-    COUNT(contact_law);
     const wp::vec_t<4, int>* table = pair[1] >= 0 ? &wp::index(model.pushed, here, 0) : corner;
     if (i >= 0) hit.point[0] = table[i][c];
     if (j >= 0) {
@@ -118,14 +113,12 @@ auto force_of = [&](int code, Hit& hit) {
 };
 
 auto add_queue = [&](int waiting) {
-    COUNT(contact_queue);
     sync();
     const int longest = most(waiting);
     ROLL for (int base = 0; base < longest; base += PARTS) {
         if (base + part < waiting) force_of(at.touch.queue[base + part], at.touch.hit[part]);
         sync();
         ROLL for (int n = 0; n < PARTS && base + n < longest; ++n) {
-            COUNT(contact_sum);
             const Hit& hit = at.touch.hit[n];
             const int p = part < 6 && base + n < waiting ? hit.point[part >> 1] : -1;
             if (p >= 0) {
@@ -141,7 +134,6 @@ auto add_queue = [&](int waiting) {
 
 // Overlapping boxes of distant voxels of a robot, in both orders; true if one has more than its limit.
 auto count_folds = [&](unsigned folded, int i) {
-    COUNT(folds);
     int* folds = &wp::index(data.folds, pack, 0, 0);
     if (!any_folds) {
         for (int k = part; k < wp::index(model.robots, here); k += PARTS) folds[k] = 0;
@@ -157,12 +149,10 @@ auto count_folds = [&](unsigned folded, int i) {
 // The corners that may be in another voxel before a point has moved by half of CLOSE_MARGIN, as codes in ascending order.
 // More than CLOSE: they, or the candidates, are too many for the list, and all corners of candidates are tested.
 auto find_close = [&]() {
-    COUNT(candidate_list);
     const int rounds = most(count);
     close_count = 0;
     bool folding = false;
     ROLL for (int base = 0; base < rounds; base += PARTS) {
-        COUNT(candidate);
         const int n = base + part;
         unsigned near = 0;
         if (n < count) {
@@ -177,7 +167,6 @@ auto find_close = [&]() {
             folding |= pair[2] & DISTANT && boxes_overlap(around_a, around_b);
         }
         if (!some(near)) continue;
-        COUNT(candidate_near);
         int total, place = close_count + sum_before(count_bits(near), total);
         close_count += total;
         for (; near; near &= near - 1, ++place) {
@@ -190,10 +179,8 @@ auto find_close = [&]() {
 };
 
 auto look_for_folds = [&]() {
-    COUNT(folds_test);
     const int rounds = most(pair_count);
     ROLL for (int base = 0; base < rounds; base += PARTS) {
-        COUNT(distant);
         const int n = base + part;
         int i = -1;
         bool fold = false;
@@ -222,7 +209,6 @@ auto touch = [&]() {
     const bool crowded = close_count > CLOSE;
     const int total = crowded ? 8 * count : close_count, rounds = most(total);
     ROLL for (int base = 0; base < rounds; base += PARTS) {
-        COUNT(near_corner);
         const int n = base + part;
         bool inside = false;
         int code = 0;
@@ -232,16 +218,12 @@ auto touch = [&]() {
             const int way = code >> 2 & 1, c = code & 3;
             if (!crowded || (way ? pair[3] : pair[2]) >> c & 1) {
                 const Quad q = seen_from(corner_at(way ? pair[1] : pair[0], c), quad_of(way ? pair[0] : pair[1]));
-                if (around(q)) {
-                    COUNT(near_voxel);
-                    inside = in_voxel(q.x[0], q.y[0], q.x[1], q.y[1], q.x[2], q.y[2], q.x[3], q.y[3]);
-                }
+                if (around(q)) inside = in_voxel(q.x[0], q.y[0], q.x[1], q.y[1], q.x[2], q.y[2], q.x[3], q.y[3]);
             }
         }
         bool found;
         const unsigned those = vote(inside, found);
         if (!found) continue;
-        COUNT(contact_found);
         if (some(waiting + PARTS > QUEUE)) {
             add_queue(waiting);
             waiting = 0;

@@ -23,15 +23,12 @@ auto correct = [&](bool in_place, unsigned rounds) {
     const Real bound = in_place ? model.rigid_strain_limit : model.strain_limit;
     const Real share = in_place ? model.rigid_strain_share : model.strain_share;
     bool any = false;
-    COUNT(limit_pass);
     ROLL for (int round = 0; rounds; round = (round + 1) % ROUNDS_A_BIT, rounds &= round ? rounds : rounds - 1) {
-        COUNT(limit_test);
         const int n = PARTS * (ROUNDS_A_BIT * lowest(rounds) + round) + part;
         Side side{0, Real(0)};
         if (in_place && n < PARTS) {
             side = at.rigid[part];
         } else if (n < total) {
-            COUNT(limit_side);
             int row = mesh;
             HIDE(row);
             side = side_of(row, in_place ? wp::index(model.rigid_spring, row, n) : n);
@@ -41,7 +38,6 @@ auto correct = [&](bool in_place, unsigned rounds) {
         const Real longest = rest0 * (Real(1) + bound), shortest = rest0 * (Real(1) - bound);
         int from = 0, again = 1;
         ROLL while (again) {
-            COUNT(limit_try);
             const Pair a = at.disp[p], b = at.disp[q];
             const Real ex = dx + (b.x - a.x), ey = dy + (b.y - a.y), square = ex * ex + ey * ey;
             const bool beyond = square >= longest * longest || square <= shortest * shortest;
@@ -50,9 +46,7 @@ auto correct = [&](bool in_place, unsigned rounds) {
             again = found;
             HIDE(again);
             if (!found) continue;
-            COUNT(limit_correct);
             if (!any) {
-                COUNT(limit_begin);
                 own_points([&](int, int own) { at.moved[own] = Pair{Real(0), Real(0)}; });
                 any = true;
                 sync();
@@ -74,7 +68,6 @@ auto correct = [&](bool in_place, unsigned rounds) {
         }
     }
     if (!any) return;
-    COUNT(limit_end);
     own_points([&](int j, int p) {
         const Pair c = at.moved[p];
         if (!in_place) at.disp[p] = Pair{at.disp[p].x + c.x, at.disp[p].y + c.y};
@@ -92,7 +85,6 @@ auto limit_strain = [&]() {
     unsigned beyond = 0;
     EACH_SPRING for (int j = 0; j < SPRING_ROUNDS; ++j) {
         if (SPRING_ROUNDS > FEW && PARTS * j >= springs) break;
-        COUNT(limit);
         const unsigned ends = at.spring[part + PARTS * j].ends;
         const Real middle = at.length[part + PARTS * j].middle;
         const Pair a = pair_at(at.disp, ends & 0xffff), b = pair_at(at.disp, ends >> 16);

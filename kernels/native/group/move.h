@@ -41,7 +41,6 @@ auto pull = [&](int j, Real size, Real x, Real y) {
 auto has_row = [](int j) -> bool { return TIGHT && j + 1 < SPRING_ROUNDS; };
 // Spring vectors, lengths and l_eq - l = rate (goal - l), in float64: the rounding of lengths would act like another goal.
 auto relax = [&](int j) {
-    COUNT(relax);
     if (SPRING_ROUNDS <= FEW && j % 4 == 0 && j) fence();
     const int s = part + PARTS * j;
     const unsigned ends = at.spring[s].ends;
@@ -79,7 +78,6 @@ auto own_springs = [&](auto&& act) {
 };
 // Hooke force k (l - l_eq) of a spring on its first end.
 auto stretch = [&](int j) {
-    COUNT(stretch);
     const int s = part + PARTS * j;
     const unsigned ends = at.spring[s].ends;
     const Real stiffness = at.spring[s].stiffness;
@@ -113,7 +111,6 @@ auto runge_kutta = [&]() {
         sum_gain[j] = sum_force[j] = Pair{Real(0), Real(0)};
     }
     ROLL for (int stage = 0; stage < 4; ++stage) {
-        COUNT(stage);
         HIDE(stage);
         // The last stage goes into the sum of velocities alone; what it leaves as displacement is replaced below.
         const Real early = stage < 3 ? Real(1) : Real(0), weight = stage % 3 ? Real(2) : Real(1);
@@ -126,14 +123,12 @@ auto runge_kutta = [&]() {
         sync();
         Pair force[POINT_ROUNDS];
         own_points([&](int j, int p) {
-            COUNT(point);
             const Pair v = stage_vel[j];
             force[j].x = fused(-v.x, model.drag, at.contact[p].x);
             force[j].y = fused(-v.y, model.drag, at.contact[p].y) - (APPROXIMATE ? Real(0) : model.weight);
         });
         if (lowest_point <= Real(0)) {  // the implicit floor at y = 0
             own_points([&](int j, int p) {
-                COUNT(floor);
                 const Real above = stage ? height[j] + at.disp[p].y : height[j];
                 if (!(above <= Real(0))) return;
                 Real normal, drag;
@@ -144,7 +139,6 @@ auto runge_kutta = [&]() {
         }
         lowest_point = Real(1);
         own_points([&](int j, int p) {
-            COUNT(gather);
             if (POINT_ROUNDS <= FEW && j % 2 == 0 && j) fence();
             const Pair v = stage_vel[j];
             Real fx = force[j].x, fy = force[j].y;
@@ -163,7 +157,6 @@ auto runge_kutta = [&]() {
         });
         sync();
     }
-    COUNT(finish);
     // x += dt v + dt^2 / 6 (a1 + a2 + a3) and v += dt / 6 (a1 + 2 a2 + 2 a3 + a4), in float64. A fixed point takes part in
     // the stages; only its update is dropped.
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {

@@ -1,7 +1,6 @@
 // A control step of one environment. The state in memory is written at its end alone, and only if the step stands.
 
 auto advance = [&]() {
-    COUNT(advance);
     const double rate = 1.0 / dt;
     float path = 0.0f;
     sync();
@@ -58,7 +57,6 @@ load_springs();
 load_rigids();
 sync();
 ROLL for (int n = 0; n < substeps; ++n) {
-    COUNT(substep);
     find_tables();
     if (some(drift + drift >= Single(model.margin))) {
         collect();
@@ -70,7 +68,6 @@ ROLL for (int n = 0; n < substeps; ++n) {
     runge_kutta();
     limit_strain();
     advance();
-    TALLY(n);
 }
 if (some_of_group(!in_bounds())) status |= DIVERGED;
 if (status & STILL) return;
@@ -90,5 +87,3 @@ if (part == 0) {
 #undef EACH_SPRING
 #undef KEEP
 #undef HIDE
-#undef COUNT
-#undef TALLY
