@@ -25,13 +25,14 @@ from warpvox.types import VOXEL
 WARP = 32
 BLOCK = 32
 """Threads of a CUDA block. Groups of a warp go the same way; more warps in a block would only wait for each other."""
-REGISTERS = 200
-"""Registers of a thread, at most, in float32: 10 warps fit a multiprocessor, without spills. float64 takes all 255."""
+REGISTERS = {16: 128, 32: 200}
+"""Registers of a thread in float32, at most, by threads of a group: nothing spills. float64 takes all 255."""
 SHARED_BYTES = 47 * 1024
 """Shared memory of the groups of a CUDA block, at most. A block has 48 KiB without asking, some of them Warp's."""
-SMALLEST, SMALL = (40, 112), 128
-"""Points and springs up to which 8 threads take an environment in float32 (bodies of 5 x 5 voxels); springs up to which
-16 do. 32 take a larger one."""
+SMALL = 48, 144
+"""Points and springs up to which 16 threads take an environment: bodies of 5 x 5 voxels, with a box or a ball."""
+FEW = 9
+"""Rounds of a loop over points or springs up to which it is unrolled (``native/group/base.h``)."""
 LINKS = 8
 """Springs of a point, at most: in a lattice four sides and four diagonals of voxels meet in it."""
 ROUNDS = 64
@@ -51,7 +52,7 @@ class Group:
 
     Attributes:
         precision: of the springs, 'float32' or 'float64'.
-        parts: threads of a group, 8, 16 or 32.
+        parts: threads of a group, 16 or 32.
         points, springs: capacities, multiples of ``parts``.
         approximate: roots, quotients and the contact law in fast float32.
     """
@@ -65,19 +66,13 @@ class Group:
     @property
     def registers(self) -> int:
         """Registers of a thread, at most."""
-        return REGISTERS if self.precision == "float32" else 255
-
-    @property
-    def few(self) -> int:
-        """Rounds of a loop over points or springs up to which it is unrolled (``native/group/base.h``)."""
-        return 8 if self.parts > 8 else SMALLEST[1] // self.parts
+        return REGISTERS[self.parts] if self.precision == "float32" else 255
 
     @property
     def layout(self) -> dict[str, tuple[int, int]]:
         """Elements of each field of ``Shared`` (``native/group/base.h``), and the bytes of one.
 
-        Forces of springs share their place with others. The list of close corners has room for 7 a thread and for what
-        makes the whole 64 bytes more than a multiple of 128: two groups of 8 threads, half a warp, use different banks.
+        Forces of springs share their place with others. The list of close corners has room for 8 a thread.
         """
         real, points, springs, parts = 4 if self.precision == "float32" else 8, self.points, self.springs, self.parts
         touch = 16 * points + parts * (16 + 12 * real + 16)
@@ -85,9 +80,7 @@ class Group:
         fields = dict(pos=(points, 16), disp=(points, 2 * real), contact=(points, 2 * real), links=(points, 16))
         fields |= dict(spring=(springs, 2 * real), length=(springs, 2 * real), rigid=(parts, 2 * real))
         fields |= dict(tension=(in_turn // (2 * real), 2 * real))
-        used = sum(count * size for count, size in fields.values())
-        close = 7 * parts
-        return fields | dict(close=(close + (64 - used - 2 * close) % 128 // 2, 2))
+        return fields | dict(close=(8 * parts, 2))
 
     @property
     def bytes(self) -> int:
@@ -102,9 +95,7 @@ class Group:
 
 def choose(points: int, springs: int, precision: str, device: str) -> Group | None:
     """The group for worlds with so many points and springs at most; None where they exceed the shared memory."""
-    parts = 16 if springs <= SMALL else 32
-    if precision == "float32" and points <= SMALLEST[0] and springs <= SMALLEST[1]:
-        parts = 8
+    parts = 16 if points <= SMALL[0] and springs <= SMALL[1] else 32
     if not on_cuda(device):
         points, springs = max(points, ON_CPU[0]), max(springs, ON_CPU[1])
         parts = 16 if points <= 16 * ROUNDS else 32
@@ -117,7 +108,7 @@ def choose(points: int, springs: int, precision: str, device: str) -> Group | No
 def source(group: Group, whole_warps: bool = False) -> str:
     """The C++ of a group kernel; with ``whole_warps`` the groups of a warp are one block on the CPU, too."""
     sizes = dict(PARTS=group.parts, POINTS=group.points, SPRINGS=group.springs, LINKS=LINKS)
-    sizes |= dict(GROUP_BYTES=group.bytes, FEW=group.few, CODED=CODED, CLOSE=group.layout["close"][0])
+    sizes |= dict(GROUP_BYTES=group.bytes, FEW=FEW, CODED=CODED, CLOSE=group.layout["close"][0])
     sizes |= CPP_CONSTANTS | dict(VOXEL=VOXEL, PARALLEL=PARALLEL, DEGENERATE=DEGENERATE, CLOSE_MARGIN=CLOSE_MARGIN)
     sizes |= dict(SHARED_BYTES=SHARED_BYTES, WHOLE_WARPS=int(whole_warps))
     lines = [f"typedef {'float' if group.precision == 'float32' else 'double'} Real;"]

@@ -12,8 +12,7 @@ auto most4 = [](auto a, auto b, auto c, auto d) {
     c = d > c ? d : c;
     return c > a ? c : a;
 };
-const int frame_of_mesh = wp::index(model.frame, mesh);
-int here = mesh, frame = frame_of_mesh;
+int here = mesh, frame = 0;
 const wp::vec_t<4, int>* corner = nullptr;
 wp::vec_t<4, int>* candidates = nullptr;
 const double* terrain_box = nullptr;  // left, right, bottom and top of each cell
@@ -23,8 +22,7 @@ auto find_tables = [&]() {
     here = mesh;
     HIDE(row);
     HIDE(here);
-    frame = frame_of_mesh;
-    HIDE(frame);
+    frame = wp::index(model.frame, here);
     corner = row_of(model.corner, here);
     candidates = row_of(data.pairs, row);
     terrain_box = &wp::index(model.terrain_box, frame, 0, 0);
@@ -38,7 +36,7 @@ auto collect = [&]() {
     const int* fixed = row_of(model.fixed_voxel, here);
     const int* fixed_at = row_of(model.fixed_at, frame);
     double* box = &wp::index(data.box, pack, 0, 0);
-    int* bits = &wp::index(data.pair_bit, unit, 0);
+    int* bits = &wp::index(data.pair_bit, pack, 0);
     const int voxels = points ? wp::index(model.voxels, here) : 0, movables = points ? wp::index(model.movables, here) : 0;
     const int words = (voxels + 31) / 32;
     const double margin = model.margin;

@@ -9,7 +9,7 @@ auto row_of = [](const auto& table, int row) { return &wp::index(table, row, 0);
 auto state_of = [](const auto& table, int row) { return &wp::index(table, row, 0, 0); };
 
 double vel[POINT_ROUNDS][2];
-Bits active = 0, loose = 0;  // of the own points those that hang on a spring or are free, those that are free
+Bits loose = 0;  // of the own points those that are free
 // Approximate, the weight of a point is taken for a contact.
 const Pair no_contact{Real(0), APPROXIMATE ? -model.weight : Real(0)};
 bool sound = true;
@@ -43,7 +43,6 @@ auto load_points = [&]() {
         }
         const int first = link_start[p], count = link_start[p + 1] - first;
         if (free_lanes[p]) loose |= Bits(1) << j;
-        if (free_lanes[p] || count) active |= Bits(1) << j;
         for (int n = 0; n < count; ++n) {
             const int s = link[first + n];
             at.links[p].place[n] = place_of(at.tension, s >= 0 ? pull_of(s, 0) : pull_of(-1 - s, 1));
@@ -51,13 +50,12 @@ auto load_points = [&]() {
     }
 };
 
-const int unit = pack;
-int pair_count = wp::index(data.pair_count, unit), count = pair_count + wp::index(data.near_count, unit);
+int pair_count = wp::index(data.pair_count, pack), count = pair_count + wp::index(data.near_count, pack);
 int close_count = 0;
 Single near_drift = STALE;  // the same since the corners near other voxels were listed
 // In `status`, where a bit takes no register of its own: some distant voxels of a robot are near each other; frozen, or
 // only here to fill the warp.
 constexpr int FOLDING = 1 << 8, STILL = 1 << 9;
-int status = wp::index(data.overflow, unit) ? OVERFLOW : 0;
+int status = wp::index(data.overflow, pack) ? OVERFLOW : 0;
 bool any_folds = false;
-Single drift = wp::index(data.drift, unit);  // bound of every point's path since the candidates were collected
+Single drift = wp::index(data.drift, pack);  // bound of every point's path since the candidates were collected

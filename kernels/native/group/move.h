@@ -110,6 +110,10 @@ auto runge_kutta = [&]() {
         lowest_point = lower(height[j], lowest_point);
         sum_gain[j] = sum_force[j] = Pair{Real(0), Real(0)};
     }
+    EACH_SPRING for (int j = 0; j < SPRING_ROUNDS; ++j) {  // without a value registers would be kept for all the sub-step
+        vec[j] = Pair{Real(0), Real(0)};
+        rest[j] = offset[j] = Real(0);
+    }
     ROLL for (int stage = 0; stage < 4; ++stage) {
         HIDE(stage);
         // The last stage goes into the sum of velocities alone; what it leaves as displacement is replaced below.

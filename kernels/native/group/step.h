@@ -37,7 +37,7 @@ auto store = [&]() {
     double* velocity = &wp::index(data.vel, pack, 0, 0);
     double* true_vel = &wp::index(data.true_vel, pack, 0, 0);
     own_points([&](int j, int p) {
-        if (!(active >> j & 1)) return;
+        if (!(loose >> j & 1) && at.links[p].place[0] == place_of(at.tension, 2 * SPRINGS)) return;  // not free, no spring
         pos[2 * p] = at.pos[p].x;
         pos[2 * p + 1] = at.pos[p].y;
         velocity[2 * p] = vel[j][0];
@@ -69,6 +69,7 @@ ROLL for (int n = 0; n < substeps; ++n) {
     limit_strain();
     advance();
 }
+HIDE(pack);  // no addresses are kept from the beginning
 if (some_of_group(!in_bounds())) status |= DIVERGED;
 if (status & STILL) return;
 const bool stands = !(status & (DIVERGED | UNSTABLE));
@@ -76,10 +77,10 @@ if (stands) store();
 if (part == 0) {
     wp::index(data.status, pack, 0) = status & ~FOLDING;
     if (stands) wp::index(data.time, pack, 0) += 1;
-    wp::index(data.drift, unit) = stands ? double(drift) : STALE;
-    wp::index(data.pair_count, unit) = pair_count;
-    wp::index(data.near_count, unit) = count - pair_count;
-    wp::index(data.overflow, unit) = (status & OVERFLOW) != 0;
+    wp::index(data.drift, pack) = stands ? double(drift) : STALE;
+    wp::index(data.pair_count, pack) = pair_count;
+    wp::index(data.near_count, pack) = count - pair_count;
+    wp::index(data.overflow, pack) = (status & OVERFLOW) != 0;
 }
 #undef UNROLL
 #undef ROLL
