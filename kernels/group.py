@@ -25,8 +25,9 @@ from warpvox.types import VOXEL
 WARP = 32
 BLOCK = 32
 """Threads of a CUDA block. Groups of a warp go the same way; more warps in a block would only wait for each other."""
-REGISTERS = {16: 128, 32: 200}
-"""Registers of a thread in float32, at most, by threads of a group: nothing spills. float64 takes all 255."""
+REGISTERS = 128
+"""Registers of a thread, at most, in float32: nothing spills, and each quarter of a multiprocessor, which has registers of
+its own, has room for 4 warps. float64 takes all 255."""
 SHARED_BYTES = 47 * 1024
 """Shared memory of the groups of a CUDA block, at most. A block has 48 KiB without asking, some of them Warp's."""
 SMALL = 48, 144
@@ -66,7 +67,7 @@ class Group:
     @property
     def registers(self) -> int:
         """Registers of a thread, at most."""
-        return REGISTERS[self.parts] if self.precision == "float32" else 255
+        return REGISTERS if self.precision == "float32" else 255
 
     @property
     def layout(self) -> dict[str, tuple[int, int]]:

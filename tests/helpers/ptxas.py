@@ -69,5 +69,5 @@ def assemble(kernel: wp.Kernel, architecture: int, folder: Path) -> Limits:
 
 def blocks(limits: Limits, architecture: int) -> int:
     """Blocks of a warp that a multiprocessor has registers and shared memory for."""
-    by_registers = REGISTERS // (-(-limits.registers // 8) * 8 * WARP)
+    by_registers = 4 * (REGISTERS // 4 // (-(-limits.registers // 8) * 8 * WARP))  # a quarter has its own
     return min(by_registers, SHARED[architecture] * 1024 // (limits.shared + RESERVED))
