@@ -54,13 +54,15 @@ class Group:
     Attributes:
         precision: of the springs, 'float32' or 'float64'.
         parts: threads of a group, 16 or 32.
-        points, springs: capacities, multiples of ``parts``.
+        points, movers, springs: capacities, multiples of ``parts``; no other points than the first ``movers`` are free
+            or hang on a spring.
         approximate: roots, quotients and the contact law in fast float32.
     """
 
     precision: str
     parts: int
     points: int
+    movers: int
     springs: int
     approximate: bool
 
@@ -75,10 +77,10 @@ class Group:
 
         Forces of springs share their place with others. The list of close corners has room for 8 a thread.
         """
-        real, points, springs, parts = 4 if self.precision == "float32" else 8, self.points, self.springs, self.parts
-        touch = 16 * points + parts * (16 + 12 * real + 16)
-        in_turn = max(touch, 2 * real * (2 * springs + 2), 2 * real * points)
-        fields = dict(pos=(points, 16), disp=(points, 2 * real), contact=(points, 2 * real), links=(points, 16))
+        real, movers, springs, parts = 4 if self.precision == "float32" else 8, self.movers, self.springs, self.parts
+        touch = 16 * movers + parts * (16 + 12 * real + 16)
+        in_turn = max(touch, 2 * real * (2 * springs + 2), 2 * real * movers)
+        fields = dict(pos=(self.points, 16), disp=(movers, 2 * real), contact=(movers, 2 * real), links=(movers, 16))
         fields |= dict(spring=(springs, 2 * real), length=(springs, 2 * real), rigid=(parts, 2 * real))
         fields |= dict(tension=(in_turn // (2 * real), 2 * real))
         return fields | dict(close=(8 * parts, 2))
@@ -94,26 +96,30 @@ class Group:
         return (self.bytes + 4 * WARP) // 8
 
 
-def choose(points: int, springs: int, precision: str, device: str) -> Group | None:
-    """The group for worlds with so many points and springs at most; None where they exceed the shared memory."""
-    parts = 16 if points <= SMALL[0] and springs <= SMALL[1] else 32
+def choose(points: int, springs: int, precision: str, device: str, movers: int | None = None) -> Group | None:
+    """The group for worlds with so many points and springs at most; None where they exceed the shared memory.
+
+    No other points than the first ``movers`` are free or hang on a spring; None: any may.
+    """
+    movers = points if movers is None else movers
+    parts = 16 if movers <= SMALL[0] and springs <= SMALL[1] else 32
     if not on_cuda(device):
         points, springs = max(points, ON_CPU[0]), max(springs, ON_CPU[1])
-        parts = 16 if points <= 16 * ROUNDS else 32
-    points, springs = (-(-max(count, 1) // parts) * parts for count in (points, springs))
-    group = Group(precision, parts, points, springs, on_cuda(device) and precision == "float32")
-    fits = points <= ROUNDS * parts and springs < 1 << 15  # point and place numbers have 16 bits
+        movers, parts = points, 16 if points <= 16 * ROUNDS else 32
+    points, movers, springs = (-(-max(count, 1) // parts) * parts for count in (points, movers, springs))
+    group = Group(precision, parts, points, movers, springs, on_cuda(device) and precision == "float32")
+    fits = movers <= ROUNDS * parts and springs < 1 << 15  # point and place numbers have 16 bits
     return group if fits and (not on_cuda(device) or group.bytes * (WARP // parts) <= SHARED_BYTES) else None
 
 
 def source(group: Group, whole_warps: bool = False) -> str:
     """The C++ of a group kernel; with ``whole_warps`` the groups of a warp are one block on the CPU, too."""
-    sizes = dict(PARTS=group.parts, POINTS=group.points, SPRINGS=group.springs, LINKS=LINKS)
+    sizes = dict(PARTS=group.parts, POINTS=group.points, MOVERS=group.movers, SPRINGS=group.springs, LINKS=LINKS)
     sizes |= dict(GROUP_BYTES=group.bytes, FEW=FEW, CODED=CODED, CLOSE=group.layout["close"][0])
     sizes |= CPP_CONSTANTS | dict(VOXEL=VOXEL, PARALLEL=PARALLEL, DEGENERATE=DEGENERATE, CLOSE_MARGIN=CLOSE_MARGIN)
     sizes |= dict(SHARED_BYTES=SHARED_BYTES, WHOLE_WARPS=int(whole_warps))
     lines = [f"typedef {'float' if group.precision == 'float32' else 'double'} Real;"]
-    lines += [f"typedef unsigned {'long long' if group.points > 32 * group.parts else 'int'} Bits;"]
+    lines += [f"typedef unsigned {'long long' if group.movers > 32 * group.parts else 'int'} Bits;"]
     lines += [f"#define APPROXIMATE {int(group.approximate)}"]
     lines += [constants(**sizes)]
     files = (f"native/group/{file}" for file in FILES)

@@ -46,10 +46,10 @@ def races(
     if compiler is None:
         pytest.skip("needs g++, whose -fsanitize=thread tells what is read and written")
     state, substeps = sim.buffers, sim.physics.substeps
-    group = choose(state.sizes["point"], state.sizes["spring"], "float32", "cuda:0")
+    group = choose(state.sizes["point"], state.sizes["spring"], "float32", "cuda:0", state.sizes["mover"])
     if parts is not None:
-        points, springs = (-(-state.sizes[name] // parts) * parts for name in ("point", "spring"))
-        group = type(group)("float32", parts, points, springs, True)
+        sizes = (-(-state.sizes[name] // parts) * parts for name in ("point", "mover", "spring"))
+        group = type(group)("float32", parts, *sizes, True)
     kernel = group_kernel(group, whole_warps=True)
     scratch = zeros((sim.num_envs, group.row), wp.float64, "cpu")
     actions = torch.zeros((sim.num_envs, sim.num_actions), dtype=sim.dtype)

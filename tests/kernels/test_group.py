@@ -235,14 +235,20 @@ def test_a_layout_that_there_is_not_is_refused(options, says):
         Simulation(crowd(1), device="cpu", **options)
 
 
-@pytest.mark.parametrize("task", ["Walker-v0", pytest.param("BeamToppler-v0", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "task",
+    [
+        "Walker-v0",
+        *(pytest.param(task, marks=pytest.mark.slow) for task in ("BeamToppler-v0", "Catcher-v0", "Climber-v1")),
+    ],
+)
 def test_memory_as_cuda_has_it(task):
     """The capacities of CUDA, where what is used in turn overlaps most closely; nothing is zero at first."""
     sims = pair_of_task(task)
     state = sims[1]._state
-    state.group = replace(
-        group.choose(state.sizes["point"], state.sizes["spring"], "float32", "cuda:0"), approximate=False
-    )
+    sizes = state.sizes
+    on_cuda = group.choose(sizes["point"], sizes["spring"], "float32", "cuda:0", sizes["mover"])
+    state.group = replace(on_cuda, approximate=False)
     for step in range(8):
         state.scratch.fill_(float("nan"))
         run(sims, 1, seed=step)

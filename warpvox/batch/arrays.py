@@ -71,8 +71,11 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
     tables.pop("actions")
     taken = None
     if batch.layout == "group":
-        taken = choose(sizes["point"], sizes["spring"], precision, device)
-        if taken is None or np.diff(tables["link_start"]).max(initial=0) > LINKS:
+        links = np.diff(tables["link_start"])
+        moves = ((links > 0) | (tables["free_lanes"] != 0)).any(0)
+        sizes["mover"] = sizes["point"] if batch.grid else 1 + int(np.flatnonzero(moves).max(initial=0))
+        taken = choose(sizes["point"], sizes["spring"], precision, device, sizes["mover"])
+        if taken is None or links.max(initial=0) > LINKS:
             return None
     model, data = allocate(MODEL, sizes, precision, device), allocate(DATA, sizes, precision, device)
     types = structs(precision)

@@ -1,7 +1,8 @@
-// What the body of the group kernel begins with, after the constants PARTS (threads of a group), POINTS and SPRINGS (capacities,
-// multiples of PARTS), APPROXIMATE, and `typedef ... Real`. One environment is advanced by PARTS threads, of which this
-// is number `part`. It owns the points and springs part, part + PARTS, ... and keeps what belongs to them in registers; what
-// others read is in `at`, shared memory on CUDA.
+// What the body of the group kernel begins with, after the constants PARTS (threads of a group), POINTS, MOVERS and SPRINGS
+// (capacities, multiples of PARTS; points from MOVERS on neither move nor hang on a spring), APPROXIMATE, and `typedef ...
+// Real`. One environment is advanced by PARTS threads, of which this is number `part`. It owns the points below MOVERS and
+// the springs part, part + PARTS, ... and keeps what belongs to them in registers; what others read is in `at`, shared
+// memory on CUDA.
 
 #if defined(__CUDA_ARCH__)
 constexpr bool TIGHT = true;  // POINTS and SPRINGS are the sizes of the tables, rounded up
@@ -23,8 +24,9 @@ constexpr bool TIGHT = false;
 #endif
 
 typedef Real Value;  // as in scalar.h
-static_assert(POINTS % PARTS == 0 && SPRINGS % PARTS == 0 && POINTS <= 64 * PARTS && SPRINGS < 1 << 15, "capacities");
-constexpr int POINT_ROUNDS = POINTS / PARTS, SPRING_ROUNDS = SPRINGS / PARTS;
+static_assert(POINTS % PARTS == 0 && MOVERS % PARTS == 0 && SPRINGS % PARTS == 0, "capacities");
+static_assert(MOVERS <= 64 * PARTS && SPRINGS < 1 << 15, "capacities");
+constexpr int POINT_ROUNDS = MOVERS / PARTS, SPRING_ROUNDS = SPRINGS / PARTS;
 // Up to FEW rounds are unrolled; what a thread owns is in registers then, else in local memory.
 constexpr int POINTS_AT_ONCE = POINT_ROUNDS <= FEW ? POINT_ROUNDS : 1;
 constexpr int SPRINGS_AT_ONCE = SPRING_ROUNDS <= FEW ? SPRING_ROUNDS : 1;
@@ -51,21 +53,21 @@ struct Hit {
     Push push[3];
 };
 struct Touch {  // what the contacts of a sub-step need
-    Place velocity[POINTS];  // displacement of the last sub-step / dt
+    Place velocity[MOVERS];  // displacement of the last sub-step / dt
     Hit hit[PARTS];
     int queue[QUEUE];
 };
 struct alignas(16) Shared {
     Place pos[POINTS];
-    Pair disp[POINTS], contact[POINTS];
-    Links links[POINTS];
+    Pair disp[MOVERS], contact[MOVERS];
+    Links links[MOVERS];
     Spring spring[SPRINGS];
     Length length[SPRINGS];  // elements of 8 bytes: half a warp reads as many words as there are banks
     Side rigid[PARTS];       // the first of the sides of rigid voxels
     union {  // one after another in a sub-step
         Touch touch;
         Pair tension[2 * SPRINGS + 2];  // forces of a spring on its ends; at last -0
-        Pair moved[POINTS];             // corrections of the strain limit
+        Pair moved[MOVERS];             // corrections of the strain limit
     };
     unsigned short close[CLOSE];  // corners that are near another voxel
 };

@@ -25,6 +25,13 @@ auto load_points = [&]() {
     const double* pos = &wp::index(data.pos, pack, 0, 0);
     const double* velocity = &wp::index(data.vel, pack, 0, 0);
     const double* true_vel = &wp::index(data.true_vel, pack, 0, 0);
+    auto load_pos = [&](int p) {
+        at.pos[p] = Place{pos[2 * p], pos[2 * p + 1]};
+        for (int r = 2 * p; r < 2 * p + 2; ++r) {
+            sound &= wp::abs(pos[r]) <= FARTHEST && wp::abs(velocity[r]) <= FASTEST && wp::abs(true_vel[r]) <= FASTEST;
+        }
+    };
+    ROLL for (int p = MOVERS + part; MOVERS < POINTS && p < points; p += PARTS) load_pos(p);
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
         const int p = part + PARTS * j;
         vel[j][0] = vel[j][1] = 0.0;
@@ -33,14 +40,10 @@ auto load_points = [&]() {
         at.contact[p] = no_contact;
         at.touch.velocity[p] = Place{0.0, 0.0};
         if (p >= points) continue;
-        at.pos[p] = Place{pos[2 * p], pos[2 * p + 1]};
+        load_pos(p);
         at.touch.velocity[p] = Place{true_vel[2 * p], true_vel[2 * p + 1]};
         vel[j][0] = velocity[2 * p];
         vel[j][1] = velocity[2 * p + 1];
-        for (int axis = 0; axis < 2; ++axis) {
-            sound &= wp::abs(pos[2 * p + axis]) <= FARTHEST && wp::abs(vel[j][axis]) <= FASTEST;
-            sound &= wp::abs(true_vel[2 * p + axis]) <= FASTEST;
-        }
         const int first = link_start[p], count = link_start[p + 1] - first;
         if (free_lanes[p]) loose |= Bits(1) << j;
         for (int n = 0; n < count; ++n) {
