@@ -24,16 +24,17 @@ from warpvox.types import VOXEL
 
 WARP = 32
 BLOCK = 32
-"""Threads of a CUDA block. Groups of a warp go the same way; more warps in a block would only wait for each other."""
-REGISTERS = 128
-"""Registers of a thread, at most, in float32: nothing spills, and each quarter of a multiprocessor, which has registers of
-its own, has room for 4 warps. float64 takes all 255."""
+"""Threads of a CUDA block, or those of a larger group. Groups of a warp go the same way; more would only wait."""
+REGISTERS = {16: 128, 32: 128, 64: 144, 128: 128}
+"""Registers of a thread in float32, at most, by threads of a group: next to nothing spills, and each quarter of a
+multiprocessor, which has registers of its own, has room for 4 warps (3). float64 takes all 255."""
 SHARED_BYTES = 47 * 1024
 """Shared memory of the groups of a CUDA block, at most. A block has 48 KiB without asking, some of them Warp's."""
 SMALL = 48, 144
 """Points and springs up to which 16 threads take an environment: bodies of 5 x 5 voxels, with a box or a ball."""
 FEW = 9
-"""Rounds of a loop over points or springs up to which it is unrolled (``native/group/base.h``)."""
+"""Rounds of a loop over points or springs up to which it is unrolled (``native/group/base.h``). Where 32 threads need
+more, 64 or 128 take an environment."""
 LINKS = 8
 """Springs of a point, at most: in a lattice four sides and four diagonals of voxels meet in it."""
 ROUNDS = 64
@@ -53,8 +54,8 @@ class Group:
 
     Attributes:
         precision: of the springs, 'float32' or 'float64'.
-        parts: threads of a group, 16 or 32.
-        points, movers, springs: capacities, multiples of ``parts``; no other points than the first ``movers`` are free
+        parts: threads of a group: 16, 32, 64 or 128.
+        points, movers, springs: capacities, multiples of 16 or 32; no other points than the first ``movers`` are free
             or hang on a spring.
         approximate: roots, quotients and the contact law in fast float32.
     """
@@ -69,13 +70,13 @@ class Group:
     @property
     def registers(self) -> int:
         """Registers of a thread, at most."""
-        return REGISTERS if self.precision == "float32" else 255
+        return REGISTERS[self.parts] if self.precision == "float32" else 255
 
     @property
     def layout(self) -> dict[str, tuple[int, int]]:
         """Elements of each field of ``Shared`` (``native/group/base.h``), and the bytes of one.
 
-        Forces of springs share their place with others. The list of close corners has room for 8 a thread.
+        Forces of springs share their place with others. The list of close corners has room for 8 a thread of a warp.
         """
         real, movers, springs, parts = 4 if self.precision == "float32" else 8, self.movers, self.springs, self.parts
         touch = 16 * movers + parts * (16 + 12 * real + 16)
@@ -83,7 +84,7 @@ class Group:
         fields = dict(pos=(self.points, 16), disp=(movers, 2 * real), contact=(movers, 2 * real), links=(movers, 16))
         fields |= dict(spring=(springs, 2 * real), length=(springs, 2 * real), rigid=(parts, 2 * real))
         fields |= dict(tension=(in_turn // (2 * real), 2 * real))
-        return fields | dict(close=(8 * parts, 2))
+        return fields | dict(close=(8 * min(parts, WARP), 2))
 
     @property
     def bytes(self) -> int:
@@ -93,7 +94,7 @@ class Group:
     @property
     def row(self) -> int:
         """Numbers of 8 bytes that a group has on the CPU: this memory and that of votes."""
-        return (self.bytes + 4 * WARP) // 8
+        return (self.bytes + 4 * max(WARP, self.parts)) // 8
 
 
 def choose(points: int, springs: int, precision: str, device: str, movers: int | None = None) -> Group | None:
@@ -102,14 +103,19 @@ def choose(points: int, springs: int, precision: str, device: str, movers: int |
     No other points than the first ``movers`` are free or hang on a spring; None: any may.
     """
     movers = points if movers is None else movers
-    parts = 16 if movers <= SMALL[0] and springs <= SMALL[1] else 32
+    wide = next((parts for parts in (WARP, 2 * WARP) if max(movers, springs) <= FEW * parts), 4 * WARP)
+    tried = [16] if movers <= SMALL[0] and springs <= SMALL[1] else [wide, WARP]
     if not on_cuda(device):
         points, springs = max(points, ON_CPU[0]), max(springs, ON_CPU[1])
-        movers, parts = points, 16 if points <= 16 * ROUNDS else 32
-    points, movers, springs = (-(-max(count, 1) // parts) * parts for count in (points, movers, springs))
-    group = Group(precision, parts, points, movers, springs, on_cuda(device) and precision == "float32")
-    fits = movers <= ROUNDS * parts and springs < 1 << 15  # point and place numbers have 16 bits
-    return group if fits and (not on_cuda(device) or group.bytes * (WARP // parts) <= SHARED_BYTES) else None
+        movers, tried = points, [16 if points <= 16 * ROUNDS else 32]
+    for parts in tried:
+        whole = min(parts, WARP)
+        sizes = (-(-max(count, 1) // whole) * whole for count in (points, movers, springs))
+        group = Group(precision, parts, *sizes, on_cuda(device) and precision == "float32")
+        fits = group.movers <= ROUNDS * parts and group.springs < 1 << 15  # point and place numbers have 16 bits
+        if fits and (not on_cuda(device) or group.bytes * max(WARP // parts, 1) <= SHARED_BYTES):
+            return group
+    return None
 
 
 def source(group: Group, whole_warps: bool = False) -> str:
@@ -143,7 +149,7 @@ def group_kernel(group: Group, whole_warps: bool = False) -> wp.Kernel:
         live: int, substeps: int, dt: wp.float64,
     ): ...  # fmt: skip
 
-    @register_limited(group.registers, BLOCK)
+    @register_limited(group.registers, max(BLOCK, group.parts))
     def group_step(
         model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), first_pack: int, packs: int,
         order: int, substeps: int, dt: wp.float64,
@@ -160,6 +166,6 @@ def record_group(state, substeps: int, first: int, packs: int, order: int = 0) -
     """A command that does one control step of the packs ``first`` to ``first + packs`` from the actions taken."""
     group = state.group
     inputs = [state.model, state.data, state.scratch, first, packs, order, substeps, state.dt]
-    block, together = BLOCK if on_cuda(state.device) else group.parts, WARP // group.parts
+    block, together = max(BLOCK if on_cuda(state.device) else 1, group.parts), max(WARP // group.parts, 1)
     rows = -(-packs // together) * together
     return record(group_kernel(group), (rows, group.parts), inputs, state.device, block, together=True)

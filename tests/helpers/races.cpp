@@ -12,12 +12,14 @@
 namespace {
 enum Kind { WRITE_WRITE, WRITE_READ, READ_WRITE, APART };
 struct Range { uintptr_t begin, size, period, kept; size_t first; };
+typedef unsigned __int128 Threads;
 struct Trace {
-    unsigned written = 0, read = 0, readers = 0;  // since which barrier, which meeting; a bit for each thread
+    unsigned written = 0, read = 0;  // since which barrier, which meeting
+    Threads readers = 0;             // a bit for each
     int writer = -1;
     void *write_at = nullptr, *read_at = nullptr;
 };
-constexpr int MOST = 32, GRAIN = 2;  // threads; bytes that are told apart
+constexpr int MOST = 128, GRAIN = 2;  // threads; bytes that are told apart
 std::vector<Range> ranges;
 std::vector<Trace> traces;
 std::map<std::tuple<int, uintptr_t, uintptr_t>, long> found;
@@ -43,7 +45,7 @@ void touch(void* address, size_t size, bool write, void* at) {
         ++accesses;
         for (size_t k = offset / GRAIN; k <= (offset + size - 1) / GRAIN; ++k) {
             Trace& trace = traces[range.first + k];
-            const unsigned me = 1u << current;
+            const Threads me = Threads(1) << current;
             if (trace.written == barrier && trace.writer != current) note(write ? WRITE_WRITE : WRITE_READ, trace.write_at, at);
             if (write) {
                 // A vote is no barrier, but what is written after it depends on what was read before.

@@ -1,4 +1,4 @@
-"""Races between the threads of a warp in the group kernel, found on the CPU by gcc and ``races.cpp``.
+"""Races between the threads of a block in the group kernel, found on the CPU by gcc and ``races.cpp``.
 
 A race is that a thread reads or writes what another has written since the last barrier, or writes what another has
 read since they last met. Votes are no barriers: CUDA promises nothing about memory there.
@@ -48,14 +48,14 @@ def races(
     state, substeps = sim.buffers, sim.physics.substeps
     group = choose(state.sizes["point"], state.sizes["spring"], "float32", "cuda:0", state.sizes["mover"])
     if parts is not None:
-        sizes = (-(-state.sizes[name] // parts) * parts for name in ("point", "mover", "spring"))
+        sizes = (-(-state.sizes[name] // WARP) * WARP for name in ("point", "mover", "spring"))
         group = type(group)("float32", parts, *sizes, True)
     kernel = group_kernel(group, whole_warps=True)
     scratch = zeros((sim.num_envs, group.row), wp.float64, "cpu")
     actions = torch.zeros((sim.num_envs, sim.num_actions), dtype=sim.dtype)
     take = record_actions(state, wp.from_torch(actions), ACTION_LOW, ACTION_HIGH)
     inputs = [state.model, state.data, scratch, 0, sim.num_envs, 0, substeps, state.dt]
-    command = record(kernel, (sim.num_envs, group.parts), inputs, "cpu", WARP, together=True)
+    command = record(kernel, (sim.num_envs, group.parts), inputs, "cpu", max(WARP, group.parts), together=True)
     text = change(_source(kernel, folder))
     path = str(_build(compiler, text, folder))
     library = ctypes.CDLL(path)
@@ -85,7 +85,8 @@ def _source(kernel: wp.Kernel, folder: Path) -> str:
         wp.config.enable_cpu_blocks = before
     text = next(folder.glob("*.cpp")).read_text(encoding="utf-8")
     assert "{ WP_TILE_SYNC(); }" in text
-    text = text.replace("{ WP_TILE_SYNC(); }", "{ meet(1); }").replace("if (WHOLE_WARPS) sync();", "meet(0);")
+    text = text.replace("{ WP_TILE_SYNC(); }", "{ meet(1); }")
+    text = text.replace("(WHOLE_WARPS && PARTS <= 32) sync();", "(PARTS <= 32) meet(0);")
     before, rest = text.split("auto join =", 1)
     votes, after = rest.split("return joined;", 1)
     return f'extern "C" void meet(int);\n{before}auto join ={votes.replace("sync();", "meet(0);")}return joined;{after}'

@@ -9,7 +9,7 @@ from warpvox.kernels.step import step_kernel
 
 WARPS = {80: 11, 89: 7, 90: 16, 100: 16}
 """Warps of walkers on a multiprocessor, by compute capability: two environments each."""
-WALKER, CARRIER, BEAM, TRAVERSER = (36, 104), (48, 133), (69, 196), (344, 850)
+WALKER, CARRIER, BEAM, CLIMBER, TRAVERSER = (36, 104), (48, 133), (69, 196), (336, 289, 282), (344, 850)
 BLOCK_SHARED = 48 * 1024
 LANES = Limits(registers=255, stack=512, spilled=640, shared=0)
 """One thread an environment: what it keeps is in memory anyway."""
@@ -27,7 +27,7 @@ needs_assembler = pytest.mark.usefixtures("assembler")
 
 
 def limits_of(sizes, precision, architecture, folder):
-    chosen = group.choose(*sizes, precision, "cuda:0")
+    chosen = group.choose(*sizes[:2], precision, "cuda:0", *sizes[2:])
     return assemble(group.group_kernel(chosen), architecture, folder), chosen.registers
 
 
@@ -60,10 +60,12 @@ def test_other_groups_neither(architecture, sizes, precision, tmp_path):
 @needs_assembler
 @pytest.mark.slow
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
-def test_a_large_world_has_what_its_threads_own_in_local_memory(architecture, tmp_path):
-    found, _ = limits_of(TRAVERSER, "float32", architecture, tmp_path)
-    assert found.spilled == 0
-    assert found.stack <= 2048
+@pytest.mark.parametrize("sizes", [CLIMBER, TRAVERSER])
+def test_several_warps_of_a_large_world_spill_next_to_nothing(architecture, sizes, tmp_path):
+    found, most = limits_of(sizes, "float32", architecture, tmp_path)
+    assert found.spilled <= 160
+    assert found.stack <= 32
+    assert found.registers <= most
     assert found.shared <= BLOCK_SHARED
 
 

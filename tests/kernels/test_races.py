@@ -1,4 +1,4 @@
-"""No thread of a warp reads or writes what another has written since the last barrier (``tests/helpers/races.py``)."""
+"""No thread of a block reads or writes what another has written since the last barrier (``tests/helpers/races.py``)."""
 
 import pytest
 import torch
@@ -12,7 +12,7 @@ pytestmark = pytest.mark.slow
 ENVS = 8
 
 
-@pytest.fixture(params=["crowd", "Walker-v0", "BeamToppler-v0", "Catcher-v0", "Climber-v1"])
+@pytest.fixture(params=["crowd", "Walker-v0", "BeamToppler-v0", "Catcher-v0", "Climber-v1", "Traverser-v0"])
 def sim(request):
     """Environments of a task, or different bodies on top of each other; one of them is frozen."""
     if request.param == "crowd":
@@ -32,10 +32,11 @@ def test_what_another_thread_writes_is_read_behind_a_barrier(sim, tmp_path):
     assert watched > 1e6
 
 
-def test_groups_of_different_bodies_share_a_warp(tmp_path):
+@pytest.mark.parametrize("parts", [16, 64, 128])
+def test_groups_of_different_bodies_too(parts, tmp_path):
     worlds = [crowded_world(seed) for seed in range(ENVS)]
     sim = Simulation(worlds, device="cpu", dtype="float32", arithmetic="fast", threads=1, layout="group")
-    assert not races(sim, 4, tmp_path, parts=16)[0]
+    assert not races(sim, 4, tmp_path, parts)[0]
 
 
 def test_a_barrier_that_is_missing_is_found(tmp_path):

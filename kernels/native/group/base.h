@@ -12,7 +12,7 @@ constexpr bool TIGHT = true;  // POINTS and SPRINGS are the sizes of the tables,
 #define EACH_SPRING _Pragma("unroll SPRINGS_AT_ONCE")
 #define KEEP(number) asm("" : "+r"(number))  // computed as it stands
 #define HIDE(number) asm volatile("" : "+r"(number))  // the compiler knows nothing about it from here on
-const unsigned first_thread = (threadIdx.x & 31) / PARTS * PARTS, everyone = 0xffffffffu;
+const unsigned first_thread = PARTS > 32 ? 0 : (threadIdx.x & 31) / PARTS * PARTS, everyone = 0xffffffffu;
 #else
 constexpr bool TIGHT = false;
 #define UNROLL
@@ -24,9 +24,12 @@ constexpr bool TIGHT = false;
 #endif
 
 typedef Real Value;  // as in scalar.h
-static_assert(POINTS % PARTS == 0 && MOVERS % PARTS == 0 && SPRINGS % PARTS == 0, "capacities");
+// Where several warps have an environment, the last of them may have nothing in the last round of points or springs.
+constexpr int WARPS = PARTS > 32 ? PARTS / 32 : 1, WHOLE = PARTS > 32 ? 32 : PARTS;
+static_assert(POINTS % WHOLE == 0 && MOVERS % WHOLE == 0 && SPRINGS % WHOLE == 0, "capacities");
 static_assert(MOVERS <= 64 * PARTS && SPRINGS < 1 << 15, "capacities");
-constexpr int POINT_ROUNDS = MOVERS / PARTS, SPRING_ROUNDS = SPRINGS / PARTS;
+constexpr int POINT_ROUNDS = (MOVERS + PARTS - 1) / PARTS, SPRING_ROUNDS = (SPRINGS + PARTS - 1) / PARTS;
+auto within = [&](int j, int capacity) -> bool { return capacity % PARTS == 0 || part + PARTS * j < capacity; };
 // Up to FEW rounds are unrolled; what a thread owns is in registers then, else in local memory.
 constexpr int POINTS_AT_ONCE = POINT_ROUNDS <= FEW ? POINT_ROUNDS : 1;
 constexpr int SPRINGS_AT_ONCE = SPRING_ROUNDS <= FEW ? SPRING_ROUNDS : 1;
@@ -73,12 +76,15 @@ struct alignas(16) Shared {
 };
 static_assert(sizeof(Shared) == GROUP_BYTES, "Group.layout is another");
 
-// The groups of a warp take the same way: where one has work, all of them come along. `sync` and `some` are about the warp,
-// as is `most`, the largest of numbers that the threads of a group share; `vote` gives the bits of a group and whether the
-// warp has `any`. None of them stands where the groups of a warp may go different ways.
+// The groups of a warp, or the warps of a group, are a block and take the same way: where one has work, all of them come
+// along. `sync` and `some` are about the block, as is `most`, the largest of numbers that the threads of a group share.
+// `first_of` gives the first thread of a group that says yes (PARTS: none), `rank_of` how many before this one do, and
+// how many in all; both whether the block has `any`; `sum_before` the sum of the numbers below 2^16 that the threads
+// before this one have, and the `total` of the group. None of them stands where the block may go different ways.
 #if defined(__CUDA_ARCH__)
-static_assert(32 / PARTS * GROUP_BYTES <= SHARED_BYTES, "no room in shared memory");
-__shared__ Shared groups[32 / PARTS];
+constexpr int GROUPS = PARTS < 32 ? 32 / PARTS : 1;
+static_assert(GROUPS * GROUP_BYTES <= SHARED_BYTES, "no room in shared memory");
+__shared__ Shared groups[GROUPS];
 Shared& at = groups[first_thread / PARTS];
 // Where an element of `disp` or `tension` is, in 16 bits: in bytes, so that nothing is left to compute.
 char* const memory = reinterpret_cast<char*>(groups);
@@ -90,14 +96,25 @@ auto pos_at = [&](unsigned place) -> Place {  // of the point whose displacement
     const int begin = WIDER * place + before_pos;
     return *reinterpret_cast<const Place*>(memory + begin);
 };
-auto sync = [&]() { __syncwarp(); };
+auto sync = [&]() { WARPS > 1 ? __syncthreads() : __syncwarp(); };
+auto sync_first_warp = []() { __syncwarp(); };
 auto fence = []() { __syncwarp(); };  // keeps the compiler from reading ahead, which takes registers
-auto vote = [&](bool yes, bool& any) -> unsigned {
+auto vote = [&](bool yes, bool& any) -> unsigned {  // bits of the group, of several warps of this one
     const unsigned bits = __ballot_sync(everyone, yes);
     any = bits != 0;
-    return PARTS == 32 ? bits : bits >> first_thread & ((1u << (PARTS % 32)) - 1u);
+    return PARTS >= 32 ? bits : bits >> first_thread & ((1u << (PARTS % 32)) - 1u);
 };
-auto some = [&](bool yes) -> bool { return __any_sync(everyone, yes); };
+auto some = [&](bool yes) -> bool { return WARPS > 1 ? __syncthreads_or(yes) : __any_sync(everyone, yes); };
+__shared__ unsigned said[WARPS];
+auto join_warps = [&](unsigned a, auto&& act) -> unsigned {  // what the warps of a group have, in their order
+    if (WARPS == 1) return a;
+    if (part % 32 == 0) said[part / 32] = a;
+    __syncthreads();
+    unsigned joined = said[0];
+    for (int k = 1; k < WARPS; ++k) joined = act(joined, said[k]);
+    __syncthreads();
+    return joined;
+};
 auto most = [&](int a) -> int {
 #if __CUDA_ARCH__ >= 800
     return PARTS < 32 ? __reduce_max_sync(everyone, a) : a;
@@ -111,25 +128,70 @@ auto higher = [](Single a, Single b) -> Single { return fmax(a, b); };
 auto count_bits = [](unsigned a) -> int { return __popc(a); };
 auto lowest = [](unsigned a) -> int { return __ffs(a) - 1; };
 auto sign_of = [](double a) -> int { return __double2hiint(a); };  // of a number that is a difference, never -0
-auto together = [&](unsigned a) -> unsigned {  // the bits that some thread of the warp has
+auto either = [](unsigned a, unsigned b) -> unsigned { return a | b; };
+auto larger = [](unsigned a, unsigned b) -> unsigned { return max(a, b); };
+auto smaller = [](unsigned a, unsigned b) -> unsigned { return min(a, b); };
+auto together = [&](unsigned a) -> unsigned {  // the bits that some thread of the block has
 #if __CUDA_ARCH__ >= 800
-    return __reduce_or_sync(everyone, a);
+    a = __reduce_or_sync(everyone, a);
 #else
     for (int k = 1; k < 32; k *= 2) a |= __shfl_xor_sync(everyone, a, k);
-    return a;
 #endif
+    return join_warps(a, either);
 };
-auto largest = [&](float a) -> float {  // of a warp, not negative
+auto largest = [&](float number) -> float {  // of a block, not negative: the bits are in the order of the numbers
+    unsigned a = __float_as_uint(number);
 #if __CUDA_ARCH__ >= 800
-    return __uint_as_float(__reduce_max_sync(everyone, __float_as_uint(a)));
+    a = __reduce_max_sync(everyone, a);
 #else
-    for (int k = 1; k < 32; k *= 2) a = fmaxf(a, __shfl_xor_sync(everyone, a, k));
-    return a;
+    for (int k = 1; k < 32; k *= 2) a = max(a, __shfl_xor_sync(everyone, a, k));
 #endif
+    return __uint_as_float(join_warps(a, larger));
+};
+auto some_of_group = [&](bool yes) -> bool {
+    bool any;
+    return WARPS > 1 ? some(yes) : vote(yes, any) != 0;
+};
+auto lower_threads = [&]() -> unsigned { return (1u << (WARPS > 1 ? part % 32 : part)) - 1; };
+auto add_warps = [&](int& before, int& total) {  // to what is known of this warp
+    if (WARPS == 1) return;
+    int k = 0, others = 0;
+    total = join_warps(total, [&](unsigned a, unsigned b) -> unsigned {
+        if (++k == part / 32) others = a;
+        return a + b;
+    });
+    before += others;
+};
+auto rank_of = [&](bool yes, int& total, bool& any) -> int {
+    const unsigned bits = vote(yes, any);
+    int before = count_bits(bits & lower_threads());
+    total = count_bits(bits);
+    add_warps(before, total);
+    if (WARPS > 1) any = total != 0;
+    return before;
+};
+auto first_of = [&](bool yes, bool& any) -> int {
+    const unsigned bits = vote(yes, any);
+    if (WARPS == 1) return bits ? lowest(bits) : PARTS;
+    const int first = join_warps(bits ? part / 32 * 32 + lowest(bits) : PARTS, smaller);
+    any = first < PARTS;
+    return first;
+};
+auto sum_before = [&](unsigned number, int& total) -> int {
+    int before = 0;
+    total = 0;
+    ROLL for (int b = 0; b < 16; ++b) {
+        bool any;
+        const unsigned those = vote(number >> b & 1, any);
+        before += count_bits(those & lower_threads()) << b;
+        total += count_bits(those) << b;
+    }
+    add_warps(before, total);
+    return before;
 };
 #else
 // A group is alone; with WHOLE_WARPS, those of a warp are a block and go the same way, as on CUDA.
-constexpr int GROUPS = WHOLE_WARPS ? 32 / PARTS : 1;
+constexpr int GROUPS = WHOLE_WARPS && PARTS < 32 ? 32 / PARTS : 1;
 Shared& at = *reinterpret_cast<Shared*>(&wp::index(scratch, pack, 0));
 auto place_of = [](const Pair*, int n) -> unsigned { return n; };
 auto pair_at = [](const Pair* pairs, unsigned place) -> Pair { return pairs[place]; };
@@ -138,10 +200,11 @@ auto pos_at = [&](unsigned place) -> Place { return at.pos[place]; };
 int* const turn = reinterpret_cast<int*>(reinterpret_cast<Shared*>(&wp::index(scratch, pack - pack % GROUPS, 0)) + 1);
 const int first_thread = pack % GROUPS * PARTS;
 auto sync = [&]() { WP_TILE_SYNC(); };
+auto sync_first_warp = sync;
 auto fence = [&]() {
-    if (WHOLE_WARPS) sync();
+    if (WHOLE_WARPS && PARTS <= 32) sync();
 };
-// Joins what threads of the warp have, of the group alone where `own`.
+// Joins what threads of the block have, of the group alone where `own`.
 auto join = [&](int a, bool own, auto&& act) -> int {
     turn[first_thread + part] = a;
     sync();
@@ -154,9 +217,22 @@ auto either = [](int a, int b) { return a | b; };
 auto larger = [](int a, int b) { return a > b ? a : b; };
 auto together = [&](unsigned a) -> unsigned { return join(a, false, either); };
 auto some = [&](bool yes) -> bool { return together(yes) != 0; };
-auto vote = [&](bool yes, bool& any) -> unsigned {
+auto some_of_group = [&](bool yes) -> bool { return join(yes, true, either) != 0; };
+auto first_of = [&](bool yes, bool& any) -> int {
     any = some(yes);
-    return join(yes << part, true, either);
+    return join(yes ? part : PARTS, true, [](int a, int b) { return a < b ? a : b; });
+};
+auto sum_before = [&](unsigned number, int& total) -> int {
+    int before = 0, k = 0;
+    total = join(number, true, [&](int a, int b) {
+        if (++k == part) before = a;
+        return a + b;
+    });
+    return before;
+};
+auto rank_of = [&](bool yes, int& total, bool& any) -> int {
+    any = some(yes);
+    return sum_before(yes, total);
 };
 auto most = [&](int a) -> int { return GROUPS > 1 ? join(a, false, larger) : a; };
 // One of two numbers; the other where one is not a number.
@@ -173,24 +249,6 @@ auto largest = [&](float a) -> float {  // the bits of numbers that are not nega
     return a;
 };
 #endif
-
-auto some_of_group = [&](bool yes) -> bool {
-    bool any;
-    return vote(yes, any) != 0;
-};
-
-// The sum of the numbers below 2^16 that the threads before this one have; `total`: of all threads.
-auto sum_before = [&](unsigned number, int& total) -> int {
-    int before = 0;
-    total = 0;
-    ROLL for (int b = 0; b < 16; ++b) {
-        bool any;
-        const unsigned those = vote(number >> b & 1, any);
-        before += count_bits(those & ((1u << part) - 1)) << b;
-        total += count_bits(those) << b;
-    }
-    return before;
-};
 
 // Square root, its inverse and quotients of the springs. Approximate, they are accurate to 2 units in the last place.
 #if defined(__CUDA_ARCH__) && APPROXIMATE

@@ -118,7 +118,8 @@ auto add_queue = [&](int waiting) {
     ROLL for (int base = 0; base < longest; base += PARTS) {
         if (base + part < waiting) force_of(at.touch.queue[base + part], at.touch.hit[part]);
         sync();
-        ROLL for (int n = 0; n < PARTS && base + n < longest; ++n) {
+        const int end = TIGHT && WARPS > 1 && part >= 32 ? 0 : PARTS;  // six threads of the first warp add
+        ROLL for (int n = 0; n < end && base + n < longest; ++n) {
             const Hit& hit = at.touch.hit[n];
             const int p = part < 6 && base + n < waiting ? hit.point[part >> 1] : -1;
             if (p >= 0) {
@@ -127,21 +128,25 @@ auto add_queue = [&](int waiting) {
                 *sum = *sum + (part & 1 ? push.normal.y : push.normal.x);
                 *sum = *sum + (part & 1 ? push.friction.y : push.friction.x);
             }
-            sync();
+            sync_first_warp();
         }
+        if (WARPS > 1) sync();
     }
 };
 
 // Overlapping boxes of distant voxels of a robot, in both orders; true if one has more than its limit.
-auto count_folds = [&](unsigned folded, int i) {
+auto count_folds = [&](bool fold, int i) {
     int* folds = &wp::index(data.folds, pack, 0, 0);
     if (!any_folds) {
         for (int k = part; k < wp::index(model.robots, here); k += PARTS) folds[k] = 0;
         any_folds = true;
         sync();
     }
-    for (; some(folded); folded &= folded - 1) {
-        if (folded && lowest(folded) == part) folds[wp::index(model.robot, here, i)] += 2;
+    for (bool any = true; any;) {
+        if (first_of(fold, any) == part) {
+            folds[wp::index(model.robot, here, i)] += 2;
+            fold = false;
+        }
         sync();
     }
 };
@@ -189,9 +194,7 @@ auto look_for_folds = [&]() {
             i = pair[0];
             fold = pair[2] & DISTANT && boxes_overlap(box_of(quad_of(i), 0.0), box_of(quad_of(pair[1]), 0.0));
         }
-        bool found;
-        const unsigned folded = vote(fold, found);
-        if (found) count_folds(folded, i);
+        if (some(fold)) count_folds(fold, i);
     }
     for (int k = 0; any_folds && k < wp::index(model.robots, here); ++k) {
         if (wp::index(data.folds, pack, k, 0) > wp::index(model.fold_limit, here, k, 0)) status |= UNSTABLE;
@@ -222,14 +225,15 @@ auto touch = [&]() {
             }
         }
         bool found;
-        const unsigned those = vote(inside, found);
+        int more;
+        const int rank = rank_of(inside, more, found);
         if (!found) continue;
         if (some(waiting + PARTS > QUEUE)) {
             add_queue(waiting);
             waiting = 0;
         }
-        if (inside) at.touch.queue[waiting + count_bits(those & ((1u << part) - 1))] = code;
-        waiting += count_bits(those);
+        if (inside) at.touch.queue[waiting + rank] = code;
+        waiting += more;
     }
     if (some(waiting)) add_queue(waiting);
 };

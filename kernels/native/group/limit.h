@@ -42,7 +42,7 @@ auto correct = [&](bool in_place, unsigned rounds) {
             const Real ex = dx + (b.x - a.x), ey = dy + (b.y - a.y), square = ex * ex + ey * ey;
             const bool beyond = square >= longest * longest || square <= shortest * shortest;
             bool found;
-            const unsigned those = vote(beyond && part >= from && n < total, found);
+            const int next = first_of(beyond && part >= from && n < total, found);
             again = found;
             HIDE(again);
             if (!found) continue;
@@ -51,7 +51,6 @@ auto correct = [&](bool in_place, unsigned rounds) {
                 any = true;
                 sync();
             }
-            const int next = those ? lowest(those) : PARTS;
             if (next == part) {
                 const Real length = nearest_root(square), over = length - longest, under = length - shortest;
                 const Real excess = (over > Real(0) ? over : Real(0)) + (under < Real(0) ? under : Real(0));
@@ -84,7 +83,7 @@ const Real strain_reach = Real(2) * model.strain_limit / (Real(1) + model.strain
 auto limit_strain = [&]() {
     unsigned beyond = 0;
     EACH_SPRING for (int j = 0; j < SPRING_ROUNDS; ++j) {
-        if (SPRING_ROUNDS > FEW && PARTS * j >= springs) break;
+        if (!within(j, SPRINGS) || SPRING_ROUNDS > FEW && PARTS * j >= springs) break;
         const unsigned ends = at.spring[part + PARTS * j].ends;
         const Real middle = at.length[part + PARTS * j].middle;
         const Pair a = pair_at(at.disp, ends & 0xffff), b = pair_at(at.disp, ends >> 16);

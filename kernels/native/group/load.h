@@ -35,6 +35,7 @@ auto load_points = [&]() {
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
         const int p = part + PARTS * j;
         vel[j][0] = vel[j][1] = 0.0;
+        if (!within(j, MOVERS)) break;
         for (int n = 0; n < LINKS; ++n) at.links[p].place[n] = place_of(at.tension, 2 * SPRINGS);
         at.pos[p] = Place{0.0, 1.0};  // above the floor
         at.contact[p] = no_contact;

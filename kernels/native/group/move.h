@@ -12,6 +12,7 @@ auto load_springs = [&]() {
     const double* spring_rest = row_of(model.spring_rest, mesh);
     double* goal = state_of(data.goal, pack);
     EACH_SPRING for (int j = 0; j < SPRING_ROUNDS; ++j) {
+        if (!within(j, SPRINGS)) break;
         const int s = part + PARTS * j, t = s < springs ? s : 0;
         const Real rest0 = Real(spring_rest[t]);
         at.spring[s].ends = place_of(at.disp, spring_ends[t][0]) | place_of(at.disp, spring_ends[t][1]) << 16;
@@ -67,12 +68,12 @@ auto relax = [&](int j) {
 };
 auto own_points = [&](auto&& act) {
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
-        if (POINT_ROUNDS <= FEW || PARTS * j < points) act(j, part + PARTS * j);
+        if (within(j, MOVERS) && (POINT_ROUNDS <= FEW || PARTS * j < points)) act(j, part + PARTS * j);
     }
 };
 auto own_springs = [&](auto&& act) {
     EACH_SPRING for (int j = 0; j < SPRING_ROUNDS; ++j) {
-        if (SPRING_ROUNDS > FEW && PARTS * j >= springs) break;
+        if (!within(j, SPRINGS) || SPRING_ROUNDS > FEW && PARTS * j >= springs) break;
         act(j);
     }
 };
@@ -106,7 +107,7 @@ auto runge_kutta = [&]() {
     if (part == 0) at.tension[2 * SPRINGS] = Pair{Real(-0.0), Real(-0.0)};  // of a place without a spring; contacts were here
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
         start_vel[j] = stage_vel[j] = Pair{Real(vel[j][0]), Real(vel[j][1])};
-        height[j] = Real(at.pos[part + PARTS * j].y);
+        height[j] = within(j, MOVERS) ? Real(at.pos[part + PARTS * j].y) : Real(1);
         lowest_point = lower(height[j], lowest_point);
         sum_gain[j] = sum_force[j] = Pair{Real(0), Real(0)};
     }
@@ -170,7 +171,7 @@ auto runge_kutta = [&]() {
         move[j][1] = free ? vel[j][1] * dt + double(sum_force[j].y) * (sixth * dt) : 0.0;
         vel[j][0] = vel[j][0] + double(free ? sum_gain[j].x : Real(0)) * sixth;
         vel[j][1] = vel[j][1] + double(free ? sum_gain[j].y : Real(0)) * sixth;
-        at.disp[part + PARTS * j] = Pair{Real(move[j][0]), Real(move[j][1])};
+        if (within(j, MOVERS)) at.disp[part + PARTS * j] = Pair{Real(move[j][0]), Real(move[j][1])};
     }
     sync();
 };
