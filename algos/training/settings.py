@@ -20,7 +20,7 @@ MOST_THREADS = 1024
 """More than any machine has cores; a stored file may not make a process start a million."""
 ARITHMETICS = ("fast", "exact")
 RAY = "address of a running Ray cluster: auto or host:port; null: start Ray on this machine"
-DEVICES = "auto (CUDA where there is a device, from 100 environments per CPU core on), cpu, cuda, cuda:<index>"
+DEVICES = "auto (CUDA where there is a device, from 256 environments on), cpu, cuda, cuda:<index>"
 
 
 def arithmetic_key(default: str) -> Any:

@@ -28,7 +28,7 @@ class SimOptions:
     """Options of a simulation: taken by everything that makes some, whole as ``sim`` or one by one by name.
 
     Attributes:
-        device: ``auto`` (CUDA where there is one, from 100 environments per CPU core on), ``cpu``, ``cuda[:<index>]``.
+        device: ``auto`` (CUDA where there is one, from 256 environments on), ``cpu``, ``cuda[:<index>]``.
         dtype: precision of the springs and of what is returned, ``float32`` or ``float64``. State and contacts are
             float64 in both.
         arithmetic: ``fast``, or ``exact`` (float64 only), which repeats the released simulator bit for bit: the same

@@ -1,5 +1,6 @@
 """The figures of ``warpvox bench suite=gpu``: speeds by size, bodies, training."""
 
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -13,8 +14,11 @@ from warpvox.bench.report import Report, middle, number
 from warpvox.bench.runner import Runner, measure, seconds
 from warpvox.configs.composition import training_preset
 from warpvox.kernels.step import record_step
+from warpvox.system import usable_cores
 
 LAUNCHES = 3
+MOST_ON_CPU = 4096
+"""Environments up to which the CPU is measured beside the device."""
 LEARNING_SECONDS = 60.0
 """Seconds that learning may take at the most."""
 POPULATION_STEPS = 16
@@ -33,8 +37,8 @@ def _median(runner: Runner, config: Any) -> float:
 
 
 def sizes(config: Any, report: Report, counts: tuple[int, ...]) -> None:
-    """The physics alone, whole steps as a graph, and the same launched one by one."""
-    rows, needed = [], 0.0
+    """The physics alone, whole steps as a graph, the same launched one by one, and on all cores of the CPU."""
+    rows, needed, cpu = [], 0.0, replace(config, device="cpu", threads=usable_cores())
     for count in report.in_time("sizes", counts, "{:,} environments"):
         before = available_memory(config.device)
         if count * needed > before:
@@ -43,17 +47,21 @@ def sizes(config: Any, report: Report, counts: tuple[int, ...]) -> None:
         runner = _runner(config, count)
         taken, needed = before - available_memory(config.device), per_environment(runner.env)
         physics, step = _physics(runner), _median(runner, config)
-        single = None if config.device == "cpu" else _median(_runner(config, count, cuda_graph=False), config)
-        rows.append([f"{count:,}", physics, step, single])
+        single = beside = None
+        if config.device != "cpu":
+            single = _median(_runner(config, count, cuda_graph=False), config)
+            beside = _median(_runner(cpu, count, now=time.perf_counter), cpu) if count <= MOST_ON_CPU else None
+        rows.append((count, f"{count:,}", physics, step, single, beside))
         report.row(
             "sizes",
             f"{count:,} environments: {number(physics / 1e6)} M (physics), {number(step / 1e6)} M (whole steps),"
-            f" {number(single and single / 1e6)} M (without a graph)",
-            num_envs=count, layout=runner.env.sim.layout, physics=physics, step=step, single=single, bytes=needed,
-            taken=taken,
+            f" {number(single and single / 1e6)} M (without a graph), {number(beside and beside / 1e6)} M (CPU)",
+            num_envs=count, layout=runner.env.sim.layout, physics=physics, step=step, single=single, cpu=beside,
+            bytes=needed, taken=taken,
         )  # fmt: skip
     title = f"{config.task}, control steps per second, {config.dtype}, {config.device}"
-    report.table(title, ["environments", "physics", "step only", "without a graph"], rows)
+    headings = ["environments", "physics", "step only", "without a graph", f"step only, CPU, {cpu.threads} threads"]
+    report.table(title, headings, [row[1:] for row in sorted(rows)])
 
 
 def _physics(runner: Runner) -> float:
