@@ -51,6 +51,11 @@ def phrases() -> Iterator[tuple[str, str]]:
     _, seconds, _, _, steps, _ = cells(tables("learning"), "ppo=parallel, 512 environments")
     for page in ("README.md", "docs/performance.md"):
         yield page, f"a return of 10 after {steps} control steps, in {float(seconds):.0f} s on two cores"
+    largest = int(cells(tables("gpu").partition("with training")[0], "65,536")[1].replace(",", ""))
+    evogym = int(cells(tables("peer"), "evogym 2.0.0, Python 3.10.13")[0])
+    for page in ("README.md", "docs/performance.md", "CHANGELOG.md"):
+        yield page, f"{largest / 1e6:.1f} million control steps a second"
+    yield "docs/performance.md", f"{round(largest / evogym, -3):,.0f} cores make with EvoGym ({evogym} on one core"
     found = re.search(
         r"^\| Climber-v0 \| (\S+) \((.+?)\) \| (\S+) \((.+?)\) \| (\S+) \|$", text_of("docs/search.md"), re.M
     )
