@@ -95,7 +95,7 @@ def _cloned(value: Any) -> Any:
     """A copy with fresh tensors of what a step returns: tuples and dictionaries of tensors."""
     fresh: dict[torch.dtype, tuple[list[torch.Tensor], list[torch.Tensor]]] = {}
 
-    def made(value: Any) -> Any:
+    def made(value: torch.Tensor | dict[str, Any] | tuple[Any, ...]) -> Any:
         if isinstance(value, torch.Tensor):
             new, old = fresh.setdefault(value.dtype, ([], []))
             new.append(torch.empty_like(value))
@@ -107,5 +107,6 @@ def _cloned(value: Any) -> Any:
 
     copies = made(value)
     for new, old in fresh.values():
-        torch._foreach_copy_(new, old)  # one launch for all of a type
+        # one launch for all of a type; public functions of torch copy tensor by tensor
+        torch._foreach_copy_(new, old)  # pyright: ignore[reportPrivateUsage, reportPrivateImportUsage]
     return copies

@@ -270,7 +270,7 @@ def test_launches_do_not_depend_on_the_number_of_environments(cuda: SimulatedCud
 
 def test_a_population_is_trained_and_evaluated_on_one_device(cuda: SimulatedCuda, monkeypatch) -> None:
     """With ``auto`` its few evaluations would otherwise be on the CPU, and its networks on the device."""
-    monkeypatch.setattr(names, "enough", lambda: 10)
+    monkeypatch.setattr(names, "ENOUGH", 10)
     monkeypatch.setattr(evaluation.VoxelVecEnv, "max_episode_steps", 3)
     settings = training_preset("fast", {"steps": 2}, envs=8)
     factory = EnvFactory("Walker-v0", max_episode_steps=3, sim=SimOptions(threads=1))
