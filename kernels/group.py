@@ -27,7 +27,7 @@ BLOCK = 32
 """Threads of a CUDA block, or those of a larger group. Groups of a warp go the same way; more would only wait."""
 REGISTERS = {16: 128, 32: 128, 64: 144, 128: 128}
 """Registers of a thread in float32, at most, by threads of a group: next to nothing spills, and each quarter of a
-multiprocessor, which has registers of its own, has room for 4 warps (3). float64 takes all 255."""
+multiprocessor, which has registers of its own, has room for 4 warps (of 144 for 3). float64 takes all 255."""
 SHARED_BYTES = 47 * 1024
 """Shared memory of the groups of a CUDA block, at most. A block has 48 KiB without asking, some of them Warp's."""
 SMALL = 48, 144
