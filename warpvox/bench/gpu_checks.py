@@ -178,6 +178,7 @@ def recordings(config: Any, report: Report) -> dict[str, Any]:
         report.note(f"Recordings of the reference were not replayed: {reason}.")
         return {"replayed": False, "reason": reason}
     words = [sys.executable, "-m", "pytest", "-q", "-m", "gpu", "-p", "no:cacheprovider", str(tests)]
+    words += ["-n", "4"] if find_spec("xdist") else []
     limit = max(1.0, min(TEST_SECONDS, report.left))
     try:
         done = subprocess.run(words, cwd=tests.parent, capture_output=True, text=True, timeout=limit)
