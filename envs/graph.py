@@ -55,34 +55,35 @@ class StepGraph:
     when they come back. Where a capture fails, a warning says so once, and all steps run as they are.
 
     Args:
-        step: takes no arguments, reads and writes tensors that stay where they are.
         capture: how launches are recorded.
     """
 
-    def __init__(self, step: Callable[[], Any], capture: Capture) -> None:
-        self._step, self._capture = step, capture
+    def __init__(self, capture: Capture) -> None:
+        self._capture = capture
         self._eager: dict[Hashable, int] = {}
         self._recorded: dict[Hashable, tuple[Callable[[], None], Any]] = {}
         self._failed = False
 
-    def __call__(self, settings: Hashable) -> Any:
+    def __call__(self, step: Callable[[], Any], settings: Hashable) -> Any:
         """One step; returns fresh tensors.
 
         Args:
+            step: takes no arguments, reads and writes tensors that stay where they are. Not kept: the environments that
+                it belongs to would live until Python looks for cycles, with their memory on the device.
             settings: all that the step depends on besides tensors.
         """
         if settings not in self._recorded:
             done = self._eager[settings] = self._eager.get(settings, 0) + 1
-            if done <= EAGER_STEPS or self._failed or not self._record(settings):
-                return self._step()
+            if done <= EAGER_STEPS or self._failed or not self._record(step, settings):
+                return step()
         replay, results = self._recorded[settings]
         replay()
         return _cloned(results)
 
-    def _record(self, settings: Hashable) -> bool:
+    def _record(self, step: Callable[[], Any], settings: Hashable) -> bool:
         """Capture a step, without doing it; False if that fails."""
         try:
-            self._recorded[settings] = self._capture(self._step)
+            self._recorded[settings] = self._capture(step)
         except RuntimeError as error:  # of torch and of Warp
             self._failed = True
             reason = " ".join(str(error).split())[:200]

@@ -172,7 +172,7 @@ class VoxelVecEnv:
         self._graph: StepGraph | None = None
         wanted = sim.options.cuda_graph
         if not self._on_cpu and (not self._has_code if wanted is None else wanted):
-            self._graph = StepGraph(self._whole_step, capture_on_cuda(sim.device))
+            self._graph = StepGraph(capture_on_cuda(sim.device))
 
     def __repr__(self) -> str:
         counts = f"num_envs={self.num_envs}, num_designs={self.num_designs}"
@@ -387,7 +387,7 @@ class VoxelVecEnv:
             if self._graph is None:
                 result = self._whole_step()
             else:
-                result = self._graph(self.auto_reset)
+                result = self._graph(self._whole_step, self.auto_reset)
                 self.sim.forget_sensed()
         if self.dump is not None:
             self.dump.after(result[1], result[4])

@@ -104,7 +104,7 @@ def choose(points: int, springs: int, precision: str, device: str, movers: int |
     """
     movers = points if movers is None else movers
     wide = next((parts for parts in (WARP, 2 * WARP) if max(movers, springs) <= FEW * parts), 4 * WARP)
-    tried = [16] if movers <= SMALL[0] and springs <= SMALL[1] else [wide, WARP]
+    tried = [16 if movers <= SMALL[0] and springs <= SMALL[1] else wide, WARP]
     if not on_cuda(device):
         points, springs = max(points, ON_CPU[0]), max(springs, ON_CPU[1])
         movers, tried = points, [16 if points <= 16 * ROUNDS else 32]

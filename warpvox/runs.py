@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from datetime import datetime
@@ -374,9 +374,11 @@ def write_summary(folder: Path, content: dict[str, Any]) -> None:
 
 def _processors() -> str:
     """The name of the processor, and of the GPU that this process has used."""
-    torch = sys.modules.get("torch")
-    gpu = torch.cuda.get_device_name() if torch is not None and torch.cuda.is_initialized() else None
-    return ", ".join(filter(None, (processor_name(), gpu)))
+    torch, names = sys.modules.get("torch"), [processor_name()]
+    if torch is not None and torch.cuda.is_initialized():
+        with suppress(RuntimeError):  # of a device that has failed, which is reported elsewhere
+            names.append(torch.cuda.get_device_name())
+    return ", ".join(names)
 
 
 @functools.cache

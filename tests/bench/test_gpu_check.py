@@ -144,12 +144,13 @@ def test_a_sanitizer_that_is_there_is_used(errors: int, report: Report, monkeypa
     tool.chmod(0o755)
     monkeypatch.setenv("PATH", str(folder), prepend=os.pathsep)
     config = SimpleNamespace(device="cuda:0", task="Walker-v0")
-    with pytest.raises(SimulationError, match="memcheck, racecheck") if errors else nullcontext():
+    with pytest.raises(SimulationError, match="memcheck in Walker-v0, racecheck") if errors else nullcontext():
         gpu_tools.sanitizer(config, report)
     rows = report.figures["sanitizer"]
-    assert [row["tool"] for row in rows] == list(gpu_tools.TOOLS)
+    assert [row["tool"] for row in rows] == 3 * list(gpu_tools.TOOLS)
+    assert [row["task"] for row in rows[::4]] == ["Walker-v0", *gpu_tools.LARGE]
     assert {row["good"] for row in rows} == {not errors}
-    said = folder / "racecheck.txt"
+    said = folder / "racecheck_Walker-v0.txt"
     assert said.is_file() == bool(errors)
     sample = 'bench.sample {"task": "Walker-v0", "num_envs": 64, "device": "cuda:0"} 8 2'
     assert not errors or sample in said.read_text()

@@ -6,8 +6,10 @@ Its arithmetic is that of the group layout on the CPU, which equals the lanes bi
 from __future__ import annotations
 
 import functools
+import gc
 import math
 import warnings
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -144,6 +146,19 @@ def test_a_capture_that_fails_is_said_once_and_steps_go_on(cuda: SimulatedCuda, 
             assert torch.equal(plain[0], graphed[0])
     assert ["cannot be captured as a CUDA graph" in str(warning.message) for warning in said] == [True]
     assert cuda.stream.cuda_stream == 0
+
+
+def test_environments_end_with_their_last_name(cuda: SimulatedCuda) -> None:
+    """Else their memory on the device would wait for Python to look for cycles."""
+    gc.disable()
+    try:
+        env = make_vec("Walker-v0", [BODY], ENVS, device="cuda")
+        env.step(torch.ones((ENVS, env.num_actions), device="cuda"))
+        alive = weakref.ref(env.sim)
+        del env
+        assert alive() is None
+    finally:
+        gc.enable()
 
 
 def test_entries_that_are_not_finite_are_counted_without_atomics_for_one_design(cuda: SimulatedCuda) -> None:

@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 import warp as wp
-from worlds import crowded_world
+from worlds import crowded_world, world
 
 from warpvox.batch import arrays, options
 from warpvox.envs.registry import task_ids
@@ -235,6 +236,13 @@ def test_a_layout_that_there_is_not_is_refused(options, says):
         Simulation(crowd(1), device="cpu", **options)
 
 
+def take_memory_of_cuda(sim):
+    sizes = sim._state.sizes
+    on_cuda = group.choose(sizes["point"], sizes["spring"], "float32", "cuda:0", sizes["mover"])
+    sim._state.group = replace(on_cuda, approximate=False)
+    take_parts(sim, on_cuda.parts)
+
+
 LARGER = [pytest.param(task, marks=pytest.mark.slow) for task in ("Catcher-v0", "Climber-v1", "Traverser-v0")]
 
 
@@ -242,10 +250,19 @@ LARGER = [pytest.param(task, marks=pytest.mark.slow) for task in ("Catcher-v0", 
 def test_memory_as_cuda_has_it(task):
     """The capacities of CUDA, where what is used in turn overlaps most closely; nothing is zero at first."""
     sims = pair_of_task(task)
-    state = sims[1]._state
-    sizes = state.sizes
-    on_cuda = group.choose(sizes["point"], sizes["spring"], "float32", "cuda:0", sizes["mover"])
-    state.group = replace(on_cuda, approximate=False)
+    take_memory_of_cuda(sims[1])
     for step in range(8):
-        state.scratch.fill_(float("nan"))
+        sims[1]._state.scratch.fill_(float("nan"))
         run(sims, 1, seed=step)
+
+
+def test_a_fixed_object_that_lies_on_terrain_touches_nothing():
+    """Its points are behind those that have contacts."""
+    blocks = {"ground": (np.full((2, 24), 5), 0, 0), "peg": (np.full((2, 2), 5), 12, 4)}
+    blocks |= {"ball": (np.full((2, 2), 2), 16, 3), "robot": (np.array([[3, 3, 3], [4, 1, 4], [3, 0, 3]]), 3, 2)}
+    sims = pair_of([world(24, 16, **blocks)] * 2, loose=("peg",))
+    take_memory_of_cuda(sims[1])
+    for sim in sims:
+        sim.shift(torch.tensor([[0, -2], [-8, -3]]))  # on the ground, under the robot
+    run(sims, 20)
+    assert not sims[1].unstable.any()

@@ -18,6 +18,8 @@ from warpvox.errors import SimulationError
 from warpvox.io.writing import write_text
 
 TOOLS = "memcheck", "racecheck", "synccheck", "initcheck"
+LARGE = "Climber-v1", "Traverser-v0"
+"""Tasks in which 64 and 128 threads take an environment."""
 SECONDS = 90
 """For one run under a tool, at most."""
 TOOLKIT = "/usr/local/cuda/bin"
@@ -27,23 +29,25 @@ ITERATIONS, LINES = 3, 40
 
 
 def sanitizer(config: Any, report: Report) -> None:
-    """Control steps of different bodies under compute-sanitizer, all tools at once."""
+    """Control steps under compute-sanitizer, all tools at once: different bodies, then worlds of several warps each."""
     program, wrong = _find("compute-sanitizer", report), []
 
-    def watched(tool: str) -> subprocess.CompletedProcess[str] | None:
-        return _sample([str(program), "--tool", tool, "--error-exitcode", "9"], config, report, envs=64, bodies=8)
+    def watched(task: str, bodies: int, tool: str) -> subprocess.CompletedProcess[str] | None:
+        words = [str(program), "--tool", tool, "--error-exitcode", "9"]
+        return _sample(words, config, report, task, envs=64, bodies=bodies)
 
+    runs = [(*case, tool) for case in ((config.task, 8), *((task, 0) for task in LARGE)) for tool in TOOLS]
     with ThreadPoolExecutor(len(TOOLS)) as pool:
-        outcomes = list(pool.map(watched, TOOLS if program else ()))
-    for tool, done in zip(TOOLS, outcomes, strict=False):
+        outcomes = list(pool.map(lambda run: watched(*run), runs)) if program else []
+    for (task, _, tool), done in zip(runs, outcomes, strict=False):
         if done is None:
             continue
         last = [line for line in done.stdout.splitlines() if "SUMMARY" in line][-1:] or [done.stderr[-300:]]
         good = done.returncode == 0
-        report.row("sanitizer", f"{tool}: {last[0].strip('= ')}", tool=tool, good=good, said=last[0])
+        report.row("sanitizer", f"{task}, {tool}: {last[0].strip('= ')}", task=task, tool=tool, good=good, said=last[0])
         if not good:
-            write_text(report.folder / f"{tool}.txt", done.stdout + done.stderr)
-            wrong.append(tool)
+            write_text(report.folder / f"{tool}_{task}.txt", done.stdout + done.stderr)
+            wrong.append(f"{tool} in {task}")
     if wrong:
         raise SimulationError(f"compute-sanitizer complains: {', '.join(wrong)}; see the files in the folder.")
 
@@ -51,7 +55,7 @@ def sanitizer(config: Any, report: Report) -> None:
 def profile(config: Any, report: Report, count: int) -> None:
     """The group kernel under Nsight Compute (``ncu.txt``), and a training under torch's profiler (``profile.txt``)."""
     program = None if config.device == "cpu" else _find("ncu", report)
-    if program and (done := _sample([program, *ONE_LAUNCH], config, report, envs=count, bodies=1)):
+    if program and (done := _sample([program, *ONE_LAUNCH], config, report, config.task, envs=count, bodies=1)):
         write_text(report.folder / "ncu.txt", done.stdout + done.stderr)
         report.row("profile", "ncu.txt", noted=True, tool="ncu", good=done.returncode == 0)
     training = training_of(make(config, [one_body(config)], count))
@@ -73,11 +77,11 @@ def _find(name: str, report: Report) -> str | None:
 
 
 def _sample(
-    words: list[str], config: Any, report: Report, envs: int, bodies: int
+    words: list[str], config: Any, report: Report, task: str, envs: int, bodies: int
 ) -> subprocess.CompletedProcess[str] | None:
     """Two control steps under a tool; None if that takes too long, which is said."""
     limit = max(1.0, min(SECONDS, report.left))
-    options = json.dumps({"task": config.task, "num_envs": envs, "device": config.device})
+    options = json.dumps({"task": task, "num_envs": envs, "device": config.device})
     command = [*words, sys.executable, "-m", "warpvox.bench.sample", options, str(bodies), "2"]
     # with torch's cache of memory nothing that is written beyond an array would show
     surroundings = os.environ | {"PYTORCH_NO_CUDA_MEMORY_CACHING": "1"}

@@ -1,5 +1,5 @@
 // What the body of the group kernel begins with, after the constants PARTS (threads of a group), POINTS, MOVERS and SPRINGS
-// (capacities, multiples of PARTS; points from MOVERS on neither move nor hang on a spring), APPROXIMATE, and `typedef ...
+// (capacities, multiples of 16 or 32; points from MOVERS on neither move nor hang on a spring), APPROXIMATE, and `typedef ...
 // Real`. One environment is advanced by PARTS threads, of which this is number `part`. It owns the points below MOVERS and
 // the springs part, part + PARTS, ... and keeps what belongs to them in registers; what others read is in `at`, shared
 // memory on CUDA.

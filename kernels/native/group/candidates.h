@@ -140,7 +140,7 @@ auto collect = [&]() {
     ROLL for (int base = 0; base < all_mobiles; base += PARTS) {
         const int v = base + part < movables ? movable[base + part] : -1;
         int range[4] = {0, -1, 0, -1}, own = 0;
-        if (v >= 0) lattice(v, range);
+        if (v >= 0 && !fixed[v]) lattice(v, range);  // nothing moves where both are fixed
         for (int y = range[2]; y <= range[3]; ++y) {
             for (int x = range[0]; x <= range[1]; ++x) own += terrain_side[y * columns + x] != 0;
         }

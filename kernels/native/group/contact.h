@@ -134,7 +134,7 @@ auto add_queue = [&](int waiting) {
     }
 };
 
-// Overlapping boxes of distant voxels of a robot, in both orders; true if one has more than its limit.
+// Counts overlapping boxes of distant voxels of a robot, in both orders.
 auto count_folds = [&](bool fold, int i) {
     int* folds = &wp::index(data.folds, pack, 0, 0);
     if (!any_folds) {
