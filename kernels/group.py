@@ -23,8 +23,7 @@ from warpvox.kernels.state import CPP_CONSTANTS
 from warpvox.types import VOXEL
 
 WARP = 32
-BLOCK = 32
-"""Threads of a CUDA block, or those of a larger group. Groups of a warp go the same way; more would only wait."""
+"""Threads of a CUDA block, or those of a larger group: the groups of a warp go the same way; more would only wait."""
 REGISTERS = {16: 128, 32: 128, 64: 144, 128: 128}
 """Registers of a thread in float32, at most, by threads of a group: next to nothing spills, and each quarter of a
 multiprocessor, which has registers of its own, has room for 4 warps (of 144 for 3). float64 takes all 255."""
@@ -149,7 +148,7 @@ def group_kernel(group: Group, whole_warps: bool = False) -> wp.Kernel:
         live: int, substeps: int, dt: wp.float64,
     ): ...  # fmt: skip
 
-    @register_limited(group.registers, max(BLOCK, group.parts))
+    @register_limited(group.registers, max(WARP, group.parts))
     def group_step(
         model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), first_pack: int, packs: int,
         order: int, substeps: int, dt: wp.float64,
@@ -166,6 +165,6 @@ def record_group(state, substeps: int, first: int, packs: int, order: int = 0) -
     """A command that does one control step of the packs ``first`` to ``first + packs`` from the actions taken."""
     group = state.group
     inputs = [state.model, state.data, state.scratch, first, packs, order, substeps, state.dt]
-    block, together = max(BLOCK if on_cuda(state.device) else 1, group.parts), max(WARP // group.parts, 1)
+    block, together = max(WARP if on_cuda(state.device) else 1, group.parts), max(WARP // group.parts, 1)
     rows = -(-packs // together) * together
     return record(group_kernel(group), (rows, group.parts), inputs, state.device, block, together=True)

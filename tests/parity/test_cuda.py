@@ -4,14 +4,12 @@ import pytest
 from judge import verdict
 from replay import load_runs, replay
 
-STEPS = 60
-"""Control steps over which the tolerance of positions holds. One thread of the GPU computes a run."""
 RUNS = [run for run in load_runs() if run.index == 0]
 
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("run", RUNS, ids=[f"{run.task}: {run.info['name']}" for run in RUNS])
 def test_a_run_is_reproduced_on_cuda(run):
-    found = verdict(run, replay(run, STEPS, device="cuda"))
+    found = verdict(run, replay(run, device="cuda"))
     assert found.near, str(found)
     assert found.ends, str(found)

@@ -31,15 +31,17 @@ ITERATIONS, LINES = 3, 40
 def sanitizer(config: Any, report: Report) -> None:
     """Control steps under compute-sanitizer, all tools at once: different bodies, then worlds of several warps each."""
     program, wrong = _find("compute-sanitizer", report), []
+    if program is None:
+        return
 
     def watched(task: str, bodies: int, tool: str) -> subprocess.CompletedProcess[str] | None:
-        words = [str(program), "--tool", tool, "--error-exitcode", "9"]
+        words = [program, "--tool", tool, "--error-exitcode", "9"]
         return _sample(words, config, report, task, envs=64, bodies=bodies)
 
     runs = [(*case, tool) for case in ((config.task, 8), *((task, 0) for task in LARGE)) for tool in TOOLS]
     with ThreadPoolExecutor(len(TOOLS)) as pool:
-        outcomes = list(pool.map(lambda run: watched(*run), runs)) if program else []
-    for (task, _, tool), done in zip(runs, outcomes, strict=False):
+        outcomes = list(pool.map(watched, *zip(*runs, strict=True)))
+    for (task, _, tool), done in zip(runs, outcomes, strict=True):
         if done is None:
             continue
         last = [line for line in done.stdout.splitlines() if "SUMMARY" in line][-1:] or [done.stderr[-300:]]
