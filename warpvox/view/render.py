@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -263,24 +264,18 @@ def write_mp4(
     """Write an H.264 film; arguments as for :func:`write_gif`. Needs the extra ``view`` (imageio-ffmpeg).
 
     Raises:
-        RolloutError: as for write_gif; odd sizes; or imageio-ffmpeg is not installed.
+        RolloutError: as for write_gif and :func:`check_mp4`.
     """
-    try:
-        import imageio_ffmpeg
-    except ImportError:
-        raise RolloutError(
-            "MP4 needs imageio-ffmpeg, which is not installed: pip install 'warpvox[view]', or write a GIF."
-        ) from None
-    width, height = _check_size(size)
-    if width % 2 or height % 2:
-        raise RolloutError(f"The width and the height of an MP4 must be even, got {width} x {height}.")
+    check_mp4(size)
+    import imageio_ffmpeg
+
     _check_rate(fps, 240)
     frames = _frames(rollout, fps, start, stop, every)
     film = Film(rollout, envs, size, hud, voxels)
     options: dict[str, Any] = dict(fps=float(fps), quality=None, output_params=["-crf", "15"], macro_block_size=2)
     with atomic_path(path) as temporary:
         encoder = imageio_ffmpeg.write_frames(
-            temporary, (width, height), codec="libx264", ffmpeg_log_level="quiet", **options
+            temporary, film.size, codec="libx264", ffmpeg_log_level="quiet", **options
         )
         try:
             with closing(encoder):
@@ -295,6 +290,17 @@ def write_mp4(
         if written != len(frames):
             raise RolloutError(f"{path} cannot be written; is its disk full?")
     return Path(path)
+
+
+def check_mp4(size: tuple[int, int]) -> None:
+    """Raise RolloutError unless imageio-ffmpeg is installed and the size is one that H.264 can have: even."""
+    if find_spec("imageio_ffmpeg") is None:
+        raise RolloutError(
+            "MP4 needs imageio-ffmpeg, which is not installed: pip install 'warpvox[view]', or write a GIF."
+        )
+    width, height = _check_size(size)
+    if width % 2 or height % 2:
+        raise RolloutError(f"The width and the height of an MP4 must be even, got {width} x {height}.")
 
 
 def _check_rate(fps: float, most: int) -> None:

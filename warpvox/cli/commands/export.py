@@ -27,7 +27,7 @@ def run(words: list[str]) -> None:
 
 
 def _export(config: Any, console: Console) -> Path:
-    check_source(config)
+    check_source(config, config.format)
     if not config.format:
         raise ConfigError(f"format must be some of {listing((*EXPORTS, *POLICY_EXPORTS))}; got [].")
     pictures = [name for name in config.format if name in EXPORTS]
