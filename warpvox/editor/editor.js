@@ -19,6 +19,7 @@ class Editor {
   constructor() {
     this.history = new History();
     this.drawing = Drawing.from(setup.start);
+    this.stored = this.text();
     this.brush = 3;
     this.active = 0;
     this.other = null; // the drawing of the other kind, to come back to
@@ -48,6 +49,8 @@ class Editor {
     this.drawing = drawing;
     this.changed();
   }
+
+  text() { return JSON.stringify(this.drawing.toDocument()); }
 
   undo() { this.drawing = this.history.back(this.drawing); this.changed(); }
   redo() { this.drawing = this.history.forth(this.drawing); this.changed(); }
@@ -119,7 +122,7 @@ class Editor {
   }
 
   async save(overwrite = false) {
-    const name = byId("name").value.trim();
+    const name = byId("name").value.trim(), text = this.text();
     const answer = await ask("save", { document: this.drawing.toDocument(), name, overwrite });
     if (answer.exists) {
       byId("ask").querySelector("p").textContent = `${answer.exists} exists. Replace it?`;
@@ -127,6 +130,7 @@ class Editor {
       byId("ask").showModal();
       return;
     }
+    if (!answer.error) this.stored = text;
     this.say("outcome", answer.error ?? answer.message, Boolean(answer.error));
     this.listFiles();
   }
@@ -149,6 +153,7 @@ class Editor {
     }
     this.active = 0;
     this.drawing = Drawing.from(found);
+    this.stored = this.text();
     this.changed();
     this.say("outcome", `Opened ${name}.`, false);
   }
@@ -217,6 +222,7 @@ class Editor {
     on("ask", "close", () => { if (byId("ask").returnValue === "yes") this.save(true); });
     addEventListener("resize", () => this.show());
     addEventListener("keydown", (event) => this.onKey(event));
+    addEventListener("beforeunload", (event) => { if (this.text() !== this.stored) event.preventDefault(); });
   }
 
   toggleTheme() { this.chooseTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"); }
