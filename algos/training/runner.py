@@ -3,6 +3,7 @@
 import contextlib
 import io
 import math
+import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -10,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
+
+os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")  # GitPython, which rsl-rl imports, demands the program otherwise
 from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils.logger import Logger
 
