@@ -76,7 +76,9 @@ def _run(arguments: list[str]) -> int:
         if error.errno not in OF_DISKS:
             raise
         redirect(sys.stdout)
-        return _complain(f"{error.filename or 'The output'} cannot be written: {complaint(error)}.")
+        where = str(error.filename or "The output")
+        hint = " WARP_CACHE_PATH=FOLDER is where Warp keeps kernels." if "cache" in where.lower() else ""
+        return _complain(f"{where} cannot be written: {complaint(error)}.{hint}")
 
 
 def _dispatch(arguments: list[str]) -> int:
