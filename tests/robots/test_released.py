@@ -98,6 +98,7 @@ LARGE = state_of(5, 2) | {"action_net.weight": torch.zeros(1).expand(30_000, 30_
         (saved(LARGE), "larger than its storage"),
         (saved(state_of(5, 2), "Mish"), "activation of a stored policy"),
     ],
+    ids=["a pickle", "an object", "other layers", "too large", "an activation"],  # not the bytes, which differ
 )
 def test_a_policy_of_another_kind_leaves_the_body(blob: bytes, words: str, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
