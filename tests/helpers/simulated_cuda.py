@@ -172,6 +172,7 @@ class SimulatedCuda(TorchFunctionMode):
             "get_device_properties": lambda device=None: properties,
             "get_rng_state": lambda device=None: torch.get_rng_state(),
             "set_rng_state": lambda state, device=None: None,
+            "is_current_stream_capturing": lambda: self._capturing is not None,
             "CUDAGraph": _Graph,
             "graph": self._graph,
         }
@@ -187,6 +188,8 @@ class SimulatedCuda(TorchFunctionMode):
         yield from ((torch.cuda, *item) for item in of_torch.items())
         yield from ((wp, *item) for item in of_warp.items())
         yield torch, "Generator", _Generator
+        # builds with CUDA, but no driver, would ask it
+        yield torch.accelerator, "current_accelerator", lambda check_available=False: None
         yield kernel_device, "_streams", {}
         yield arrays, "on_cuda", lambda name: False  # what a block shares on CUDA is memory of its own on the CPU
         if not self._own_capacities:
