@@ -5,6 +5,7 @@
 #   make types       check types (pyright)
 #   make licences    check the licences of everything that is installed with warpvox
 #   make packaging   install the wheel into clean environments of all Pythons that are found
+#   make lowest      run the tests with the oldest versions that pyproject.toml allows
 #   make slow        run the tests that take long
 #   make coverage    run the default tests and say which lines they reach: build/report/coverage/index.html
 #   make bench       measure beside EvoGym and compare with the figures of the documentation
@@ -47,7 +48,7 @@ HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torc
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '2,21s/^# *//p' Makefile
+	@sed -n '2,22s/^# *//p' Makefile
 
 install: $(STAMP)
 
@@ -114,6 +115,12 @@ licences: $(STAMP)
 # WARPVOX_PACKAGING=full make packaging   installs torch everywhere, not only into the Python of .venv.
 packaging: $(STAMP)
 	$(BIN)/python -m pytest -m packaging -v -rs --durations=0
+
+# Not the licences and pins, which are those of .venv.
+lowest: $(UV) $(PTXAS)
+	$(UV) venv --quiet --clear --python $(TOOLS)/bin/python build/lowest
+	$(UV) pip install --quiet --python build/lowest/bin/python --resolution lowest-direct -e ".[dev,view,search,sb3]"
+	$(PYTEST:$(BIN)/%=build/lowest/bin/%) --ignore tests/supply
 
 # Strict: a package that cannot be looked up is a failure, not a clean bill.
 audit: $(UV)
