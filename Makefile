@@ -44,7 +44,7 @@ COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10
   --no-annotate --custom-compile-command "make lock" pyproject.toml
 HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test ptxas fast slow parity coverage bench lint types format licences packaging audit lock release docs tables charts notebooks pictures results zoo_picture clean distclean
+.PHONY: help install demo test ptxas fast slow parity coverage bench lint types format licences packaging lowest audit lock release docs tables charts notebooks pictures results zoo_picture clean distclean
 .DEFAULT_GOAL := help
 
 help:
