@@ -76,7 +76,7 @@ def check_source(config: Any, formats: list[str]) -> None:
     if "mp4" in formats:
         from warpvox.view.render import check_mp4
 
-        check_mp4(tuple(config.size or LARGE))
+        check_mp4(config.size or LARGE)
     other = next((name for name in ("rollout", "agent", "zoo") if getattr(config, name, None) is not None), None)
     if other and config.run not in ("latest", ""):  # the default, and what a stored configuration without a run has
         raise ConfigError(f"run and {other} both say what is shown: give one of them.")
