@@ -24,7 +24,8 @@ def make(**options: object) -> VoxelSB3VecEnv:
 def test_it_steps_as_the_vector_environment_does(normalize: bool) -> None:
     env = make(max_episode_steps=4, normalize_actions=normalize)
     twin = make_vec("Walker-v0", body="walker", num_envs=3, device="cpu", threads=1, max_episode_steps=4)
-    assert (env.action_space.low.min(), env.action_space.high.max()) == ((-1, 1) if normalize else (0.6, 1.6))
+    low, high = np.float32((-1, 1) if normalize else (0.6, 1.6))
+    assert (env.action_space.low.min(), env.action_space.high.max()) == (low, high)
     assert np.array_equal(env.reset(), twin.reset()[0].numpy())
     rng = np.random.default_rng(0)
     env.vec.episode_length = twin.episode_length = twin.episode_length.new_tensor([0, 1, 2])
