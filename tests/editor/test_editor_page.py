@@ -12,7 +12,7 @@ from warpvox.editor.server import EditorServer
 from warpvox.world import World
 
 LEAVING = "!dispatchEvent(new Event('beforeunload', {cancelable: true}))"
-"""Whether the page asks before it is left."""
+"""True where the page asks before it is left."""
 CHECKED = "document.getElementById('verdict').textContent !== ''"
 
 
@@ -157,7 +157,7 @@ def test_a_world_of_several_objects(page: Any, wait_for: Callable, server: Edito
     wait_for(page, "document.getElementById('open').options.length === 2")
     page.select_option("#open", "my_world.json")  # in place of the world; the body waits
     wait_for(page, "document.getElementById('outcome').textContent === 'Opened my_world.json.'")
-    assert set(page.evaluate("editor.drawing.names")) == {"ground", "robot", "box"}
+    assert page.evaluate("editor.drawing.names") == ["robot", "ground", "box"]  # in the order of the file
     page.click("#undo")  # the world that was there
     assert page.evaluate("editor.drawing.names") == ["ground", "robot"]
     page.click("#body")

@@ -90,6 +90,14 @@ def tiles_of(rollout: Rollout, most: int = BODIES) -> list[int]:
     return np.linspace(0, rollout.num_envs - 1, min(rollout.num_envs, most)).round().astype(int).tolist()
 
 
+def check_exports(formats: list[str], size: Any) -> None:
+    """Raise RolloutError for a format that cannot be written, before anything is simulated; ``size`` or None."""
+    if "mp4" in formats:
+        from warpvox.view.render import check_mp4
+
+        check_mp4(size or LARGE)
+
+
 def write_exports(
     rollout: Rollout, folder: Path, formats: list[str], console: Console, size: list[int] | None = None, every: int = 1
 ) -> None:

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from warpvox.cli.application import run_command
 from warpvox.cli.commands.play import check_source, play_run, write_results
+from warpvox.cli.exports import check_exports
 from warpvox.configs.schema import EXPORTS
 from warpvox.configs.show import POLICY_EXPORTS
 from warpvox.errors import ConfigError, listing
@@ -27,7 +28,8 @@ def run(words: list[str]) -> None:
 
 
 def _export(config: Any, console: Console) -> Path:
-    check_source(config, config.format)
+    check_source(config)
+    check_exports(config.format, config.size)
     if not config.format:
         raise ConfigError(f"format must be some of {listing((*EXPORTS, *POLICY_EXPORTS))}; got [].")
     pictures = [name for name in config.format if name in EXPORTS]

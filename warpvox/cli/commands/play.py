@@ -12,7 +12,15 @@ from rich.console import Console
 
 from warpvox.algos.protocols import NOMINAL
 from warpvox.cli.application import run_command
-from warpvox.cli.exports import LARGE, ROLLOUT, print_returns, record_agent, record_run, tiles_of, write_exports
+from warpvox.cli.exports import (
+    ROLLOUT,
+    check_exports,
+    print_returns,
+    record_agent,
+    record_run,
+    tiles_of,
+    write_exports,
+)
 from warpvox.code import Code
 from warpvox.configs.show import PlayConfig
 from warpvox.errors import ConfigError, DisplayError, listing
@@ -40,9 +48,10 @@ def play(config: PlayConfig, console: Console) -> Path:
 
     WarpvoxError: the run or agent, or what is asked of it, is not valid; nothing is written then.
     """
+    check_source(config)
     in_window = wants_window(config.window)
     formats = ([] if in_window else ["html"]) if config.export is None else config.export
-    check_source(config, formats)
+    check_exports(formats, config.size)
     if config.rollout is not None:
         rollout, source = stored_rollout(config)
         config = dataclasses.replace(config, run="", record=False)
@@ -68,15 +77,8 @@ def play(config: PlayConfig, console: Console) -> Path:
     return folder
 
 
-def check_source(config: Any, formats: list[str]) -> None:
-    """Raise ConfigError if a run, or what goes with one, is named and something else to be shown as well.
-
-    RolloutError: one of the formats cannot be written.
-    """
-    if "mp4" in formats:
-        from warpvox.view.render import check_mp4
-
-        check_mp4(config.size or LARGE)
+def check_source(config: Any) -> None:
+    """Raise ConfigError if a run, or what goes with one, is named and something else to be shown as well."""
     other = next((name for name in ("rollout", "agent", "zoo") if getattr(config, name, None) is not None), None)
     if other and config.run not in ("latest", ""):  # the default, and what a stored configuration without a run has
         raise ConfigError(f"run and {other} both say what is shown: give one of them.")
