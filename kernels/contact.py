@@ -43,7 +43,7 @@ def contact_forces(kit: Kit):
     ``side`` holds its vector and the depth of the corner under it.
     """
 
-    @kit.func_native("native/pairs.h", "native/contact_law.h", "native/add_contact.h")
+    @kit.func_native("native/tanh.h", "native/pairs.h", "native/contact_law.h", "native/add_contact.h")
     def forces(
         law: kit.Contact, velocity: points3, out: wp.array3d(dtype=kit.real), in_contact: masks, pack, lane, p, a, b,
         side: wp.vec3d, times: real,

@@ -128,7 +128,7 @@ def source(group: Group, whole_warps: bool = False) -> str:
     lines += [f"#define APPROXIMATE {int(group.approximate)}"]
     lines += [constants(**sizes)]
     files = (f"native/group/{file}" for file in FILES)
-    shared = (f"native/{name}.h" for name in ("triangles", "crossing", "forces", "contact_law"))
+    shared = (f"native/{name}.h" for name in ("tanh", "triangles", "crossing", "forces", "contact_law"))
     lines += [text("native/pairs.h", next(files), *shared, *files)]
     lines += ["#undef APPROXIMATE\n"]
     return "\n".join(lines)

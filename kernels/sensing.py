@@ -13,6 +13,14 @@ NEARLY_ONE = wp.constant(wp.float64(0.99999))  # the released simulator's guard 
 TINY = wp.constant(wp.float64(1.0e-7))
 TWO_PI = wp.constant(wp.float64(2.0 * 3.1415926))  # as released
 VOXEL = wp.constant(wp.float64(SIDE))
+HALF_PI, HALF_PI_LOW = wp.constant(wp.float64(1.5707963267948966)), wp.constant(wp.float64(6.123233995736766e-17))
+NUMERATOR = wp.types.vector(6, wp.float64)(
+    0.16666666666666666, -0.3255658186224009, 0.20121253213486293, -0.04005553450067941, 0.0007915349942898145,
+    3.479331075960212e-05,
+)  # fmt: skip
+DENOMINATOR = wp.types.vector(5, wp.float64)(
+    1.0, -2.403394911734414, 2.0209457602335057, -0.6882839716054533, 0.07703815055590194
+)
 
 
 @wp.struct
@@ -95,6 +103,28 @@ def rest(arrays: SensingArrays, pack: int, i: int, k: int):
 
 
 @wp.func
+def arc_cosine(c: wp.float64):
+    """Angle in [0, pi], of sums, products, quotients and roots alone, so that every machine gives the same bits.
+
+    Within a unit in the last place. Method and constants: fdlibm (e_acos.c).
+    """
+    size, half = wp.abs(c), wp.float64(0.5)
+    square = wp.where(size < half, c * c, half * (wp.float64(1.0) - size))
+    p, q = NUMERATOR[5], DENOMINATOR[4]
+    for n in range(5):
+        p = p * square + NUMERATOR[4 - n]
+    for n in range(4):
+        q = q * square + DENOMINATOR[3 - n]
+    share = square * p / q  # arcsin(x) = x + x share for x^2 = square
+    if size < half:
+        return HALF_PI - (c - (HALF_PI_LOW - c * share))
+    root, two = wp.sqrt(square), wp.float64(2.0)
+    if c < wp.float64(0.0):
+        return two * (HALF_PI - (root + (root * share - HALF_PI_LOW)))
+    return two * (root + root * share)
+
+
+@wp.func
 def turn(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64):
     """Angle between two vectors, and the cross product of their directions."""
     la, lb = wp.sqrt(ax * ax + ay * ay), wp.sqrt(bx * bx + by * by)
@@ -105,7 +135,7 @@ def turn(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64):
         c = NEARLY_ONE
     if c < wp.float64(-1.0):
         c = -NEARLY_ONE
-    return wp.acos(c), ax * by - ay * bx, lb
+    return arc_cosine(c), ax * by - ay * bx, lb
 
 
 @kernel

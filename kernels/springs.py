@@ -17,7 +17,7 @@ def runge_kutta(kit: Kit):
     length at the sub-step's start (section A.4). This relaxation is also what damps the bodies. Its force, gravity,
     drag, contacts and the floor are integrated by RK4.
     """
-    return kit.stage("native/springs.h", "native/forces.h", "native/integrate.h")
+    return kit.stage("native/tanh.h", "native/springs.h", "native/forces.h", "native/integrate.h")
 
 
 @builder

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import parallel
-import pins
 import pytest
 from build_distributions import build, copy_sources
 from hypothesis import HealthCheck, settings
@@ -69,13 +68,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def narrow_packs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Packs that different bodies share have the width that other tests have compiled; results hold for any."""
     monkeypatch.setattr("warpvox.algos.env_factory.MAX_WIDTH", 8)
-
-
-@pytest.fixture
-def known_platform() -> None:
-    """Bits are known where the C library's functions are those of a platform on which digests were recorded."""
-    if not pins.known_libm():
-        pytest.skip("another C library, whose tanh and acos may round otherwise")
 
 
 @pytest.fixture(scope="module")

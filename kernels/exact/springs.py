@@ -10,7 +10,7 @@ from warpvox.kernels.kit import Kit, builder
 @builder
 def runge_kutta(kit: Kit):
     """Stage: position and new velocity of every free point after dt."""
-    return kit.stage("native/springs.h", "exact/substep.h")
+    return kit.stage("native/tanh.h", "native/springs.h", "exact/substep.h")
 
 
 @builder

@@ -33,14 +33,10 @@ auto stretch_springs = [&](int stage) {
 
 // The implicit floor at y = 0.
 auto floor_contact = [&](Value& fx, Value& fy, const Value& vx, const Value& y) {
-    each_lane([&](int k) {
-        if (lane_of(y, k) <= 0.0) {
-            const double normal = lane_of(y, k) * -model.floor_stiffness;
-            const double saturation = wp::tanh(lane_of(vx, k) * normal * model.friction);
-            set_lane(fx, k, lane_of(fx, k) + -model.floor_friction * model.friction * (normal * saturation));
-            set_lane(fy, k, lane_of(fy, k) + normal);
-        }
-    });
+    const auto below = y <= Value(0.0);
+    const Value normal = y * -model.floor_stiffness, saturation = tanh_of(vx * normal * model.friction);
+    fx = below ? fx + -model.floor_friction * model.friction * (normal * saturation) : fx;
+    fy = below ? fy + normal : fy;
 };
 
 auto point_force = [&](unsigned x, Value& fx, Value& fy) {

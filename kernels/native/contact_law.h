@@ -36,9 +36,9 @@ auto contact_law = [&](
     // Without friction or stiffness the quotient would be 0/0.
     const Force friction = Force(law.friction), multiplier = Force(law.friction_multiplier);
 #if APPROXIMATE
-    const Force saturation = slip != Force(0) ? wp::tanh(quotient(slip, friction * size)) : Force(0);
+    const Force saturation = slip != Force(0) ? tanh_of(quotient(slip, friction * size)) : Force(0);
 #else
-    const Force saturation = slip != Force(0) ? wp::tanh(slip / (friction * size)) : Force(0);
+    const Force saturation = slip != Force(0) ? tanh_of(slip / (friction * size)) : Force(0);
 #endif
     const Force rx = -(multiplier * tx) * friction * size * saturation, ry = -(multiplier * ty) * friction * size * saturation;
     push[0].friction = Pair{Real(times * rx), Real(times * ry)};

@@ -1,5 +1,5 @@
 // Forces that lanes and groups compute alike. Their values have the operations `root`, `quotient`, `fused` (a b + c) and
-// `reduced` (c - a b), which a group on CUDA approximates; `tanh_of` is that of a number.
+// `reduced` (c - a b), which a group on CUDA approximates.
 
 // Relaxation (paper section A.4) of a spring with the vector (dx, dy) toward the length `goal`; `excess` is goal^2 - l^2, of
 // which only the difference needs float64: goal - l = excess / (goal + l). Gives 1 / l^2 and the force density: force over
@@ -30,9 +30,11 @@ auto spring_force = [&](
     fx = size * ex;
     fy = size * ey;
 };
-// The implicit floor at y = 0: normal force and friction on a point at the height y <= 0 with the velocity vx.
-auto floor_force = [&](Real y, Real vx, Real& normal, Real& drag) {
-    const double force = -model.floor_stiffness * double(y), most = model.friction * force;
-    normal = Real(force);
-    drag = Real(model.floor_friction * most * tanh_of(double(vx) * most));
+// The implicit floor at y = 0: normal force and friction where a point is at the height y <= 0, with the velocity vx.
+auto floor_contact = [&](Value& fx, Value& fy, Value vx, Value y) {
+    const auto below = y <= Value(Real(0));
+    const Wide normal = widen(y) * -model.floor_stiffness, most = normal * model.friction;
+    const Wide drag = most * model.floor_friction * tanh_of(widen(vx) * most);
+    fx = below ? fx - narrow(drag) : fx;
+    fy = below ? fy + narrow(normal) : fy;
 };

@@ -49,21 +49,6 @@ auto stretch = [&](int s, unsigned a, unsigned b, Value& fx, Value& fy) __attrib
     spring_force(spring[r], spring[r + 1], ux, uy, spring[r + 2], spring[r + 3], stiffness_of(s), fx, fy);
 };
 
-// The implicit floor at y = 0: normal force and friction in the lanes that are below it.
-auto floor_contact = [&](Value& fx, Value& fy, Value vx, Value y) {
-    Value x_force = fx, y_force = fy;
-    each_lane([&](int k) {
-        if (lane_of(y, k) <= Real(0)) {
-            Real normal, drag;
-            floor_force(lane_of(y, k), lane_of(vx, k), normal, drag);
-            set_lane(x_force, k, lane_of(x_force, k) - drag);
-            set_lane(y_force, k, lane_of(y_force, k) + normal);
-        }
-    });
-    fx = x_force;
-    fy = y_force;
-};
-
 // x += dt v + dt^2 / 6 (a1 + a2 + a3) and v += dt / 6 (a1 + 2 a2 + 2 a3 + a4), in float64. A fixed point takes part in the
 // stages; only its update is dropped.
 auto finish = [&](unsigned r, auto free) __attribute__((always_inline)) {

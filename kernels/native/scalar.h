@@ -16,7 +16,6 @@ auto fused = [](Value a, Value b, Value c) -> Value { return __builtin_elementwi
 auto reduced = [](Value a, Value b, Value c) -> Value { return __builtin_elementwise_fma(-a, b, c); };
 #endif
 auto quotient = [](Value a, Value b) -> Value { return a / b; };
-auto tanh_of = [](double a) -> double { return wp::tanh(a); };
 auto any_below = [](Value a) -> bool { return a <= Real(0); };
 auto each_lane = [](auto&& act) { act(0); };
 auto lane_of = [](const Value& a, int) -> Real { return a; };

@@ -42,7 +42,6 @@ auto first_bit = [](int mask) -> int { return __builtin_ctz(mask); };
 auto fused = [](Value a, Value b, Value c) -> Value { return __builtin_elementwise_fma(a, b, c); };
 auto reduced = [](Value a, Value b, Value c) -> Value { return __builtin_elementwise_fma(-a, b, c); };
 auto quotient = [](Value a, Value b) -> Value { return a / b; };
-auto tanh_of = [](double a) -> double { return wp::tanh(a); };
 auto any_below = [&](Value a) -> bool { return bits_of(a <= Real(0)); };
 auto values = [&](const wp::array_t<Real>& a) { return reinterpret_cast<Value*>(&wp::index(a, pack, 0, lane)); };
 auto wides = [&](const wp::array_t<double>& a) { return reinterpret_cast<Wide*>(&wp::index(a, pack, 0, lane)); };

@@ -155,14 +155,12 @@ def test_a_training_chooses_by_disturbed_copies(tmp_path: Path) -> None:
     assert run.best_return != evaluator(env, 0)(policy).mean_return
 
 
-@pytest.mark.usefixtures("known_platform")
 def test_an_evaluation_of_a_robot_has_the_episodes_of_its_entry() -> None:
     recorded = wv.zoo("Catcher-v0").about["noise"]["returns"]  # a task that draws something in each episode
     (row,) = wv.evaluate("zoo:Catcher-v0", protocol="noise", episodes=3)
     assert np.round(row.returns, DIGITS).tolist() == recorded[:3]
 
 
-@pytest.mark.usefixtures("known_platform")
 @pytest.mark.parametrize(
     ("task", "episodes"),
     [*((t, 1) for t in zoo_tasks()[::4]), *(pytest.param(t, EPISODES, marks=pytest.mark.slow) for t in zoo_tasks())],

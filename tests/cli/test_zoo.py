@@ -44,7 +44,6 @@ def test_one_is_shown_with_its_command(warpvox: Callable) -> None:
     warpvox("zoo", f"task={TASK.lower()}x", fails="Did you mean")
 
 
-@pytest.mark.usefixtures("known_platform")
 def test_it_is_played_with_the_recorded_return(warpvox: Callable) -> None:
     warpvox("play", f"zoo={TASK}", "window=off", "export=[]")
     found = summary(f"play/{TASK}/*/summary.json")

@@ -10,6 +10,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -18,6 +19,8 @@ from warpvox.design import example_design
 from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 
+PINNED = Path(__file__).with_name("digests.json")
+"""``{precision: {task: digest}}``: a rollout is made of what rounds alike on every machine."""
 PRECISIONS = ("float32", "float64")
 STEPS, ENVS, LANES = 24, 4, 8
 LIMIT = 20  # control steps of an episode: every rollout holds a reset, and the draws of a second episode

@@ -18,7 +18,6 @@ LARGEST = 1_200_000  # bytes of the whole zoo, which is in the wheel
 TASKS = zoo_tasks()
 
 
-@pytest.mark.usefixtures("known_platform")
 @pytest.mark.parametrize(
     "task", [t if k % 4 == 0 else pytest.param(t, marks=pytest.mark.slow) for k, t in enumerate(TASKS)]
 )

@@ -24,6 +24,9 @@ constexpr bool TIGHT = false;
 #endif
 
 typedef Real Value;  // as in scalar.h
+typedef double Wide;
+auto widen = [](Value a) -> Wide { return a; };
+auto narrow = [](Wide a) -> Value { return Value(a); };
 // Where several warps have an environment, the last of them may have nothing in the last round of points or springs.
 constexpr int WARPS = PARTS > 32 ? PARTS / 32 : 1, WHOLE = PARTS > 32 ? 32 : PARTS;
 static_assert(POINTS % WHOLE == 0 && MOVERS % WHOLE == 0 && SPRINGS % WHOLE == 0, "capacities");
@@ -302,11 +305,3 @@ auto bits_of = [](bool a) -> int { return a; };
 auto root = [&](float a) -> float { return a * inverse_root(a); };
 auto quotient = [&](float a, float b) -> float { return a * inverse(b); };
 #endif
-
-auto tanh_of = [](double a) -> double {
-#if APPROXIMATE
-    return double(wp::tanh(Single(a)));
-#else
-    return wp::tanh(a);
-#endif
-};

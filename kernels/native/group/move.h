@@ -135,11 +135,7 @@ auto runge_kutta = [&]() {
         if (lowest_point <= Real(0)) {  // the implicit floor at y = 0
             own_points([&](int j, int p) {
                 const Real above = stage ? height[j] + at.disp[p].y : height[j];
-                if (!(above <= Real(0))) return;
-                Real normal, drag;
-                floor_force(above, stage_vel[j].x, normal, drag);
-                force[j].x = force[j].x - drag;
-                force[j].y = force[j].y + normal;
+                if (above <= Real(0)) floor_contact(force[j].x, force[j].y, stage_vel[j].x, above);
             });
         }
         lowest_point = Real(1);
