@@ -72,6 +72,11 @@ def flush_to_disk(path: Path) -> None:
         os.close(handle)
 
 
+def unquoted(argument: str) -> str:
+    """An argument of the command line without the single quotes that cmd.exe, unlike other shells, leaves about it."""
+    return argument[1:-1] if WINDOWS and len(argument) > 1 and argument[0] == argument[-1] == "'" else argument
+
+
 def python_of(environment: Path) -> Path:
     """The interpreter of a virtual environment."""
     return environment / ("Scripts/python.exe" if WINDOWS else "bin/python")

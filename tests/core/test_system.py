@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,13 @@ def test_commands_run_without_what_only_linux_has(platform: str, tmp_path: Path)
     line = [sys.executable, str(Path(__file__).with_name("elsewhere.py")), platform, *tiny("train")]
     done = subprocess.run(line, capture_output=True, text=True, cwd=tmp_path, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+
+
+def test_single_quotes_that_cmd_leaves_are_taken_off(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert system.unquoted("'a=b'") == ("a=b" if system.WINDOWS else "'a=b'")
+    monkeypatch.setattr(system, "WINDOWS", True)
+    assert "Walker-v0" in warpvox("zoo", "'task=Walker-v0'").out
+    assert [*map(system.unquoted, ("a='b'", "'", "''", ""))] == ["a='b'", "'", "", ""]
 
 
 def test_only_one_module_asks_for_the_system(repository: Path) -> None:

@@ -4,7 +4,6 @@ import errno
 import json
 import os
 import pathlib
-import resource
 import shutil
 import signal
 import sqlite3
@@ -35,6 +34,8 @@ from warpvox.algos.codesign.archive import BACKUP, FILE, Archive
 from warpvox.errors import RolloutError, RunError, StorageError
 from warpvox.io import writing
 from warpvox.io.writing import MARK, claimed, write_text
+
+resource = pytest.importorskip("resource", reason="signals and limits are those of POSIX")
 
 COMMANDS = {"train": TRAIN, "codesign": CODESIGN}
 OURS = {writing.__file__, pathlib.__file__, system.__file__}  # the modules whose code writes a file

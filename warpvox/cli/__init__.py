@@ -19,6 +19,7 @@ from warpvox.code import invocation
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.errors import ConfigError, WarpvoxError, did_you_mean
 from warpvox.io.writing import OF_DISKS, complaint
+from warpvox.system import unquoted
 
 __all__ = ["COMMANDS", "main"]
 
@@ -48,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: arguments without the program's name; None: those of the process.
     """
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    arguments = [*map(unquoted, sys.argv[1:] if argv is None else argv)]
     invocation.set(tuple(arguments))
     works = arguments[:1] and arguments[0] in WORKING
     with lasting_output("warpvox: nobody reads the output any more; going on without it" if works else None):
