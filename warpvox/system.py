@@ -14,6 +14,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+try:
+    import fcntl
+except ImportError:
+    fcntl = None
+
 WINDOWS = sys.platform == "win32"
 
 HANGUP: int | None = getattr(signal, "SIGHUP", None)
@@ -40,9 +45,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
     Raises:
         BlockingIOError: another process holds it. OSError: the folder cannot be opened.
     """
-    try:
-        import fcntl
-    except ImportError:
+    if fcntl is None:
         yield
         return
     handle = os.open(folder, os.O_RDONLY)

@@ -206,7 +206,7 @@ def test_tasks_of_ones_own_are_named_at_the_start(tmp_path) -> None:
         'MINE = replace(get_task("Walker-v0"), id="Mine-v0")\n'
         'OTHER = replace(get_task("Walker-v0"), id="Other-v0")\n'
     )
-    name = f"{tmp_path}/my_own.py:MINE"
+    name = f"{tmp_path.as_posix()}/my_own.py:MINE"
     with EditorServer(tmp_path / "designs", tasks=[Code(name)]) as server:
         thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
         thread.start()

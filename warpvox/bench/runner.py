@@ -15,6 +15,8 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 HEADINGS = {"bare": "physics alone", "step": "step only", "inference": "with inference", "training": "with training"}
 """Columns: the simulator alone, the whole control step, a policy in the loop, iterations of ``ppo=parallel``."""
+TICK = 1e-7
+"""Seconds for which a clock may stand still, as that of CPU time does on Windows."""
 LEAST_STEPS = 2
 """Control steps of a repetition, at the least."""
 LOADING = 4
@@ -112,7 +114,7 @@ class Runner:
             began = self.now()
             for action in actions:
                 step(action)
-        return count * self.num_envs / (self.now() - began)
+        return count * self.num_envs / max(self.now() - began, TICK)
 
     def repeats(self, column: str, repeats: int) -> int:
         """Repetitions of a column, made ready: fewer where an iteration of training is longer than the limit."""
