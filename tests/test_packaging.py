@@ -10,7 +10,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from build_distributions import LINKED, build
+from build_distributions import LINKED, build, copy_sources
 
 import warpvox
 
@@ -69,13 +69,29 @@ def test_the_source_distribution_builds_the_same_wheel(wheel: Path, sdist: Path,
     assert contents(build("wheel", unpacked, tmp_path / "out")) == contents(wheel)
 
 
+def test_sources_without_links_build_the_same_wheel(repository: Path, wheel: Path, tmp_path: Path) -> None:
+    """As git for Windows writes them, unless it is told otherwise."""
+    sources = copy_sources(repository, tmp_path)
+    for folder in LINKED:
+        (sources / "warpvox" / folder).unlink()
+        (sources / "warpvox" / folder).write_text(f"../{folder}")
+    assert contents(build("wheel", sources, tmp_path / "out")) == contents(wheel)
+
+
 def test_the_source_distribution_holds_nothing_else(repository: Path, sdist: Path) -> None:
     with tarfile.open(sdist) as archive:
         inside = {name.partition("/")[2] for name in archive.getnames() if archive.getmember(name).isfile()}
     described = {name for name in inside if name.startswith("warpvox.egg-info/")} | {"PKG-INFO", "setup.cfg"}
     sources = {name for name in inside - described if name.startswith("warpvox/")}
     assert sources == shipped_files(repository)
-    assert inside - described - sources == {"pyproject.toml", "README.md", "LICENSE", "NOTICE", "MANIFEST.in"}
+    assert inside - described - sources == {
+        "pyproject.toml",
+        "setup.py",
+        "README.md",
+        "LICENSE",
+        "NOTICE",
+        "MANIFEST.in",
+    }
 
 
 def test_the_wheel_works_without_the_checkout(wheel: Path, tmp_path: Path) -> None:
