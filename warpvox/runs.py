@@ -235,7 +235,8 @@ def _read(folder: Path) -> dict[str, Any]:
         raise RunError(f"{config} cannot be read as YAML ({error}): is {folder} a run?") from None
     if not isinstance(content, dict):
         return {}
-    if not text.endswith(END):  # missing keys would be taken for the defaults, and the run for another one
+    # missing keys would be taken for the defaults, and the run for another one
+    if text.splitlines()[-1:] != [END.strip()]:
         raise RunError(f"{config} has been cut short: it lacks its last line, {END.strip()}. Restore it from a copy.")
     return content
 

@@ -21,12 +21,22 @@ from warpvox.cli import main
 from warpvox.cli.config import load
 from warpvox.devices.startup import LOGGER, prepare
 from warpvox.envs.vec_env import make_vec
-from warpvox.io.console import echo, escaped, literal, shell_argument
+from warpvox.io.console import echo, escaped, literal, shell_argument, shown
 from warpvox.runs import LONGEST_BYTES, as_name
 from warpvox.view.rollout import Rollout, record
 
 EVIL = "[/bold]\x1b]0;owned\x07\x1b[2J\r[link=x]a\u202eb\x9b31m"
 """Markup that is not closed, a new title for the window, an empty screen, letters that run backwards."""
+
+
+def test_paths_are_shown_as_they_are_short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path) -> str:
+        raise ValueError(f"path is on mount 'D:', start on mount 'C:': {path}")
+
+    monkeypatch.chdir(tmp_path)
+    assert shown(tmp_path / "a") == "a"
+    monkeypatch.setattr(os.path, "relpath", refuse)  # as on Windows between two drives
+    assert shown(tmp_path / "a") == str(tmp_path / "a")
 
 
 @given(st.text())

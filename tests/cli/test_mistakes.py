@@ -130,8 +130,10 @@ def test_a_folder_that_may_not_be_entered(words: str, warpvox: Callable, monkeyp
 
 def test_a_folder_with_another_config_is_not_a_run(warpvox: Callable, tmp_path: Path) -> None:
     unread = "config.yaml cannot be read as YAML"
-    for text, says in {"a: 1\n": "cut short", "- 1\n": "that of another run", "{": unread, "\0": unread}.items():
-        (tmp_path / "config.yaml").write_text(text)
+    short, other = "cut short", "that of another run"
+    texts = {"a: 1\n": short, "a: 1...\n": short, "a: 1\r\n...\r\n": other, "- 1\n": other, "{": unread, "\0": unread}
+    for text, says in texts.items():
+        (tmp_path / "config.yaml").write_bytes(text.encode())
         warpvox("play", "run=.", fails=says)
 
 

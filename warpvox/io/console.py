@@ -29,7 +29,10 @@ def widen(console: Console, width: int = 120) -> None:
 
 def shown(path: Path) -> str:
     """A path as people like to read it: relative to here where that is shorter."""
-    relative = os.path.relpath(path)
+    try:
+        relative = os.path.relpath(path)
+    except ValueError:  # another drive of Windows
+        return str(path)
     return relative if len(relative) < len(str(path)) else str(path)
 
 
