@@ -8,7 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-GONE = {errno.EPIPE, errno.ECONNRESET, errno.ESHUTDOWN}
+from warpvox.system import WINDOWS
+
+GONE = {errno.EPIPE, errno.ECONNRESET, errno.ESHUTDOWN, *([errno.EINVAL] if WINDOWS else [])}
 """Errors of a pipe or socket whose reader has gone."""
 OF_TERMINALS = {errno.EIO, errno.ENXIO, errno.EBADF}
 """Errors of a terminal that was closed; those of a file mean that the disk has failed."""
