@@ -106,7 +106,7 @@ def rest(arrays: SensingArrays, pack: int, i: int, k: int):
 def arc_cosine(c: wp.float64):
     """Angle in [0, pi], of sums, products, quotients and roots alone, so that every machine gives the same bits.
 
-    Within a unit in the last place. Method and constants: fdlibm (e_acos.c).
+    Within two units in the last place. Method and constants: fdlibm (e_acos.c).
     """
     size, half = wp.abs(c), wp.float64(0.5)
     square = wp.where(size < half, c * c, half * (wp.float64(1.0) - size))

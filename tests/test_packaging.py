@@ -70,7 +70,7 @@ def test_the_source_distribution_builds_the_same_wheel(wheel: Path, sdist: Path,
 
 
 def test_sources_without_links_build_the_same_wheel(repository: Path, wheel: Path, tmp_path: Path) -> None:
-    """As git for Windows writes them, unless it is told otherwise."""
+    """With ``core.symlinks=false``, the default of git for Windows."""
     sources = copy_sources(repository, tmp_path)
     for folder in LINKED:
         (sources / "warpvox" / folder).unlink()

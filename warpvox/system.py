@@ -1,4 +1,4 @@
-"""Everything that depends on the operating system: signals, locks, flushing, memory, processors.
+"""Everything that depends on the operating system: signals, locks, pipes, flushing, memory, processors.
 
 Tests run on Linux. Elsewhere commands are meant to run without what only Linux has: locks of folders need ``fcntl``,
 and the free memory is not known. No other module of warpvox asks which system it runs on.
@@ -20,6 +20,9 @@ except ImportError:
     fcntl = None
 
 WINDOWS = sys.platform == "win32"
+
+GONE = {errno.EPIPE, errno.ECONNRESET, errno.ESHUTDOWN, *([errno.EINVAL] if WINDOWS else [])}
+"""Errors of a pipe or socket whose reader has gone."""
 
 HANGUP: int | None = getattr(signal, "SIGHUP", None)
 """Sent when the terminal's window or connection is closed; None on Windows, which has no such signal."""

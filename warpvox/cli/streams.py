@@ -8,10 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from warpvox.system import WINDOWS
+from warpvox.system import GONE
 
-GONE = {errno.EPIPE, errno.ECONNRESET, errno.ESHUTDOWN, *([errno.EINVAL] if WINDOWS else [])}
-"""Errors of a pipe or socket whose reader has gone."""
 OF_TERMINALS = {errno.EIO, errno.ENXIO, errno.EBADF}
 """Errors of a terminal that was closed; those of a file mean that the disk has failed."""
 
