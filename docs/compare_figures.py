@@ -11,6 +11,8 @@ from pathlib import Path
 FIGURES = Path(__file__).parent / "figures.md"
 COMPARED = {"ratio": (0.67, float("inf")), "control steps": (0.0, 1.5)}
 """Columns, and between what a new figure may be, as a share of the old one."""
+NARROW = 0.4
+"""What is left of the least share without AVX-512, which the old figures were made with."""
 TABLE = re.compile(r"^\|(.*)\|\n\|[ -:|]+\|\n((?:\|.*\|\n)+)", re.MULTILINE)
 
 
@@ -35,23 +37,22 @@ def figures(text: str) -> dict[tuple[str, str], float]:
     }
 
 
-def compare(old: dict[tuple[str, str], float], new: dict[tuple[str, str], float]) -> list[str]:
+def compare(old: dict[tuple[str, str], float], new: dict[tuple[str, str], float], wide: bool = True) -> list[str]:
     """A line for each figure that is worse than it may be."""
     lines = []
     for (row, column), value in new.items():
         before = old.get((row, column))
         least, most = COMPARED[column]
-        if before is not None and not least <= value / before <= most:
+        if before is not None and not least * (1 if wide else NARROW) <= value / before <= most:
             lines.append(f"{row}, {column}: {before:g} before, {value:g} now")
     return lines
 
 
 def main(folder: str) -> int:
     """Print what is worse. Returns the exit code."""
-    old, new = figures(FIGURES.read_text(encoding="utf-8")), {}
-    for path in Path(folder).rglob("tables.md"):
-        new |= figures(path.read_text(encoding="utf-8"))
-    worse, common = compare(old, new), len(old.keys() & new.keys())
+    text = "".join(path.read_text(encoding="utf-8") for path in sorted(Path(folder).rglob("tables.md")))
+    old, new = figures(FIGURES.read_text(encoding="utf-8")), figures(text)
+    worse, common = compare(old, new, wide="(AVX512)" in text), len(old.keys() & new.keys())
     print(*worse, f"{common} figures compared, {len(worse)} worse", sep="\n")
     return bool(worse) or not common
 

@@ -23,9 +23,9 @@ REST = "integrator"
 
 
 def machine(device: str) -> dict[str, Any]:
-    """Processor, device and versions."""
+    """Processor with the widest vectors that torch finds in it, device and versions."""
     facts: dict[str, Any] = {
-        "cpu": processor_name(),
+        "cpu": f"{processor_name()} ({torch.backends.cpu.get_cpu_capability()})",
         "cores": usable_cores(),
         "system": platform.platform(),
         "python": platform.python_version(),

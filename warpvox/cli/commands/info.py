@@ -53,7 +53,8 @@ def _devices() -> list[tuple[str, str]]:
     from warpvox.devices.names import missing_cuda
 
     missing = missing_cuda()
-    rows = [("cpu", f"{processor_name()}, {usable_cores()} of {os.cpu_count()} cores usable")]
+    vectors = torch.backends.cpu.get_cpu_capability()
+    rows = [("cpu", f"{processor_name()} ({vectors}), {usable_cores()} of {os.cpu_count()} cores usable")]
     if missing is not None:
         return [*rows, ("cuda", f"none: {missing}")]
     for index in range(torch.cuda.device_count()):
