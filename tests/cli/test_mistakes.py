@@ -16,6 +16,7 @@ MISTAKES = {
     "train sede=1": "Did you mean 'seed'",
     "train lr=1": "Did you mean 'ppo.learning_rate'",
     "train total_timesteps=1000": "Did you mean 'max_iterations'",
+    "codesign num_envs=8": "Did you mean 'training.envs'",
     "codesign lr=1": "Did you mean 'training.ppo.learning_rate'",
     "train num_envs=3 design=mini lanes=8 threads=1 ppo.minibatches=100": "environments make 48 in 16 steps",
     "train num_envs=1 ppo.steps=1 ppo.minibatches=1": "2 samples or more",

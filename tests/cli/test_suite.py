@@ -139,6 +139,7 @@ def test_budgets_by_task() -> None:
         ({"evaluations": {"hard": 3}}, "says nothing of Walker-v0"),
         ({"control_steps": 10}, "must be at least"),
         ({"codesign": ["seed=3"]}, "seed is set by the suite for each search. Did you mean 'seeds'"),
+        ({"codesign": ["search.max_evaluations=3"]}, "set by the suite for each search. Did you mean 'evaluations'"),
     ],
 )
 def test_mistakes_in_what_members_are(quick_keys: Any, changes: dict[str, Any], phrase: str) -> None:

@@ -31,7 +31,7 @@ NAMED = {"all": task_ids, "benchmark10": lambda: BENCHMARK10}
 DEFAULT = "default"
 OF_SUITES = (
     "task", "seed", "search", "device", "threads", "executor", "address", "workers", "resume", "report", "name",
-    "config", "shape", "output_dir", "preset", "export",
+    "config", "shape", "output_dir", "preset", "export", "search.max_evaluations",
 )  # fmt: skip
 """Keys of a design search that a suite has, too, or sets for each search."""
 
