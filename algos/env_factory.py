@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from warpvox.algos.protocols import NOMINAL, episodes_of
-from warpvox.batch.options import MAX_WIDTH, SimOptions, lanes_for, resolve_arithmetic
+from warpvox.batch.options import SimOptions, lanes_for, most_lanes, resolve_arithmetic
 from warpvox.design import Design
 from warpvox.devices.names import resolve_device
 from warpvox.envs.spec import TaskSpec
@@ -72,4 +72,4 @@ class EnvFactory:
         In fast arithmetic different bodies share packs, in exact arithmetic they do not.
         """
         fast = resolve_arithmetic(self.sim.arithmetic, self.sim.dtype) == "fast"
-        return MAX_WIDTH if fast else lanes_for(envs)
+        return most_lanes() if fast else lanes_for(envs)

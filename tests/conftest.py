@@ -67,7 +67,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture
 def narrow_packs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Packs that different bodies share have the width that other tests have compiled; results hold for any."""
-    monkeypatch.setattr("warpvox.algos.env_factory.MAX_WIDTH", 8)
+    monkeypatch.setattr("warpvox.algos.env_factory.most_lanes", lambda: 8)
 
 
 @pytest.fixture(scope="module")

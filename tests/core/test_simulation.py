@@ -9,6 +9,7 @@ import warp as wp
 from warp._src.context import Module
 from worlds import ground, world
 
+from warpvox.batch.options import lanes_for, most_lanes
 from warpvox.design import sample_design
 from warpvox.errors import SimulationError
 from warpvox.simulation import Simulation
@@ -137,3 +138,13 @@ def test_no_kernel_is_built_after_the_first_step(monkeypatch):
     assert built == []
     wp.launch(fresh, 1, [wp.zeros(1, dtype=int, device="cpu")], device="cpu")
     assert built == [fresh.module.name]  # one that is built would have been seen
+
+
+@pytest.mark.parametrize(("vectors", "most"), [("AVX512", 32), ("AVX2", 16), ("DEFAULT", 16)])
+def test_lanes_go_by_the_environments_and_the_processor(vectors, most, monkeypatch):
+    monkeypatch.setattr("torch.backends.cpu.get_cpu_capability", lambda: vectors)
+    most_lanes.cache_clear()
+    try:
+        assert [lanes_for(count) for count in (1, 2, 9, 17, 512)] == [1, 8, 16, most, most]
+    finally:
+        most_lanes.cache_clear()

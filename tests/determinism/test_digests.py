@@ -59,7 +59,12 @@ def test_the_instructions_of_the_cpu_do_not_matter() -> None:
 
 @pytest.mark.parametrize(
     ("precision", "lanes"),
-    [("float32", 1), ("float32", 32), ("float64", 1), pytest.param("float64", 32, marks=pytest.mark.slow)],
+    [
+        ("float32", 1),
+        ("float32", 32),
+        ("float64", 1),
+        *(pytest.param("float64", n, marks=pytest.mark.slow) for n in (16, 32)),
+    ],
 )
 @pytest.mark.parametrize("task", ["Walker-v0", "Carrier-v0", "Climber-v0", "Catcher-v0"])
 def test_the_width_of_lanes_does_not_matter(task: str, precision: str, lanes: int) -> None:
