@@ -112,7 +112,7 @@ class Training(Settings):
     arithmetic: str | None = arithmetic_key("chosen by dtype")
     threads: int | None = key(None, "CPU threads of the simulation; null: all cores", low=1, high=MOST_THREADS)
     lanes: int | None = key(
-        None, "environments that a thread advances at once, in SIMD lanes; null: chosen by their number"
+        None, "environments that a thread advances at once, in SIMD lanes; null: by their number and the processor"
     )
     logger: str = key(
         "tensorboard",
