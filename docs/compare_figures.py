@@ -12,7 +12,7 @@ FIGURES = Path(__file__).parent / "figures.md"
 COMPARED = {"ratio": (0.67, float("inf")), "control steps": (0.0, 1.5)}
 """Columns, and between what a new figure may be, as a share of the old one."""
 NARROW = 0.4
-"""What is left of the least share without AVX-512, which the old figures were made with."""
+"""Factor of the least share where there is no AVX-512, which the old figures were made with."""
 TABLE = re.compile(r"^\|(.*)\|\n\|[ -:|]+\|\n((?:\|.*\|\n)+)", re.MULTILINE)
 
 

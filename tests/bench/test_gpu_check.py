@@ -17,6 +17,7 @@ from rich.console import Console
 from simulated_cuda import SimulatedCuda
 
 from warpvox.bench import cases, gpu, gpu_checks, gpu_rates, gpu_tools, report as report_module
+from warpvox.bench.machine import machine
 from warpvox.bench.report import Report
 from warpvox.cli.config import load
 from warpvox.errors import SimulationError
@@ -82,7 +83,7 @@ def test_a_part_that_fails_does_not_stop_the_others(warpvox: Callable, monkeypat
 
 @pytest.fixture
 def report(tmp_path: Path) -> Report:
-    return Report(Console(quiet=True), tmp_path, {})
+    return Report(Console(quiet=True), tmp_path, {"machine": machine("cpu")})
 
 
 def config_of(*words: str) -> Any:

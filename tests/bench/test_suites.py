@@ -71,8 +71,11 @@ def bench(warpvox: Callable) -> Callable[..., tuple[str, dict]]:
         outcome = warpvox("bench", f"suite={suite}", *once(*TINY, *words))
         (folder,) = Path("outputs/bench").joinpath(suite).iterdir()
         assert (folder / "config.yaml").is_file()
-        assert (folder / "tables.md").stat().st_size > 100
-        return " ".join(outcome.out.split()), json.loads((folder / "summary.json").read_text())
+        figures = json.loads((folder / "summary.json").read_text())
+        tables = (folder / "tables.md").read_text()
+        assert len(tables) > 100
+        assert f"Machine: {figures['machine']['cores']} usable cores of {figures['machine']['cpu']}; Python" in tables
+        return " ".join(outcome.out.split()), figures
 
     return run
 

@@ -84,8 +84,15 @@ def test_worse_figures_are_found() -> None:
     assert len(old) > 40
     assert len(compare_figures.compare(old, slow)) == len(old)
     assert not compare_figures.compare(old, old)
-    ratios = {place: value / 2 for place, value in old.items() if place[1] == "ratio"}
-    assert not compare_figures.compare(old, ratios, wide=False)
+
+
+@pytest.mark.parametrize(
+    ("vectors", "ratio", "code"), [("AVX512", 88, 1), ("AVX512", 176, 0), ("AVX2", 88, 0), ("AVX2", 40, 1)]
+)
+def test_without_avx_512_less_is_expected(vectors: str, ratio: int, code: int, tmp_path: Path) -> None:
+    table = f"| task | ratio |\n| --- | ---: |\n| Walker-v0 | {ratio} |\n"
+    (tmp_path / "tables.md").write_text(f"{table}\nMachine: 2 usable cores of AMD EPYC ({vectors}); Python 3.11.7.\n")
+    assert compare_figures.main(str(tmp_path)) == code
 
 
 @pytest.mark.parametrize(("page", "words"), list(phrases()))

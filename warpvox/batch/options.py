@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 from typing import Any, TypedDict
 
 import numpy as np
@@ -160,10 +159,9 @@ def resolve_layout(layout: str | None, arithmetic: str, device: str, lanes: int 
 
 def lanes_for(environments: int) -> int:
     """The lanes that are chosen on the CPU for a number of environments that can share packs."""
-    return min(next((width for width in WIDTHS if width >= environments), MAX_WIDTH), most_lanes())
+    return next(width for width in WIDTHS if width >= min(environments, most_lanes()))
 
 
-@cache
 def most_lanes() -> int:
     """The most lanes that are chosen on the CPU: 32 with AVX-512; the fewer registers of others serve 16 faster."""
     import torch

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from rich.console import Console
 from rich.table import Table
 
+from warpvox.bench.machine import machine_line
 from warpvox.errors import ConfigError
 from warpvox.io.console import echo, literal
 from warpvox.io.writing import write_text
@@ -89,7 +90,7 @@ class Report:
 
     def write(self) -> str:
         """Write all tables and sentences as ``tables.md``, the figures as ``summary.json``; returns the text."""
-        text = "\n\n".join(self._texts) + "\n"
+        text = "\n\n".join([*self._texts, f"Machine: {machine_line(self.figures['machine'])}."]) + "\n"
         write_text(self.folder / TABLES, text)
         write_summary(self.folder, self.figures)
         return text

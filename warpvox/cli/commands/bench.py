@@ -43,7 +43,7 @@ def measure(config: Any, console: Console) -> Path:
         suite.run(config, report)
         text = report.write()
         if document:
-            put_into(document, config.suite, f"{text}\nMachine: {machine_line(facts)}.\n")
+            put_into(document, config.suite, text)
         echo(console, f"figures: {folder / 'summary.json'}")
     if failed := report.figures.get("failed"):
         raise SimulationError(f"These parts failed: {listing(failed)}; see {folder / 'summary.json'}.")
