@@ -42,6 +42,8 @@ def phrases() -> Iterator[tuple[str, str]]:
     yield "README.md", f"{low} to {high} times ({middle})"
     yield "docs/index.md", f"without: {middle})"
     yield "docs/performance.md", f"{low} to {high} times, the median {middle}"
+    took, steps = re.search(r"in (\S+) s \(`ppo=parallel`, (\S+) control steps", text_of("docs/figures.md")).groups()
+    yield "docs/performance.md", f"or after {steps} in {float(took):.0f} s on two of the old ones"
     yield "docs/performance.md", f"{float(least):.0f} to {most} times as many control steps"
     yield "docs/performance.md", f"the median of all tasks is {median}"
     batch = cells(tables("tasks"), "Walker-v0")[-1]
