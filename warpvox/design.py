@@ -129,7 +129,7 @@ def _check_rows(rows: Sequence[object], what: str, error: type[Exception]) -> No
 
 def is_connected(body: object) -> bool:
     """Whether all non-empty cells hang together along edges; False for a body without cells."""
-    return count_pieces(as_grid(body)) == 1
+    return bool(count_pieces(as_grid(body)) == 1)
 
 
 def has_actuator(body: object) -> bool:

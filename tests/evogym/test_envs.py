@@ -40,6 +40,17 @@ def test_spaces_are_those_of_the_release() -> None:
     assert gymnasium.make("BeamSlider-v0", body=BODY).unwrapped.default_viewer._tracked == ["robot", "beam"]
 
 
+def test_made_environments_pass_attributes_on() -> None:
+    env: Any = gymnasium.make("Walker-v0", body=BODY)
+    assert env.sim is env.unwrapped.sim
+    assert env.get_time() == 0
+    assert not hasattr(env, "simulation")
+    env.set_wrapper_attr("world", None)
+    assert env.world is None
+    assert env.unwrapped.world is None
+    assert gymnasium.make(env.spec).sim is not env.sim
+
+
 @pytest.mark.parametrize("task", ["Walker-v0", "BidirectionalWalker-v0", "Catcher-v0"])
 def test_gymnasiums_own_check(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)

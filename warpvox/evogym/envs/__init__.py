@@ -19,6 +19,7 @@ from warpvox.evogym.envs.flip import *  # noqa: F403
 from warpvox.evogym.envs.jump import *  # noqa: F403
 from warpvox.evogym.envs.manipulate import *  # noqa: F403
 from warpvox.evogym.envs.multi_goal import *  # noqa: F403
+from warpvox.evogym.envs.task import PassAttributes
 from warpvox.evogym.envs.traverse import *  # noqa: F403
 from warpvox.evogym.envs.walk import *  # noqa: F403
 
@@ -32,8 +33,12 @@ def _register() -> None:
         for name in module.__all__:
             task = getattr(getattr(module, name), "task", None)
             if task is not None:
-                steps = get_task(task).max_episode_steps
-                register(released_id(task), entry_point=f"{module.__name__}:{name}", max_episode_steps=steps)
+                register(
+                    released_id(task),
+                    entry_point=f"{module.__name__}:{name}",
+                    max_episode_steps=get_task(task).max_episode_steps,
+                    additional_wrappers=(PassAttributes.wrapper_spec(),),
+                )
 
 
 _register()

@@ -4,7 +4,8 @@ import sys
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
+from gymnasium import Env, Wrapper, spaces
+from gymnasium.utils import RecordConstructorArgs
 
 from warpvox.envs.registry import get_task
 from warpvox.envs.snapshot import Snapshot
@@ -13,7 +14,7 @@ from warpvox.evogym.envs.base import BenchmarkBase, EvoGymBase
 from warpvox.evogym.world import EvoWorld, WorldObject
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["TaskEnv", "task_env"]
+__all__ = ["PassAttributes", "TaskEnv", "task_env"]
 
 _BOUND = 100.0  # as released: nominal, observations are not clipped
 _FOLLOWED = ("package", "beam")
@@ -103,6 +104,23 @@ class TaskEnv(BenchmarkBase):
         """Begin an episode; ``options`` are not used. Returns the observation and an empty dictionary."""
         EvoGymBase.reset(self, seed=seed, options=options)
         return self._observe(self._state()), {}
+
+
+class PassAttributes(Wrapper, RecordConstructorArgs):
+    """Outermost wrapper of what ``gymnasium.make`` returns: scripts say ``env.sim``, which wrappers of 1.0 stopped."""
+
+    def __init__(self, env: Env) -> None:
+        RecordConstructorArgs.__init__(self)
+        Wrapper.__init__(self, env)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # private; and copying asks for such before there is an `env`
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        return self.env.get_wrapper_attr(name)
+
+    def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
+        """Set an attribute where it is: this wrapper seems to have all of the environment's."""
+        return self.env.set_wrapper_attr(name, value, force=force)
 
 
 def task_env(name: str, task: str, *bases: type, **constants: float) -> type:
