@@ -5,6 +5,7 @@ and the free memory is not known. No other module of warpvox asks which system i
 """
 
 import errno
+import math
 import os
 import platform
 import re
@@ -89,8 +90,18 @@ def python_of(environment: Path) -> Path:
 
 
 def usable_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Cores that this process may use: its affinity's, but no more than its control groups (containers) allow for."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min([cores, *_quotas()])
+
+
+def _quotas(root: Path = Path("/")) -> Iterator[int]:
+    """Cores that each limited control group allows for, rounded up."""
+    for names, folder in _control_groups(root, "cpu", ["cpu.max"], ["cpu.cfs_quota_us", "cpu.cfs_period_us"]):
+        with suppress(OSError):
+            quota, period = " ".join((folder / name).read_text() for name in names).split()
+            if quota.isdigit():  # neither "max" nor version 1's -1
+                yield math.ceil(int(quota) / int(period))
 
 
 def processor_name() -> str:
@@ -128,26 +139,31 @@ def _linux_memory(root: Path = Path("/")) -> int | None:
 
 
 def _left_of_groups(root: Path = Path("/")) -> int | None:
-    """Bytes that are left below the limits of the control groups that the process is in, of either version."""
+    """Bytes that are left below the limits of the control groups."""
+    files = ["memory.max", "memory.current", "inactive_file"]
+    older = ["memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"]
+    found = (_left_of_group(folder, *names) for names, folder in _control_groups(root, "memory", files, older))
+    return min((left for each in found for left in each), default=None)
+
+
+def _control_groups(root: Path, controller: str, new: list[str], old: list[str]) -> Iterator[tuple[list[str], Path]]:
+    """Folders of the control groups that the process is in, each with ``new`` (version 2) or ``old`` (version 1)."""
     try:
         lines = (root / "proc/self/cgroup").read_text().splitlines()
     except OSError:
-        return None
-    left = []
+        return
     for line in lines:
         _, controllers, path = line.split(":", 2)
         if controllers == "":
-            top, names = root / "sys/fs/cgroup", ("memory.max", "memory.current", "inactive_file")
-        elif "memory" in controllers.split(","):
-            top = root / "sys/fs/cgroup/memory"
-            names = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
+            names, top = new, root / "sys/fs/cgroup"
+        elif controller in controllers.split(","):
+            names, top = old, root / "sys/fs/cgroup" / controller
         else:
             continue
         # inside a container the path is that of the host, and the group itself is mounted at the top
         place = top / path.strip("/")
         for folder in {top, place, *(parent for parent in place.parents if top in parent.parents)}:
-            left += _left_of_group(folder, *names)
-    return min(left, default=None)
+            yield names, folder
 
 
 def _left_of_group(folder: Path, limit: str, used: str, cache: str) -> list[int]:

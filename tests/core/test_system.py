@@ -83,6 +83,28 @@ def test_the_least_of_nested_control_groups_counts(tmp_path: Path) -> None:
     assert system._left_of_groups(tmp_path) == 4900
 
 
+def test_control_groups_limit_cores(tmp_path: Path) -> None:
+    assert list(system._quotas(tmp_path)) == []
+    write(
+        tmp_path,
+        proc__self__cgroup="4:cpu,cpuacct:/x\n0::/jobs/one\n",
+        sys__fs__cgroup__cpu__cpu_DOT_cfs_quota_us="800000\n",
+        sys__fs__cgroup__cpu__cpu_DOT_cfs_period_us="100000\n",
+        sys__fs__cgroup__cpu__x__cpu_DOT_cfs_quota_us="-1\n",
+        sys__fs__cgroup__cpu__x__cpu_DOT_cfs_period_us="100000\n",
+        sys__fs__cgroup__jobs__cpu_DOT_max="max 100000\n",
+        sys__fs__cgroup__jobs__one__cpu_DOT_max="250000 100000\n",
+    )
+    assert sorted(system._quotas(tmp_path)) == [3, 8]
+
+
+def test_usable_cores_are_those_of_the_quota(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(system, "_quotas", list)
+    assert system.usable_cores() >= 1
+    monkeypatch.setattr(system, "_quotas", lambda: [1, 10**6])
+    assert system.usable_cores() == 1
+
+
 def test_control_groups_of_version_1_and_none(tmp_path: Path) -> None:
     assert system._left_of_groups(tmp_path) is None
     place = "sys__fs__cgroup__memory__memory_DOT_"
