@@ -75,6 +75,8 @@ MISTAKES = {
     "codesign search=gaa": "search must be one of",
     "codesign search=random search.mutation_rate=0.2": "It is a setting of search=ga and search=map_elites",
     "codesign training.method=sequential training.rungs=[0.5]": "training.method=population",
+    "codesign evaluations=9": "Did you mean 'search.max_evaluations'",
+    "play gif=true": "Did you mean 'export'",
     "codesign population=3": "Did you mean 'search.population'",
     "codesign shape=[5]": "shape must be [rows,columns]",
     "codesign shape=[12,12] task=Climber-v0": "does not fit",

@@ -19,7 +19,8 @@ from warpvox.runs import CONFIG, LARGEST_CONFIG
 from warpvox.trust import check_address, typed, with_code
 
 ALIASES = {"env": "task", "lr": "learning_rate", "n_envs": "num_envs", "num_envs": "envs", "batch_size": "minibatches"}
-ALIASES |= {"out": "file"} | dict.fromkeys(("steps", "timesteps", "total_timesteps"), "max_iterations")
+ALIASES |= {"out": "file", "evaluations": "max_evaluations"} | dict.fromkeys(("gif", "mp4", "video"), "export")
+ALIASES |= dict.fromkeys(("steps", "timesteps", "total_timesteps"), "max_iterations")
 """Names that other libraries have for a key, by the last part of ours: for hints."""
 NOT_TAKEN = ("resume", "report", "config")
 """Keys of ``config=FILE`` that say what the run did that the file has come from, not with what."""
