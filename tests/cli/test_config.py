@@ -174,9 +174,10 @@ def test_hydras_own_views(capsys: pytest.CaptureFixture) -> None:
         ("train preset=pretrain", "max_iterations", 9600),
         ("suite", "evaluations", 24),
         ("suite suite=paper", "seeds", 3),
+        ("zoo Walker-v0", "task", "Walker-v0"),
     ],
 )
-def test_hydras_own_views_are_those_of_the_preset(words: str, key: str, value: int, capsys) -> None:
+def test_hydras_own_views_are_those_of_the_preset(words: str, key: str, value: object, capsys) -> None:
     command, *rest = words.split()
     assert main([command, "--cfg", "all", *rest]) == 0
     shown = yaml.safe_load(capsys.readouterr().out)

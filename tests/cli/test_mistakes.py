@@ -88,6 +88,7 @@ MISTAKES = {
     "suite retry=true": "resume=latest",
     "suite resume=latest": "no suite",
     "tasks Walkr": "Did you mean 'Walker-v0'",
+    "zoo Walkr-v0": "Did you mean 'Walker-v0'",
     "tasks a b": "'task' is given more than once",
     "tasks rules=paper": "rules goes with a task",
     "tasks Walker-v0 gallery=x.png": "gallery goes without a task",

@@ -36,6 +36,8 @@ OPTIONS: dict[tuple[str, str], dict[str, Any]] = {
     ("-cd", "--config-dir"): {"type": Path, "metavar": "FOLDER", "help": FOLDER},
 }
 FLAGS = [flag for flags in OPTIONS for flag in flags]
+BY_ITSELF = {"tasks": "task", "zoo": "task"}
+"""The key that a word without one is the value of, by command."""
 
 
 def run_command(
@@ -110,6 +112,8 @@ def read_words(command: str, words: list[str]) -> argparse.Namespace:
         if not given.config_dir.is_dir():
             raise ConfigError(f"--config-dir needs an existing folder, got '{given.config_dir}'.")
         given.config_dir = given.config_dir.resolve()
+    if command in BY_ITSELF:
+        given.overrides = [word if "=" in word else f"{BY_ITSELF[command]}={word}" for word in given.overrides]
     return given
 
 

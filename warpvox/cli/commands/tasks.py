@@ -15,9 +15,8 @@ from warpvox.io.console import echo, literal, widen
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox tasks`` is asked for; a word by itself is the task."""
-    plain = [word for word in words if "=" not in word and not word.startswith("-")]
-    run_command("tasks", [f"task={word}" if word in plain else word for word in words], show)
+    """Do what ``warpvox tasks`` is asked for."""
+    run_command("tasks", words, show)
 
 
 def show(config: TasksConfig, console: Console) -> None:
