@@ -16,6 +16,7 @@ from warpvox.cli.overrides import expand, read_overrides
 from warpvox.cli.sweep import make_runs, run_hydra
 from warpvox.configs.schema import schema_of
 from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.io.console import make_console
 from warpvox.runs import check_output
 
 Prepare = Callable[[Any, list[str], "Path | None"], Any]
@@ -80,7 +81,7 @@ def run_command(
         runs = [] if swept else expand(parsed)
         jobs = [prepared(command, run, given.config_dir, prepare) for run in runs]
         if len(jobs) == 1 and not plugins:
-            do(jobs[0], Console())
+            do(jobs[0], make_console())
             return
         if check is not None:  # a mistake in the last run should not show after a day
             for job in jobs:

@@ -26,7 +26,7 @@ from warpvox.cli.overrides import key_and_value
 from warpvox.configs.composition import hydras_errors, quoted, register
 from warpvox.configs.schema import COMMANDS
 from warpvox.errors import ConfigError, RunError, WarpvoxError
-from warpvox.io.console import duration, echo, literal, shell_argument
+from warpvox.io.console import duration, echo, literal, make_console, shell_argument
 from warpvox.io.writing import write_table, write_text
 from warpvox.runs import CODESIGN, STAMP, TRAINING, label, make_folder, read_summary
 
@@ -76,7 +76,7 @@ def make_runs(
         if rows:
             _print(rows, total, table)
             if command in (*TRAINING, CODESIGN):
-                echo(Console(), f"compare: warpvox curves {shell_argument('runs', table)}")
+                echo(make_console(), f"compare: warpvox curves {shell_argument('runs', table)}")
         for empty in () if rows else (table, *made):
             with suppress(OSError):
                 empty.rmdir()
@@ -93,7 +93,7 @@ def _run(fixed: frozenset[str], table: Path, make: Make, total: int, began: floa
 
     Its result is noted in the table, whatever happens; only an interrupt is passed on.
     """
-    hydra, console = HydraConfig.get(), Console()
+    hydra, console = HydraConfig.get(), make_console()
     words, number = list(hydra.overrides.task), hydra.job.num + 1
     varied = {key: value for key, value in map(key_and_value, words) if key not in fixed}
     done, of = len(list(table.glob("run_*.json"))), f" of {total}" if total else ""
@@ -151,7 +151,7 @@ def _write(table: Path) -> list[dict[str, Any]]:
 
 
 def _print(rows: list[dict[str, Any]], total: int, file: Path) -> None:
-    table, console = Table(title=f"{len(rows)} of {total or len(rows)} runs", title_justify="left"), Console()
+    table, console = Table(title=f"{len(rows)} of {total or len(rows)} runs", title_justify="left"), make_console()
     columns = [name for name in rows[0] if name not in ("folder", "error")]
     for name in columns:
         table.add_column(literal(name), justify="right" if name in FIGURES else "left", overflow="fold")

@@ -21,10 +21,12 @@ def echo(console: Console, text: str) -> None:
     console.print(lines, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
 
-def widen(console: Console, width: int = 120) -> None:
-    """Give a console that is no terminal a width of its own: 80 columns would cut sentences and tables."""
+def make_console() -> Console:
+    """A console with room for tables also where there is no terminal, for which rich has 80 columns."""
+    console = Console()
     if not console.is_terminal and "COLUMNS" not in os.environ:
-        console.width = width
+        console.width = 200
+    return console
 
 
 def shown(path: Path) -> str:

@@ -24,7 +24,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.run_groups import group_runs
 from warpvox.configs.show import CurvesConfig
 from warpvox.errors import RunError, listing
-from warpvox.io.console import echo, literal, widen
+from warpvox.io.console import echo, literal
 from warpvox.runs import Run, find_runs, find_searches
 
 AXES_OF_RUNS, AXES_OF_SEARCHES = ("steps", "elapsed", "iteration"), ("steps", "evaluations")
@@ -37,7 +37,6 @@ def run(words: list[str]) -> None:
 
 def _draw(config: CurvesConfig, console: Console) -> None:
     check_file(config.file)
-    widen(console, 200)
     searches = find_searches(config.runs, config.output_dir)
     what, axes = ("design searches", AXES_OF_SEARCHES) if searches else ("trainings", AXES_OF_RUNS)
     check_choice(f"x of {what}", config.x, axes)

@@ -17,7 +17,7 @@ from warpvox.cli.run_groups import group_runs
 from warpvox.code import Code, is_code
 from warpvox.configs.show import EvaluateConfig
 from warpvox.errors import ConfigError
-from warpvox.io.console import echo, literal, shown, widen
+from warpvox.io.console import echo, literal, shown
 from warpvox.io.writing import to_yaml, write_table
 from warpvox.robots.entry import zoo_tasks
 from warpvox.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
@@ -46,7 +46,6 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
 
     if config.task is not None and not (config.task == STORED or isinstance(config.task, Code)):
         raise ConfigError("task names the code of runs of your own tasks (stored, FILE.py:NAME); a run knows its task.")
-    widen(console, 200)
     robots = [f"{ZOO}{name}" for name in (zoo_tasks() if config.zoo == ["all"] else config.zoo)]
     runs = ([] if robots else ["latest"]) if config.runs is None else config.runs
     found = find_runs([*runs, *robots], config.output_dir)

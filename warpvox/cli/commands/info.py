@@ -11,7 +11,7 @@ from rich.table import Table
 
 import warpvox
 from warpvox.cli.application import run_command
-from warpvox.io.console import literal, widen
+from warpvox.io.console import literal
 from warpvox.system import processor_name, usable_cores
 
 PACKAGES = ("warp-lang", "torch", "rsl-rl-lib", "numpy", "gymnasium", "hydra-core", "usd-core")
@@ -29,7 +29,6 @@ def show(_: object, console: Console) -> None:
     table = Table(show_header=False, box=None, pad_edge=False)
     for name, value in [*_versions(), *_devices(), *_cache()]:
         table.add_row(literal(name), literal(value))
-    widen(console)
     console.print(table, highlight=False)
 
 

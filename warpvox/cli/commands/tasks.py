@@ -11,7 +11,7 @@ from rich.text import Text
 from warpvox.cli.application import run_command
 from warpvox.configs.tools import TasksConfig
 from warpvox.errors import ConfigError, WorldError, listing
-from warpvox.io.console import echo, literal, widen
+from warpvox.io.console import echo, literal
 
 
 def run(words: list[str]) -> None:
@@ -30,7 +30,6 @@ def show(config: TasksConfig, console: Console) -> None:
             raise ConfigError(f"{key} goes {'without' if key == 'gallery' else 'with'} a task, `warpvox tasks ID`.")
         if value is not None and key != "rules" and Path(value).suffix.lower() != ".png":
             raise ConfigError(f"{key} must be a file ending in .png, got '{value}'.")
-    widen(console)
     if config.gallery is not None:
         from warpvox.algos.report.gallery import everywhere, write_gallery
 

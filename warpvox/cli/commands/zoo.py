@@ -11,7 +11,7 @@ from warpvox.cli.application import run_command
 from warpvox.configs.tools import ZooConfig
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError, WarpvoxError, did_you_mean, listing
-from warpvox.io.console import duration, echo, figure, literal, widen
+from warpvox.io.console import duration, echo, figure, literal
 from warpvox.robots.entry import FOLDER, read_robot
 from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
@@ -25,7 +25,6 @@ def run(words: list[str]) -> None:
 
 def zoo(config: ZooConfig, console: Console) -> None:
     """List the robots, show one, or add some."""
-    widen(console)
     folder = FOLDER if config.folder is None else Path(config.folder).expanduser()
     if config.add:
         _add(config, folder, console)
