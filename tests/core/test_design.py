@@ -11,7 +11,6 @@ from hypothesis.extra import numpy as hnp
 
 import warpvox as wv
 from warpvox.design import are_valid, full_connections, is_connected
-from warpvox.system import WINDOWS
 
 GRIDS = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=7), elements=st.integers(0, 4))
 # Mostly filled: random grids of this size are hardly ever connected.
@@ -204,7 +203,7 @@ def test_load_design_understands_names_random_text_and_arrays() -> None:
         ("random:5", "ROWSxCOLUMNS"),
         ("[[3, 3], [4", "not a nested list"),
         ("nowhere.json", "There is no design file"),
-        ("x" * 5000 + ".npy", "no design file" if WINDOWS else "cannot be read"),
+        ("x" * 5000 + ".npy", "no design file|cannot be read"),  # by system and version of Python
         ("a\0b.npz", "design"),
         ("/dev/zero.npy", "no design file"),
     ],

@@ -25,7 +25,7 @@ EXTRAS = {
     "all": {"*"},
 }  # the locks and the extras that each is for
 ALONE = {"ptxas"}  # locks of programs for tests, which are installed by themselves, without what they depend on
-PYTHONS = ("3.10.13", "3.11.0", "3.11.7", "3.12.1", "3.13.0")
+PYTHONS = ("3.10.13", "3.11.0", "3.11.7", "3.12.1", "3.13.0", "3.14.0")
 PLATFORMS = {"linux": "Linux", "darwin": "Darwin", "win32": "Windows"}
 UNLOCKED = {"torch"}  # which build of torch fits depends on the machine, and every index has hashes of its own
 CUDA_PARTS = re.compile(r"(nvidia|cuda)-|triton$")

@@ -16,7 +16,7 @@ from tiny import tiny
 
 pytestmark = pytest.mark.packaging
 
-PYTHONS = ("3.10", "3.11", "3.12", "3.13")
+PYTHONS = ("3.10", "3.11", "3.12", "3.13", "3.14")
 THIS = "{}.{}".format(*sys.version_info)
 FULL = os.environ.get("WARPVOX_PACKAGING") == "full"
 

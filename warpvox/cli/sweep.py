@@ -1,5 +1,6 @@
 """Several runs by Hydra's sweeper and launcher (``--multirun``): what they differ by, and their results."""
 
+import argparse
 import functools
 import hashlib
 import json
@@ -13,6 +14,7 @@ from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -179,7 +181,8 @@ def run_hydra(
     place = ["--config-dir", str(config_dir)] if config_dir else []
     words, sys.argv = sys.argv, [sys.argv[0], *flags, *place, *overrides]
     try:
-        with hydras_errors():
+        # From Python 3.14 on argparse refuses an object as a help text, which Hydra 1.3 has.
+        with hydras_errors(), patch.object(argparse.ArgumentParser, "_check_help", lambda *_: None, create=True):
             hydra.main(version_base="1.3", config_path="pkg://warpvox.configs", config_name=command)(task)()
     finally:
         sys.argv = words

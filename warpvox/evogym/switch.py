@@ -61,6 +61,8 @@ def install() -> None:
 def install_everywhere() -> None:
     """Call :func:`install` here and, before they import the script, in processes that spawn or forkserver starts."""
     install()
+    if "forkserver" in multiprocessing.get_all_start_methods():
+        multiprocessing.set_forkserver_preload([])  # of Python 3.14 the server would import the script before that
     prepare = multiprocessing.spawn.get_preparation_data
     multiprocessing.spawn.get_preparation_data = lambda name: prepare(name) | {"evogym": _Everywhere()}
 
