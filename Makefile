@@ -1,4 +1,4 @@
-# Everything a fresh machine needs: Python >= 3.10 with venv, and make.
+# Everything a fresh machine needs: Python 3.10 to 3.14 with venv, and make.
 #   make demo        train a walker and write its rollout as USD, GIF and a page
 #   make test        run the default test suite (make fast: without parity; make parity: these alone)
 #   make lint        check style (make format: repair it)
@@ -58,8 +58,8 @@ install: $(STAMP)
 $(STAMP): locks/test.txt
 $(VENV)/.first: locks/run.txt
 $(STAMP) $(VENV)/.first: pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
-	  { echo "warpvox needs Python >= 3.10; choose one with: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 15))' || \
+	  { echo "warpvox needs Python 3.10 to 3.14; choose one with: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(PIP) --no-deps --require-hashes -r $(filter locks/%,$^)
 	$(PIP) -c constraints.txt torch
