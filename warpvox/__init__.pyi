@@ -36,6 +36,7 @@ from .envs.registry import task_ids as task_ids
 from .envs.vec_env import make_vec as make_vec
 from .errors import (
     ActionError as ActionError,
+    ArgumentError as ArgumentError,
     ConfigError as ConfigError,
     DesignError as DesignError,
     DeviceError as DeviceError,

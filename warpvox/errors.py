@@ -36,6 +36,10 @@ class ConfigError(WarpvoxError, ValueError):
     """An unknown configuration key, or a value outside of what the key allows."""
 
 
+class ArgumentError(ConfigError, TypeError):
+    """An argument that the function does not have: a TypeError in Python's words, by which other libraries know it."""
+
+
 class RunError(WarpvoxError, ValueError):
     """A folder that is not a run of warpvox, or a run that lacks what was asked for."""
 

@@ -90,7 +90,7 @@ def test_values_of_python_arrive_as_they_are(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"ppo": {"step": 4}}, r"ppo: Ppo has no argument 'step'\. Did you mean 'steps'"),
+        ({"ppo": {"step": 4}}, r"ppo: Ppo got an unexpected keyword argument 'step'\. Did you mean 'steps'"),
         ({"ppo": "evogim"}, "Did you mean 'evogym'"),
         ({"design": object()}, "design cannot be a object"),
         ({"task": wv.Training(pretrained="universal", policy="grid")}, "policy=grid is not that of the policy in"),
@@ -198,7 +198,7 @@ def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None
         (folder, {"task": "Climber-v0"}, "task='Climber-v0' goes with functions"),
         ([folder], {"task": "Climber-v0"}, "task='Climber-v0' goes with functions"),
         (folder, {"design": "worm"}, "Other bodies go with a run over many of them"),
-        (folder, {"episods": 3}, "evaluate has no argument 'episods'. Did you mean 'episodes'"),
+        (folder, {"episods": 3}, "evaluate got an unexpected keyword argument 'episods'. Did you mean 'episodes'"),
         ("nowhere", {}, "no run at nowhere"),
     ):
         with pytest.raises(wv.WarpvoxError, match=words):

@@ -139,6 +139,8 @@ def test_mistakes_are_named() -> None:
         gymnasium.make("warpvox/Walker-v0", body=np.ones((5, 5)))
     with pytest.raises(ConfigError, match="render_mode must be one of None"):
         VoxelEnv("Walker-v0", render_mode="ascii")
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):  # TorchRL looks for this
+        gymnasium.make("warpvox/Walker-v0", frameskip=1)
     with pytest.raises(ConfigError, match="Did you mean 'voxel'"):
         VoxelEnv("Walker-v0", obs="voxels")
     with pytest.raises(WorldError, match="does not fit"):

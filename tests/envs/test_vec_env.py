@@ -201,7 +201,7 @@ def test_actions_that_are_not_finite_are_refused_and_change_nothing(value: float
             {"designs": ["walker"] * 2, "num_envs": 3},
         ),
         (ConfigError, "not both", {"designs": ["walker"], "body": "walker"}),
-        (ConfigError, "make_vec has no argument 'desings'. Did you mean 'designs'", {"desings": ["walker"]}),
+        (ConfigError, "unexpected keyword argument 'desings'. Did you mean 'designs'", {"desings": ["walker"]}),
         (ConfigError, "max_episode_steps must be", {"max_episode_steps": 0}),
         (ConfigError, "obs must be one of task,", {"obs": None, "num_envs": 2}),
         (ConfigError, "one entry a design", {"connections": [None, None]}),

@@ -108,7 +108,7 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
         ({"search": Own(few, (3, 4))}, r"made with shape=\[3, 4\] and seed=0, asked for \[3, 3\] and 0"),
         ({"search": Own(few, (3, 3)), "seed": 1}, r"and seed=0, asked for \[3, 3\] and 1"),
         ({"search": ToySearch(), "start": ["random:2:3x3"]}, r"ToySearch has no start_with\(bodies\)"),
-        ({"sead": 3}, r"codesign has no argument 'sead'\. Did you mean 'seed'\? There are task, shape, .*output_dir"),
+        ({"sead": 3}, r"codesign got .* 'sead'\. Did you mean 'seed'\? There are task, shape, .*output_dir"),
         ({"evaluation": {"name": "gaits", "round": 3}}, "Did you mean 'rounds'"),
         ({"training": {"iterations": "many"}}, "training: iterations must be an integer"),
         ({"seed": -1}, "seed must be at least 0"),
