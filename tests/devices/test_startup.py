@@ -55,3 +55,13 @@ def test_compilation_is_announced_once_and_only_where_there_is_any(tmp_path: Pat
     assert lines[2:] == ["ours"]
     assert cold.stdout == ""  # neither the banner nor a line for every module
     assert "Compiling" not in probe(tmp_path).stderr  # they are in the cache
+
+
+def test_a_folder_for_kernels_that_cannot_be_made_can_be_changed_for_another(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    words = [sys.executable, "-m", "warpvox", "info"]
+    environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path / "file" / "kernels")}
+    done = subprocess.run(words, capture_output=True, text=True, env=environment)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"warpvox: {tmp_path / 'file'}")
+    assert "WARP_CACHE_PATH=FOLDER" in done.stderr

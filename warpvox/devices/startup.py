@@ -15,6 +15,9 @@ import tempfile
 from collections.abc import Callable
 from typing import Any
 
+from warpvox.errors import StorageError
+from warpvox.io.writing import complaint
+
 LOGGER = logging.getLogger("warpvox")
 """Takes the line about compilation, as a warning: it shows without any configuration."""
 NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
@@ -25,7 +28,11 @@ BUILDERS = {"build_cpu": "the CPU", "build_cuda": "CUDA"}
 
 @functools.cache
 def start_warp() -> None:
-    """Initialise Warp, unless it is; only what it complains about besides a missing GPU gets through."""
+    """Initialise Warp, unless it is; only what it complains about besides a missing GPU gets through.
+
+    Raises:
+        StorageError: Warp's folder for kernels cannot be made.
+    """
     import warp as wp
     from warp._src import build, context
 
@@ -34,11 +41,15 @@ def start_warp() -> None:
             setattr(build, name, _announced(getattr(build, name), where))
     if getattr(context, "runtime", None) is not None:
         return
-    if wp.config.log_level != wp.LOG_INFO:  # not the default: somebody has chosen it
-        wp.init()
-        return
-    wp.config.log_level = wp.LOG_WARNING
-    _init_without_complaint()
+    try:
+        if wp.config.log_level != wp.LOG_INFO:  # not the default: somebody has chosen it
+            wp.init()
+            return
+        wp.config.log_level = wp.LOG_WARNING
+        _init_without_complaint()
+    except OSError as error:
+        place = f"{error.filename} cannot be written: {complaint(error)}."
+        raise StorageError(f"{place} WARP_CACHE_PATH=FOLDER is where Warp keeps kernels.", error) from None
 
 
 def _announced(build: Callable[..., Any], where: str) -> Callable[..., Any]:
