@@ -103,7 +103,7 @@ MODEL: Table = {
     "body": (int, "mesh voxel", "index of its object"),
     "robot": (int, "mesh voxel", "index of its robot, or -1"),
     "grid": (wp.vec2i, "mesh voxel", "column and row in its object"),
-    "fixed_voxel": (int, "mesh voxel", "1: all four corners are fixed"),
+    "fixed_voxel": (int, "mesh voxel", "1: none of its corners is active"),
     "movables": (int, "mesh", "entries of `movable` in use"),
     "movable": (int, "mesh movable", "surface voxels that are not in `fixed_at`, in ascending order"),
     "first_other": (int, "mesh", "the surface voxel from which `fixed_at` counts"),

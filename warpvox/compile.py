@@ -294,13 +294,13 @@ def _join(values: list[np.ndarray], fill: int) -> np.ndarray:
 def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
     """Arrays of one compiled world, named as in :data:`warpvox.kernels.state.MODEL` where they mean the same."""
     bodies = design.bodies
-    ends, rests, stiffness, drives, rigid, corner, side, owner, robot, grid, fixed_voxel = ([] for _ in range(11))
+    ends, rests, stiffness, drives, rigid, corner, side, owner, robot, grid = ([] for _ in range(10))
     robots = design.robots
     for index, body in enumerate(bodies):
         base = body.first_point
         place = {}
         for s, (a, b, rest, k) in enumerate(body.springs):
-            if body.fixed[a] and body.fixed[b]:
+            if body.fixed[a] and body.fixed[b] and s not in body.drives:
                 continue  # always at rest: no force, no strain
             place[s] = len(ends)
             ends.append([a + base, b + base])
@@ -317,14 +317,14 @@ def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
             owner.append(index)
             robot.append(robots.index(body) if body in robots else -1)
             grid.append([cell[1], cell[0]])
-            fixed_voxel.append(all(body.fixed[p] for p in body.corners[cell]))
-    fixed_at = _fixed_voxels(design, fixed_voxel, owner, grid)
     rest_pos = [value for body in bodies for point in body.points for value in point]
     lattice = _lattice(design)
     fixed = [f for body in bodies for f in body.fixed]
     tied = {p for pair in ends for p in pair}
     active = [p for p, is_fixed in enumerate(fixed) if not is_fixed or p in tied]
-    pushed = np.where(np.isin(corner, active), corner, -1)
+    pushed = np.reshape(np.where(np.isin(corner, active), corner, -1), (-1, 4))
+    fixed_voxel = (pushed < 0).all(1)
+    fixed_at = _fixed_voxels(design, fixed_voxel, owner, grid)
     whole = dict(
         points=len(fixed),
         actives=len(active),
@@ -344,7 +344,7 @@ def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
         link=_links_of_points(ends),
         rigid_spring=rigid,
         corner=np.reshape(corner, (-1, 4)),
-        pushed=np.reshape(pushed, (-1, 4)),
+        pushed=pushed,
         side=side,
         body=owner,
         robot=robot,
@@ -369,7 +369,7 @@ def _links_of_points(ends: list[list[int]]) -> np.ndarray:
     return np.where(order % 2 == 0, order // 2, -1 - order // 2)
 
 
-def _fixed_voxels(design: CompiledWorld, fixed: list[bool], owner: list[int], grid: list[list[int]]) -> np.ndarray:
+def _fixed_voxels(design: CompiledWorld, fixed: np.ndarray, owner: list[int], grid: list[list[int]]) -> np.ndarray:
     """For every cell of the terrain lattice the surface voxel that always stays there, or -1."""
     width, height = design.width, design.height
     at = np.full(width * height, -1)
