@@ -126,10 +126,9 @@ def arc_cosine(c: wp.float64):
 
 @wp.func
 def turn(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64):
-    """Angle between two vectors, and the cross product of their directions."""
+    """Angle between two vectors, cross product of their directions (NaN if one has none), length of the second."""
     la, lb = wp.sqrt(ax * ax + ay * ay), wp.sqrt(bx * bx + by * by)
-    ua, ub = wp.max(la, wp.float64(1.0e-300)), wp.max(lb, wp.float64(1.0e-300))
-    ax, ay, bx, by = ax / ua, ay / ua, bx / ub, by / ub
+    ax, ay, bx, by = ax / la, ay / la, bx / lb, by / lb
     c = ax * bx + ay * by
     if la * lb < TINY or c > wp.float64(1.0):
         c = NEARLY_ONE
@@ -171,7 +170,7 @@ def orientations(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.float64))
         weight += w
         crosses += c
     angle = angle / weight
-    if crosses > wp.float64(0.0):
+    if crosses > wp.float64(0.0):  # not where a point lies at the centre: NaN, as in the released simulator
         angle = TWO_PI - angle
     out[env] = angle
 

@@ -173,6 +173,16 @@ def test_fixed_cells_beside_an_actuator_move_as_in_the_release() -> None:
     ]
 
 
+def test_the_turn_of_a_body_with_a_point_at_its_centre_is_that_of_the_release() -> None:
+    world = EvoWorld()
+    world.add_from_array("robot", np.array([[1, 1], [1, 3]]), 0, 5)
+    sim = EvoSim(world)
+    sim.set_action("robot", np.array([1.4]))
+    sim.step()
+    sim.step()
+    assert sim.object_orientation_at_time(2, "robot") == pytest.approx(0.023177012588260423, abs=1e-15)
+
+
 def test_a_robot_that_folds_stops_the_clock() -> None:
     body = np.array([[3, 3, 1, 2, 0], [4, 0, 0, 2, 4], [4, 2, 0, 3, 1], [3, 2, 0, 2, 1], [4, 3, 3, 2, 0]])
     world = EvoWorld()
