@@ -323,7 +323,7 @@ def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
     tied = {p for pair in ends for p in pair}
     active = [p for p, is_fixed in enumerate(fixed) if not is_fixed or p in tied]
     pushed = np.reshape(np.where(np.isin(corner, active), corner, -1), (-1, 4))
-    fixed_voxel = (pushed < 0).all(1)
+    fixed_voxel = pushed.max(axis=1) < 0
     fixed_at = _fixed_voxels(design, fixed_voxel, owner, grid)
     whole = dict(
         points=len(fixed),

@@ -114,7 +114,7 @@ def test_mistakes_are_named() -> None:
         make(body="walker", render_mode="human")
     with pytest.raises(ConfigError, match=r"DISABLED, got 'same'\. Did you mean 'SAME_STEP'"):
         make(body="walker", autoreset_mode="same")
-    with pytest.raises(ConfigError, match=r"no argument 'autoreset'\. Did you mean 'autoreset_mode'"):
+    with pytest.raises(ConfigError, match=r"argument 'autoreset'\. Did you mean 'autoreset_mode'"):
         make(body="walker", autoreset="SAME_STEP")
 
 

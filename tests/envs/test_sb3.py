@@ -86,5 +86,5 @@ def test_what_it_is_asked_about_its_environments() -> None:
         env.set_attr("nothing", 2, indices=0)
     with pytest.raises(ConfigError, match="Did you mean 'rules'"):
         make(rulse="paper")
-    with pytest.raises(ConfigError, match="no argument 'auto_reset'"):
+    with pytest.raises(ConfigError, match="argument 'auto_reset'"):
         make(auto_reset=False)
