@@ -57,13 +57,17 @@ def own_springs(body: Body) -> list[tuple]:
     return sorted(
         (tuple(sorted((a, b))), rest, k, tuple(sorted(body.drives.get(s, ()))))
         for s, (a, b, rest, k) in enumerate(body.springs)
-        if not (body.fixed[a] and body.fixed[b])
+        if not (body.fixed[a] and body.fixed[b]) or s in body.drives
     )
 
 
 def own_rigid(body: Body) -> list[tuple[int, ...]]:
-    ends = [body.springs[s][:2] for c in body.cells if body.kind(c) == Cell.RIGID for s in body.sides[c]]
-    return [tuple(sorted(pair)) for pair in ends if not (body.fixed[pair[0]] and body.fixed[pair[1]])]
+    sides = [s for c in body.cells if body.kind(c) == Cell.RIGID for s in body.sides[c]]
+    return [
+        tuple(sorted((a, b)))
+        for s, (a, b, *_) in ((s, body.springs[s]) for s in sides)
+        if not (body.fixed[a] and body.fixed[b]) or s in body.drives
+    ]
 
 
 @given(

@@ -159,20 +159,6 @@ def test_translated_terrain_carries() -> None:
     assert sim.object_pos_at_time(60, "robot")[1].min() == pytest.approx(1.5, abs=0.05)
 
 
-def test_fixed_cells_beside_an_actuator_move_as_in_the_release() -> None:
-    world = EvoWorld()
-    world.add_from_array("ground", np.full((1, 8), 5), 0, 0)
-    world.add_from_array("robot", np.array([[4, 5]]), 3, 1)
-    sim = EvoSim(world)
-    for _ in range(5):
-        sim.set_action("robot", np.array([1.4]))
-        sim.step()
-    assert sim.object_pos_at_time(5, "robot").tolist() == [
-        [3.6562446527568535, 4.0, 2.9904890498642875, 4.0, 5.0, 5.0],
-        [2.7373049003879695, 2.0, 1.6889585293219949, 1.0, 2.0, 1.0],
-    ]
-
-
 def test_the_turn_of_a_body_with_a_point_at_its_centre_is_that_of_the_release() -> None:
     world = EvoWorld()
     world.add_from_array("robot", np.array([[1, 1], [1, 3]]), 0, 5)

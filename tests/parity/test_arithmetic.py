@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 import torch
+from worlds import ground, world
 
 from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import SimulationError
 from warpvox.simulation import Simulation
+from warpvox.types import VOXEL
 from warpvox.view.rollout import record
 from warpvox.world import World
 
@@ -19,6 +21,21 @@ BODY = np.array([[3, 4, 3, 4, 3], [4, 1, 2, 2, 4], [3, 2, 3, 1, 3], [4, 0, 0, 0,
 def make(task: str, arithmetic: str) -> VoxelVecEnv:
     options = dict(device="cpu", dtype="float64", seed=SEED, auto_reset=False, lanes=LANES, threads=1)
     return make_vec(task, [BODY], LANES, arithmetic=arithmetic, **options)
+
+
+@pytest.mark.parametrize("arithmetic", ["fast", "exact"])
+def test_a_robot_with_a_fixed_cell_moves_as_in_the_release(arithmetic: str) -> None:
+    """``robot``: recorded from evogym 2.0.0."""
+    worlds = [world(8, 8, ground=ground(8), robot=(body, 3, 1)) for body in ([[4, 5]], [[4, 2], [3, 3]])]
+    sim = Simulation(worlds, device="cpu", dtype="float64", arithmetic=arithmetic)
+    for _ in range(5):
+        sim.step(np.full((2, sim.num_actions), 1.4))
+    robot = [
+        [3.6562446527568535, 4.0, 2.9904890498642875, 4.0, 5.0, 5.0],
+        [2.7373049003879695, 2.0, 1.6889585293219949, 1.0, 2.0, 1.0],
+    ]
+    found = sim.object_positions("robot")[0, :6].T / VOXEL
+    torch.testing.assert_close(found, torch.tensor(robot, dtype=torch.float64), rtol=0, atol=TOLERANCE)
 
 
 @pytest.mark.parametrize("task", task_ids())
@@ -70,7 +87,7 @@ def test_the_arithmetic_is_chosen_apart_from_the_precision(dtype: str, given: st
         assert record(env, "zero", 1).metadata["arithmetic"] == expected
 
 
-def world() -> World:
+def small_world() -> World:
     small = World(6, 6)
     small.add_from_array("robot", np.full((2, 2), 3), 1, 1)
     return small
@@ -86,4 +103,4 @@ def world() -> World:
 )
 def test_what_there_is_not_is_refused(dtype: str, arithmetic: object, said: str) -> None:
     with pytest.raises(SimulationError, match=said):
-        Simulation([world()], device="cpu", dtype=dtype, arithmetic=arithmetic)
+        Simulation([small_world()], device="cpu", dtype=dtype, arithmetic=arithmetic)

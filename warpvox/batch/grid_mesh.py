@@ -312,14 +312,13 @@ class GridMesh:
         return np.where(self.spring, k, 0.0)
 
     def _drop_fixed(self) -> None:
-        """Springs between two fixed points are always at rest: no force, no strain."""
+        """Springs between two fixed points are always at rest, unless they are driven: no force, no strain."""
         fixed = [np.take_along_axis(self.fixed, self.ends[:, :, end, None], axis=1) for end in (0, 1)]
-        at_rest = self.spring & fixed[0] & fixed[1]
+        at_rest = self.spring & fixed[0] & fixed[1] & (self.drive == NOBODY).all(axis=2)
         self.free = self.point & ~self.fixed
         if at_rest.any():
             self.spring = self.spring & ~at_rest
             self.stiffness = np.where(at_rest, 0.0, self.stiffness)
-            self.drive = np.where(at_rest[:, :, None], NOBODY, self.drive)
             self.rigid = self.rigid & ~at_rest[:, self.springs.of_cell]
 
     def _link_springs(self) -> None:
