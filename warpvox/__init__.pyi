@@ -36,7 +36,6 @@ from .envs.registry import task_ids as task_ids
 from .envs.vec_env import make_vec as make_vec
 from .errors import (
     ActionError as ActionError,
-    ArgumentError as ArgumentError,
     ConfigError as ConfigError,
     DesignError as DesignError,
     DeviceError as DeviceError,
@@ -49,6 +48,7 @@ from .errors import (
     SimulationError as SimulationError,
     StorageError as StorageError,
     TaskError as TaskError,
+    UnknownArgumentError as UnknownArgumentError,
     WarpvoxError as WarpvoxError,
     WorldError as WorldError,
 )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 
-from warpvox.errors import ArgumentError, ConfigError, WarpvoxError, did_you_mean, listing
+from warpvox.errors import ConfigError, UnknownArgumentError, WarpvoxError, did_you_mean, listing
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -46,7 +46,7 @@ def check_choice(name: str, value: object, choices: Iterable[object], error: typ
 
 
 def check_known(given: Iterable[str], *functions: Callable[..., Any], without: Iterable[str] = ()) -> None:
-    """Raise ArgumentError, with the nearest name and all, for an argument that none of ``functions`` has.
+    """Raise UnknownArgumentError, with the nearest name and all, for an argument that none of ``functions`` has.
 
     Args:
         functions: the one that was called, and those (or dataclasses) that get what it does not know; the last may
@@ -64,7 +64,7 @@ def check_known(given: Iterable[str], *functions: Callable[..., Any], without: I
         if name not in names:
             owner, hint = functions[0].__qualname__.removesuffix(".__init__"), did_you_mean(name, names)
             known = f"There are {listing(names, len(names))}."
-            raise ArgumentError(f"{owner} got an unexpected keyword argument {name!r}.{hint} {known}")
+            raise UnknownArgumentError(f"{owner} got an unexpected keyword argument {name!r}.{hint} {known}")
 
 
 def check_integer(

@@ -36,7 +36,7 @@ class ConfigError(WarpvoxError, ValueError):
     """An unknown configuration key, or a value outside of what the key allows."""
 
 
-class ArgumentError(ConfigError, TypeError):
+class UnknownArgumentError(ConfigError, TypeError):
     """An argument that the function does not have: a TypeError in Python's words, by which other libraries know it."""
 
 
