@@ -1,7 +1,7 @@
 """Makes the experiments of Evolution Gym's paper and the page with their numbers. Not part of the library.
 
-    python docs/paper_experiments.py run [FOLDER]   # design searches that are not done, in outputs/paper
-    python docs/paper_experiments.py                # the page of the committed tables
+    python docs/paper_experiments.py run [FOLDER [DEVICE]]   # design searches that are not done: outputs/paper, cpu
+    python docs/paper_experiments.py                         # the page of the committed tables
 
 Several processes may share a folder: each search is made by one of them. What was interrupted, by ``timeout 60m`` for
 instance, is gone on with. ``paper_members.csv`` and ``paper_curves.csv`` in the folder hold the committed rows as well:
@@ -84,7 +84,7 @@ def _key(row: Row) -> tuple[str, str, int]:
     return row["task"], row["search"], int(row["seed"])
 
 
-def run(folder: Path) -> None:
+def run(folder: Path, device: str = "cpu") -> None:
     """Make the members that are not done, until an interrupt."""
     with terminable(), suppress(KeyboardInterrupt):
         for member in members():
@@ -95,7 +95,8 @@ def run(folder: Path) -> None:
                     if member.key in map(_key, read_rows(MEMBERS, folder)):
                         continue
                     print(*member.key, flush=True)
-                    outcome = make_member(dataclasses.replace(member.settings, threads=1), place / "search")
+                    settings = dataclasses.replace(member.settings, device=device, threads=1)
+                    outcome = make_member(settings, place / "search")
                     if outcome["status"] == DONE:
                         store(folder, member, place / "search")
                     elif outcome["status"] != FAILED:
@@ -179,8 +180,8 @@ CPPN-NEAT {}): {said}, as far as {runs} of 30 runs of each search say.
 NOTES = """
 *Nominal* is the return of a search's best body, as an entry of [the zoo](zoo.md) states it; *under
 noise* its mean in 32 [episodes with noise on the actions](protocols.md). Means over seeds, in brackets the lowest and
-the highest. Published returns are the best of anybody ([results](results.md#sources)). A search took {minutes:.0f}
-minutes in the median, one thread of a busy machine ({processors}).
+the highest. Published returns are the best of anybody ([results](results.md#sources)). A search took in the median,
+several at once, each with one thread of a busy machine: {minutes}.
 
     python docs/paper_experiments.py run   # makes searches that are not done; may run several times at once
     python docs/paper_experiments.py       # this page, of docs/results/paper_members.csv and paper_curves.csv
@@ -212,8 +213,11 @@ def page(rows: Sequence[Row]) -> str:
     for row in rows:
         task, search, seed = _key(row)
         returns.setdefault((task, search), {})[seed] = [float(row[name]) for name in JUDGED]
-    minutes = np.median([float(row["seconds"]) / 60 for row in rows])
-    notes = NOTES.format(minutes=minutes, processors=", ".join(sorted({row["processor"] for row in rows})))
+    minutes: dict[str, list[float]] = {}
+    for row in rows:
+        minutes.setdefault(row["processor"], []).append(float(row["seconds"]) / 60)
+    spent = [f"{np.median(some):.0f} min on {name} ({len(some)})" for name, some in sorted(minutes.items())]
+    notes = NOTES.format(minutes="; ".join(spent))
     return "".join([head, PICTURE, *_ga_lines(returns), *_comparison(returns), notes])
 
 
@@ -285,7 +289,8 @@ def picture(curves: Sequence[Row]) -> str:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["run"]:
-        run(Path(*sys.argv[2:] or ["outputs/paper"]))
+        folder, *device = sys.argv[2:] or ["outputs/paper"]
+        run(Path(folder), *device)
     elif sys.argv[1:]:
         raise SystemExit(__doc__)
     else:
