@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from hashlib import sha256
 from typing import Any, NamedTuple
 
 import torch
@@ -390,6 +391,9 @@ class Streams:
         return [generator.get_state() for generator in self._generators]
 
     def set_state(self, state: Sequence[torch.Tensor]) -> None:
-        """Restore :meth:`state` of as many designs."""
+        """Restore :meth:`state` of as many designs; on another kind of device the streams begin anew from it."""
         for generator, value in zip(self._generators, state, strict=True):
-            generator.set_state(value.cpu())
+            if len(value) == len(generator.get_state()):
+                generator.set_state(value.cpu())
+            else:
+                generator.manual_seed(int.from_bytes(sha256(bytes(value.tolist())).digest()[:7], "big"))

@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from warpvox.algos.population.model import tanh_layers
-from warpvox.algos.population.ppo import VectorAdam
+from warpvox.algos.population.ppo import Streams, VectorAdam
 
 SIZES = (5, 7, 6, 3)
 DESIGNS = 4
@@ -85,3 +85,16 @@ def test_each_row_of_stacked_networks_is_an_adam_of_its_own() -> None:
     for k, parameter in enumerate(ours.parameters):
         stock = torch.stack([optimizer.param_groups[0]["params"][k].detach() for optimizer in theirs])
         torch.testing.assert_close(parameter.detach(), stock, rtol=0, atol=1e-12)
+
+
+def test_streams_go_on_from_the_state_of_another_kind_of_device() -> None:
+    cuda = [torch.tensor([seed, *[0] * 15], dtype=torch.uint8) for seed in (1, 2)]  # as long as those of a GPU
+
+    def drawn(states: list[torch.Tensor]) -> torch.Tensor:
+        streams = Streams([3, 3], [torch.get_rng_state()] * 2, "cpu")
+        streams.set_state(states)
+        return streams.normal(1, 4, [2, 2])[0]
+
+    first, second = drawn(cuda)
+    assert not torch.equal(first, second)
+    assert torch.equal(drawn(cuda[::-1]), torch.stack([second, first]))
