@@ -58,9 +58,9 @@ def verdict(run: Run, ours: Replay) -> Verdict:
     )  # fmt: skip
 
 
-def judge(run: Run) -> Verdict:
+def judge(run: Run, device: str = "cpu") -> Verdict:
     """Replay a run and compare."""
-    return verdict(run, replay(run, STEPS))
+    return verdict(run, replay(run, STEPS, device=device))
 
 
 def ranks(values: np.ndarray) -> np.ndarray:
