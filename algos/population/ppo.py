@@ -391,7 +391,7 @@ class Streams:
         return [generator.get_state() for generator in self._generators]
 
     def set_state(self, state: Sequence[torch.Tensor]) -> None:
-        """Restore :meth:`state` of as many designs; on another kind of device the streams begin anew from it."""
+        """Restore :meth:`state` of as many designs; from another kind of device it seeds new streams."""
         for generator, value in zip(self._generators, state, strict=True):
             if len(value) == len(generator.get_state()):
                 generator.set_state(value.cpu())
