@@ -131,7 +131,7 @@ class World:
     def __init__(self, width: int = 1, height: int = 1) -> None:
         for value, what in ((width, "width"), (height, "height")):
             check_integer(f"The {what} of a world", value, 1, error=WorldError)
-        _check_size(int(width), int(height))
+        check_size(int(width), int(height))
         self.width = int(width)
         self.height = int(height)
         self.objects: dict[str, WorldObject] = {}
@@ -190,7 +190,7 @@ class World:
         for obj in objects:
             trial.add_object(obj)
         width, height = max(trial.width, width), max(trial.height, height)
-        _check_size(width, height)
+        check_size(width, height)
         self.objects, self.width, self.height = trial.objects, width, height
 
     @classmethod
@@ -297,14 +297,15 @@ class World:
                 )
 
     def _check_room(self, obj: WorldObject) -> None:
-        _check_size(max(self.width, obj.x + obj.width), max(self.height, obj.y + obj.height), f" with '{obj.name}'")
+        check_size(max(self.width, obj.x + obj.width), max(self.height, obj.y + obj.height), f" with '{obj.name}'")
 
     def _grow(self, obj: WorldObject) -> None:
         self.width = max(self.width, obj.x + obj.width)
         self.height = max(self.height, obj.y + obj.height)
 
 
-def _check_size(width: int, height: int, why: str = "") -> None:
+def check_size(width: int, height: int, why: str = "") -> None:
+    """Raise WorldError if a world of this size, in cells, would be too large."""
     if width * height > LARGEST_GRID:
         raise WorldError(
             f"The world{why} would have {width} x {height} cells, and {LARGEST_GRID:,} are the limit: choose a smaller"
@@ -361,7 +362,7 @@ def _parse_world(source: object) -> tuple[int, int, list[WorldObject]]:
     )
     objects = data["objects"]
     try:
-        _check_size(width, height)
+        check_size(width, height)
     except WorldError as error:
         raise WorldError(f"{origin}: {error}") from None
     if not isinstance(objects, Mapping):

@@ -93,6 +93,9 @@ def test_what_moved_into_the_box_of_another_can_be_read_back() -> None:
     world.add_from_array("walls", [[5, 0, 0, 5], [5, 5, 5, 5]], 0, 0)
     world.move_object("robot", 1, 1)
     assert wv.World.from_json(world.to_json()) == world
+    with pytest.raises(wv.WorldError, match=r"with 'robot' .* \d+ x 1000001 cells, and 1,000,000 are the"):
+        world.move_object("robot", 10**6, 10**6)
+    assert world.objects["robot"].x == 1
 
 
 @pytest.mark.parametrize(

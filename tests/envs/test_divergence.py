@@ -211,6 +211,12 @@ def test_tests_for_the_end_look_at_the_old_state_when_the_step_was_stopped() -> 
     assert env.step(torch.ones((2, env.num_actions)))[1].tolist() == [pytest.approx(1.0, abs=0.01), -3.0 + 1.0]
 
 
+def test_self_folding_costs_what_the_task_says() -> None:
+    env = make_vec("Walker-v0", num_envs=2, device="cpu", threads=1)
+    terms, terminated = env.judge(env._snapshot(), env._snapshot(), torch.tensor([True, False]))
+    assert (terms["unstable"].tolist(), terminated.tolist()) == ([-3.0, 0.0], [True, False])
+
+
 def test_speeds_of_a_fall_without_end_are_sound() -> None:
     # gravity / drag = 1100: nothing that falls is faster, and what is as fast must not be stopped
     sim = Simulation([world(5, 5, robot=([[3]], 2, 2))], device="cpu", dtype="float64")

@@ -8,7 +8,7 @@ import pytest
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from warpvox.design import example_design
+from warpvox.design import example_design, full_connections
 from warpvox.envs.adapters.gym_vector import VoxelGymVectorEnv
 from warpvox.errors import ConfigError, SimulationError
 
@@ -105,6 +105,18 @@ def test_pictures_of_all() -> None:
     silent = make(num_envs=2, body="walker")
     with pytest.warns(UserWarning, match="without render_mode"):
         assert silent.render() is None
+
+
+def test_connections_are_those_of_the_one_body() -> None:
+    links = full_connections(example_design("walker"))[:-1].T
+    step = np.full((2, make().vec.num_actions), 1.6)
+    found = []
+    for options in ({}, {"connections": links}, {"connections": links, "body": "walker"}):
+        env = make(num_envs=2, **options)
+        env.reset(seed=0)
+        found.append(env.step(step)[0])
+    assert np.array_equal(found[1], found[2])
+    assert not np.array_equal(found[0], found[1])
 
 
 def test_mistakes_are_named() -> None:

@@ -11,6 +11,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize
 
+from warpvox.design import example_design
 from warpvox.envs.adapters.sb3 import VoxelSB3VecEnv
 from warpvox.envs.vec_env import make_vec
 from warpvox.errors import ConfigError
@@ -18,6 +19,12 @@ from warpvox.errors import ConfigError
 
 def make(**options: object) -> VoxelSB3VecEnv:
     return VoxelSB3VecEnv(**({"task": "Walker-v0", "num_envs": 3, "body": "walker", "threads": 1} | options))
+
+
+def test_the_body_is_the_one_that_is_named() -> None:
+    env = make(body="mini")
+    assert env.vec.num_designs == 1
+    assert np.array_equal(env.vec.designs[0], example_design("mini"))
 
 
 @pytest.mark.parametrize("normalize", [True, False])

@@ -81,6 +81,7 @@ def test_what_is_hidden_is_not_there(sim: EvoSim) -> None:
     rows, columns = np.nonzero(changed["hide_grid"])
     assert changed["hide_grid"].any()
     assert set(columns[rows == 3] % 10) <= {0, 9}  # on borders of cells only
+    assert {(column + 1) // 10 for column in columns[rows == 3]} >= set(range(30))  # on all of them
 
 
 def test_actuators_change_colour_with_their_length(sim: EvoSim) -> None:

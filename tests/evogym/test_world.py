@@ -62,6 +62,7 @@ def test_what_cannot_be_done_changes_nothing(world: EvoWorld) -> None:
     for wrong, words in (
         (lambda: world.move_object("robot", 1, 0), "overlaps"),
         (lambda: world.translate_object("robot", -3, 0), "negative"),
+        (lambda: world.move_object("robot", 10**6, 10**6), "are the limit"),
         (lambda: world.move_object("robots", 0, 1), "Did you mean 'robot'"),
         (lambda: world.remove_object("box"), "no object named 'box'"),
         (lambda: world.add_from_array("robot", BODY, 5, 1), "already"),

@@ -73,7 +73,10 @@ class EvoWorld:
         self.add_object(obj)
 
     def add_object(self, obj: WorldObject) -> None:
-        """Add an object where it is. WorldError: its name is taken, or its bounding box covers a cell of another."""
+        """Add an object where it is.
+
+        WorldError: its name is taken, its bounding box covers a cell of another, or the world would be too large.
+        """
         if obj.name in self.objects:
             raise WorldError(f"The world has an object named '{obj.name}' already; names must differ.")
         (x, y), (columns, rows) = obj.get_pos(), obj.grid.shape[::-1]
@@ -85,6 +88,7 @@ class EvoWorld:
                 " on empty cells."
             )
         height, width = self.grid.shape
+        core.check_size(max(width, x + columns), max(height, y + rows), f" with '{obj.name}'")
         self.grid = np.pad(self.grid, ((0, max(0, y + rows - height)), (0, max(0, x + columns - width))))
         self.grid[y : y + rows, x : x + columns] = obj.grid
         self.objects[obj.name] = obj
@@ -105,7 +109,7 @@ class EvoWorld:
     def move_object(self, obj_name: str, x: int, y: int) -> None:
         """Move an object so that (x, y) is the cell of its lower left corner.
 
-        WorldError: no such object, a negative position or an overlap; the object then stays where it was.
+        WorldError: no such object, a negative position, or one where it cannot be added; it then stays where it was.
         """
         moved = self._find(obj_name).copy()
         moved.set_pos(x, y)

@@ -154,6 +154,7 @@ def test_bodies_that_a_search_cannot_start_with_are_refused() -> None:
         (bodies[:9], "start has 9 robots, the first generation 8"),
         ([bodies[0], bodies[0]], "same body twice"),
         ([bodies[0][:, :4]], r"shape \[5, 4\]: expected \[5, 5\]"),
+        ([bodies[0], 0 * bodies[1]], "is empty"),
     ]:
         with pytest.raises((ConfigError, DesignError), match=says):
             fresh("ga").start_with(wrong)

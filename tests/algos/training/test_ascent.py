@@ -75,6 +75,19 @@ def test_the_rollout_is_what_the_policy_does() -> None:
     assert runner._found["return_mean"] == pytest.approx(total, abs=1e-6)
 
 
+def test_targets_do_not_depend_on_how_steep_the_slopes_of_others_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    targets = []
+    for factors in (torch.ones(ENVS), 10.0 ** torch.arange(ENVS)):
+        runner = make_runner()
+        returns, slope, stopped = runner._roll_out(*runner.alg.look(runner.env.reset())[1:], STEPS)
+        found = returns, slope * factors[:, None, None], stopped
+        monkeypatch.setattr(runner, "_roll_out", lambda *_, found=found: found)
+        runner._collect()
+        targets.append(runner._targets.state()["targets"])
+    assert len(targets[0]) == ENVS
+    assert torch.allclose(*targets)
+
+
 def test_stopped_episodes_say_of_a_body_that_it_does_badly_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
     runner = make_runner("performance")
     roll_out, stops = runner._roll_out, torch.arange(ENVS) < 3
