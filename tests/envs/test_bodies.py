@@ -63,6 +63,18 @@ def test_cut_connections_share_packs_with_whole_bodies() -> None:
         assert gap.abs().max() < 1e-10
 
 
+def test_a_state_goes_on_in_another_simulation_as_in_its_own() -> None:
+    designs, links = zip(*(cut_body(seed) for seed in range(LANES)), strict=True)
+    one, other = (make_vec("Walker-v0", designs, LANES, connections=links, **OPTIONS) for _ in range(2))
+    moves = actions_of(one, 6)
+    for move in moves[:3]:
+        one.step(move)
+    other.set_state(one.state())
+    for move in moves[3:]:
+        for found, wanted in zip(other.step(move)[:4], one.step(move)[:4], strict=True):
+            assert torch.equal(found, wanted)
+
+
 @pytest.mark.parametrize("obs", ["task", "voxel"])
 @pytest.mark.parametrize("task", ["Walker-v0", "Traverser-v0", "Climber-v2"])
 def test_a_changed_batch_is_a_new_one_bit_for_bit(task: str, obs: str) -> None:

@@ -240,6 +240,9 @@ def test_gymnasium_says_what_has_happened() -> None:
     assert info["diverged"] is True
     assert info["reward_terms"]["displacement_robot_x"] == 0.0
     np.testing.assert_array_equal(obs, first)
+    again, reward, *ended, _ = single.unwrapped.step(single.action_space.low)  # all is over
+    assert (reward, ended) == (0.0, [True, False])
+    np.testing.assert_array_equal(again, obs)
 
     many = gymnasium.make_vec("warpvox/Walker-v0", num_envs=3, threads=1)
     many.reset()

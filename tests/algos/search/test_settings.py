@@ -160,3 +160,10 @@ def test_a_careless_search_is_told_what_is_wrong() -> None:
     ):
         with pytest.raises(SearchError, match=words):
             Careless(proposals).ask()
+
+
+def test_what_was_proposed_is_known_though_nobody_claimed_it() -> None:
+    body = np.full((5, 5), 3, np.int8)
+    search = Careless([Proposal(body)])
+    search.ask()
+    assert not search.claim(body)
