@@ -73,10 +73,7 @@ class EvoWorld:
         self.add_object(obj)
 
     def add_object(self, obj: WorldObject) -> None:
-        """Add an object where it is.
-
-        WorldError: its name is taken, its bounding box covers a cell of another, or the world would be too large.
-        """
+        """Add an object where it is. WorldError: its name or a cell of its box is taken, or the world is too large."""
         if obj.name in self.objects:
             raise WorldError(f"The world has an object named '{obj.name}' already; names must differ.")
         (x, y), (columns, rows) = obj.get_pos(), obj.grid.shape[::-1]
