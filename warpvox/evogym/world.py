@@ -84,9 +84,9 @@ class EvoWorld:
                 f"The object '{obj.name}' at {obj.pos} overlaps another one at cell {cell}; its bounding box must lie"
                 " on empty cells."
             )
-        height, width = self.grid.shape
-        core.check_size(max(width, x + columns), max(height, y + rows), f" with '{obj.name}'")
-        self.grid = np.pad(self.grid, ((0, max(0, y + rows - height)), (0, max(0, x + columns - width))))
+        height, width = np.maximum(self.grid.shape, (y + rows, x + columns)).tolist()
+        core.check_size(width, height, f" with '{obj.name}'")
+        self.grid = np.pad(self.grid, ((0, height - self.grid.shape[0]), (0, width - self.grid.shape[1])))
         self.grid[y : y + rows, x : x + columns] = obj.grid
         self.objects[obj.name] = obj
 
