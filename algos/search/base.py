@@ -10,10 +10,10 @@ from typing import ClassVar
 import numpy as np
 
 from warpvox.algos.candidate import START, Candidate
-from warpvox.algos.search.bodies import MAX_VOXELS, body_key, count_valid, first_valid, mutate
+from warpvox.algos.search.bodies import body_key, count_valid, mutate
 from warpvox.algos.search.settings import SearchSettings
 from warpvox.checks import check_integer, check_shape
-from warpvox.design import check_design, draw_bodies
+from warpvox.design import are_valid, check_design, draw_bodies
 from warpvox.errors import ConfigError, DesignError, SearchError
 
 BATCH = 32
@@ -21,6 +21,9 @@ BATCH = 32
 
 MUTANTS_PER_DRAW = 16
 """Mutants of one parent that are drawn at a time, of which the first that will do counts."""
+
+MAX_VOXELS = 2_000_000
+"""Voxels that are drawn by default before there is no new body to be found."""
 
 MAX_MUTANT_VOXELS = 100_000
 """Voxels of mutants that are drawn before all mutants of a parent count as known."""
@@ -117,10 +120,14 @@ class BaseSearch(ABC):
 
     def new_body(self, draw: Callable[[], np.ndarray], limit: int = MAX_VOXELS) -> np.ndarray | None:
         """The first valid and new body of ``draw() -> [n, rows, columns]``, claimed; None after ``limit`` voxels."""
-        body = first_valid(draw, self.is_known, limit)
-        if body is not None:
-            self.claim(body)
-        return body
+        drawn = 0
+        while drawn < limit:
+            bodies = draw()
+            drawn += bodies.size
+            for index in np.flatnonzero(are_valid(bodies)):
+                if self.claim(bodies[index]):
+                    return bodies[index]
+        return None
 
     def random_proposal(self, rng: np.random.Generator) -> Proposal:
         """A new body by EvoGym's sampling rule.

@@ -1,6 +1,4 @@
-"""Many bodies at once: mutation, neighbours, search for a valid one. Arrays are int8 ``[n, rows, columns]``."""
-
-from collections.abc import Callable
+"""Many bodies at once: mutation, neighbours, counting. Arrays are int8 ``[n, rows, columns]``."""
 
 import numpy as np
 
@@ -8,9 +6,6 @@ from warpvox.design import SAMPLING_WEIGHTS, are_valid
 
 CELL_TYPES = len(SAMPLING_WEIGHTS)
 """A robot's voxel is one of these many types; they count from 0."""
-
-MAX_VOXELS = 2_000_000
-"""Voxels drawn in search of one valid body, by default, before the search is given up."""
 
 
 def body_key(body: np.ndarray) -> bytes:
@@ -40,20 +35,6 @@ def neighbours(bodies: np.ndarray) -> np.ndarray:
     place = np.arange(cells * (CELL_TYPES - 1), dtype=np.int64)
     near[:, place, place % cells] = (near[:, place, place % cells] + 1 + place // cells) % CELL_TYPES
     return near.reshape(n, -1, rows, columns)
-
-
-def first_valid(
-    draw: Callable[[], np.ndarray], refuse: Callable[[bytes], bool], limit: int = MAX_VOXELS
-) -> np.ndarray | None:
-    """The first valid body of ``draw() -> [n, rows, columns]`` that is not refused; None after ``limit`` voxels."""
-    drawn = 0
-    while drawn < limit:
-        bodies = draw()
-        drawn += bodies.size
-        for index in np.flatnonzero(are_valid(bodies)):
-            if not refuse(body_key(bodies[index])):
-                return bodies[index]
-    return None
 
 
 def count_valid(shape: tuple[int, int]) -> int:

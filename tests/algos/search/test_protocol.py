@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from warpvox.algos.candidate import START, Candidate
 from warpvox.algos.search import ALGORITHMS, make_search
 from warpvox.algos.search.base import BaseSearch
-from warpvox.algos.search.bodies import CELL_TYPES, body_key, count_valid, first_valid, mutate, neighbours
+from warpvox.algos.search.bodies import CELL_TYPES, body_key, count_valid, mutate, neighbours
 from warpvox.design import check_design
 from warpvox.errors import ConfigError, DesignError, SearchError
 
@@ -286,7 +286,9 @@ def test_valid_bodies_in_a_row_are_runs_of_cells_with_an_actuator(cells: int) ->
 
 
 def test_a_source_of_bodies_can_run_dry() -> None:
+    search = fresh("random")
     dry = np.zeros((2000, 5, 5), np.int8)
-    assert first_valid(lambda: dry, lambda key: False) is None
+    assert search.new_body(lambda: dry) is None
     full = np.full((2000, 5, 5), 3, np.int8)
-    assert first_valid(lambda: full, lambda key: key == body_key(full[0]), limit=100_000) is None
+    assert np.array_equal(search.new_body(lambda: full), full[0])
+    assert search.new_body(lambda: full, limit=100_000) is None
