@@ -13,7 +13,7 @@ from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation, Speciali
 from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.search.settings import GA, SearchSettings, settings_from
 from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, physics_of, sim_of
-from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY, arithmetic_key
+from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY, RULES, TASK, TORCH_THREADS, arithmetic_key
 from warpvox.checks import check_choice
 from warpvox.keys import Settings, key, plain
 
@@ -41,19 +41,11 @@ class Codesign(Settings):
         ConfigError: a value that is not valid.
     """
 
-    task: Any = key(
-        "Walker-v0",
-        "task id (`warpvox tasks` lists them), or a task of your own: module:NAME or file.py:NAME",
-        path="read",
-    )
+    task: Any = key("Walker-v0", TASK, path="read")
     shape: list[int] = key(
         [5, 5], "rows and columns of the bodies; in the paper [5,5], for Lifter-v0 [5,7]", low=1, form="[rows,columns]"
     )
-    rules: str = key(
-        "evogym",
-        "rules and constants of the benchmark as released (evogym) or as printed in the paper (paper)",
-        choices=("evogym", "paper"),
-    )
+    rules: str = key("evogym", RULES, choices=("evogym", "paper"))
     search: SearchSettings = key(GA, "how designs are proposed")
     evaluation: Evaluation = key(Specialist, "how designs are compared")
     fitness: str = key(
@@ -89,9 +81,7 @@ class Codesign(Settings):
     threads: int | None = key(
         None, "CPU threads of the simulation; null: all cores (executor=ray: one)", low=1, high=MOST_THREADS
     )
-    torch_threads: int = key(
-        1, "PyTorch threads; more than 1 slow down small networks and change rounding", low=1, high=MOST_THREADS
-    )
+    torch_threads: int = key(1, TORCH_THREADS, low=1, high=MOST_THREADS)
     executor: str = key(
         "local",
         "where designs are trained: in this process (local) or on workers of Ray (ray)",

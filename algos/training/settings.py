@@ -19,6 +19,9 @@ OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 MOST_THREADS = 1024
 """More than any machine has cores; a stored file may not make a process start a million."""
 ARITHMETICS = ("fast", "exact")
+TASK = "task id (`warpvox tasks` lists them), or a task of your own: module:NAME or file.py:NAME"
+RULES = "rules and constants of the benchmark as released (evogym) or as printed in the paper (paper)"
+TORCH_THREADS = "PyTorch threads; more than 1 slow down small networks and change rounding"
 RAY = "address of a running Ray cluster: auto or host:port; null: start Ray on this machine"
 DEVICES = "auto (CUDA where there is a device, from 256 environments on), cpu, cuda, cuda:<index>"
 
@@ -65,11 +68,7 @@ class Training(Settings):
         ConfigError: a value that is not valid.
     """
 
-    task: str = key(
-        "Walker-v0",
-        "task id (`warpvox tasks` lists them), or a task of your own: module:NAME or file.py:NAME",
-        path="read",
-    )
+    task: str = key("Walker-v0", TASK, path="read")
     design: Any = key(
         "walker",
         "body: the name of an example, auto (the example made for the task), random, random:5x7, zoo:TASK, a"
@@ -77,11 +76,7 @@ class Training(Settings):
         " for a task with several robots {name:body}",
         path="read",
     )
-    rules: str = key(
-        "evogym",
-        "rules and constants of the benchmark as released (evogym) or as printed in the paper (paper)",
-        choices=("evogym", "paper"),
-    )
+    rules: str = key("evogym", RULES, choices=("evogym", "paper"))
     policy: str = key(
         "mlp",
         "network of the policy: mlp (layers: ppo.hidden), grid, transformer or cpg (all observe voxels: obs=task"
@@ -125,9 +120,7 @@ class Training(Settings):
         " to the folder dumps of the run (dump)",
         choices=("on", "dump"),
     )
-    torch_threads: int = key(
-        1, "PyTorch threads; more than 1 slow down small networks and change rounding", low=1, high=MOST_THREADS
-    )
+    torch_threads: int = key(1, TORCH_THREADS, low=1, high=MOST_THREADS)
     memory_check: bool = key(True, "refuse, before allocating, what does not fit into free memory")
     resume: str | None = key(
         None,
