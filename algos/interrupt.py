@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
@@ -61,7 +61,7 @@ def deferred_interrupts() -> Iterator[Interrupt]:
         if again:
             interrupt.stop()
 
-    with _handling((signal.SIGINT, *stop_signals()), on_signal):
+    with handling((signal.SIGINT, *stop_signals()), on_signal):
         yield interrupt
 
 
@@ -86,16 +86,20 @@ def terminable() -> Iterator[None]:
     def on_signal(number: int, frame: object) -> None:
         raise Terminated(number)
 
-    with _handling(stop_signals(), on_signal):
+    with handling(stop_signals(), on_signal):
         yield
 
 
 @contextmanager
-def _handling(numbers: tuple[int, ...], handler: Callable[[int, Any], object]) -> Iterator[None]:
+def handling(numbers: Sequence[int | None], handler: Callable[[int, Any], object] | signal.Handlers) -> Iterator[None]:
+    """Within the block ``handler`` gets these signals, but those that are ignored; None: one that this system lacks.
+
+    Outside the main thread, where signals do not arrive, nothing is changed.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    heard = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
+    heard = [number for number in numbers if number is not None and signal.getsignal(number) != signal.SIG_IGN]
     before = {number: signal.signal(number, handler) for number in heard}
     try:
         yield

@@ -9,14 +9,14 @@ import platform
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.interrupt import terminable
+from warpvox.algos.interrupt import handling, terminable
 from warpvox.system import HANGUP
 
 INTERRUPTED = "interrupted"
@@ -104,22 +104,11 @@ class _Worker:
         context = multiprocessing.get_context("spawn")  # a fork would copy threads of torch and Warp half
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, make))
-        with _ignored(signal.SIGINT, HANGUP):  # from its first moment: the process takes over what is ignored
+        # from its first moment: the process takes over what is ignored
+        with handling((signal.SIGINT, HANGUP), signal.SIG_IGN):
             process.start()
         theirs.close()
         return cls(process, ours)
-
-
-@contextlib.contextmanager
-def _ignored(*numbers: int | None) -> Iterator[None]:
-    """Ignore these signals within the block, where signals arrive at all: in the main thread."""
-    here = threading.current_thread() is threading.main_thread()
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers if number is not None and here}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _serve(pipe: Connection, make: Make) -> None:
