@@ -138,11 +138,6 @@ class SearchProgress(Listener):
         return self.archive.trained() + sum(training.share * training.designs for training in self._work.values())
 
     @property
-    def steps_per_second(self) -> float:
-        """Control steps of training per second since the beginning."""
-        return self._steps / max(time.monotonic() - self._began, 1e-9)
-
-    @property
     def _steps(self) -> int:
         """Control steps of training since the beginning."""
         return self._spent + sum(training.steps for training in self._work.values())
@@ -157,7 +152,8 @@ class SearchProgress(Listener):
         return f"; {designs} more under way, {self._iteration()} and {steps:,} control steps"
 
     def _figures(self) -> str:
-        return f"{self.steps_per_second:,.0f} steps/s  left {self._left()}"
+        rate = self._steps / max(time.monotonic() - self._began, 1e-9)
+        return f"{rate:,.0f} steps/s  left {self._left()}"
 
     def _left(self) -> str:
         """The time until the search is done, or its finalists begin, which take another time for a control step."""

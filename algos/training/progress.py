@@ -58,11 +58,8 @@ class Terminal(Listener):
     def begin(self, job: Job) -> None:
         """Say what is trained and where, and begin the live line."""
         echo(self.console, _announcement(job))
-        self.start(job.runner.schedule.total, job.runner.current_learning_iteration)
-
-    def start(self, total: int, done: int = 0) -> None:
-        """Begin the live line: iterations of the whole run, and those complete."""
-        self._total, self._start, self._figures = total, done, Figures()
+        runner, self._figures = job.runner, Figures()
+        self._total, self._start = runner.schedule.total, runner.current_learning_iteration
         self._began = self._printed = time.monotonic()
         if self.console.is_terminal:
             wide = self.console.width >= WIDE
@@ -76,7 +73,7 @@ class Terminal(Listener):
                 console=self.console,
                 refresh_per_second=4,
             )
-            self._line = self._bar.add_task("", total=total, completed=done, figures="")
+            self._line = self._bar.add_task("", total=self._total, completed=self._start, figures="")
             self._bar.start()
 
     def __call__(self, row: Mapping[str, float]) -> None:
@@ -91,14 +88,10 @@ class Terminal(Listener):
             left = duration((now - self._began) / max(done - self._start, 1) * (self._total - done))
             echo(self.console, f"iteration {done}/{self._total}  {figures}  left {left}")
 
-    def stop(self) -> None:
-        """End the live line."""
-        if self._bar is not None:
-            self._bar.stop()
-
     def end(self, job: Job) -> None:
         """Say how the run has ended and what one can do next."""
-        self.stop()
+        if self._bar is not None:
+            self._bar.stop()
         if job.summary:
             echo(self.console, _conclusion(job, time.monotonic() - self._began))
 
