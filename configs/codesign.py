@@ -5,14 +5,13 @@
 from dataclasses import dataclass
 from typing import Any
 
+from warpvox.algos.codesign.archive_export import FORMATS
 from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY
 from warpvox.configs.schema import CONFIG_FILE, PresetConfig
 from warpvox.keys import MISSING, key
-
-ARCHIVE_EXPORTS = ("csv", "parquet", "npz", "json")
 
 
 @dataclass
@@ -24,7 +23,7 @@ class CodesignConfig(Codesign, PresetConfig):
     export: list[str] = key(
         [],
         "formats in which the archive is written at the end: csv, parquet, npz and json (designs)",
-        choices=ARCHIVE_EXPORTS,
+        choices=tuple(FORMATS),
     )
     resume: str | None = key(None, "continue a search: latest or its folder", path="read")
     config: str | None = key(None, CONFIG_FILE, path="read")

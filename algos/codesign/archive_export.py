@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.algos.codesign.archive import Archive, Record, body_text
-from warpvox.checks import check_choice
 from warpvox.design import save_design
 from warpvox.errors import RunError
 from warpvox.io.writing import atomic_path, write_table, write_text
@@ -17,12 +16,6 @@ COLUMNS = {
     "curve_values": ["float64"],
 }  # fmt: skip
 """Of the tables, with Arrow's types; bodies are JSON in both, lists are JSON in CSV and lists in Parquet."""
-
-
-def export(archive: Archive, folder: Path, name: str) -> Path:
-    """Write one of :data:`FORMATS` into ``folder``; returns the path of what was made."""
-    check_choice("the format of an archive", name, FORMATS, RunError)
-    return FORMATS[name](archive, folder)
 
 
 def write_csv(archive: Archive, path: Path) -> Path:
@@ -90,4 +83,4 @@ FORMATS = {
     "npz": lambda archive, folder: write_designs(archive, folder / "structures", ".npz"),
     "json": lambda archive, folder: write_designs(archive, folder / "structures", ".json"),
 }
-"""What an archive can be written as, and how."""
+"""What an archive can be written as, and what writes it into a folder and returns the path of what was made."""

@@ -15,7 +15,7 @@ from hypothesis import given, settings, strategies as st
 
 from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
 from warpvox.algos.codesign.archive import APPLICATION, VERSION, Archive, Finished
-from warpvox.algos.codesign.archive_export import COLUMNS, export, write_csv, write_parquet
+from warpvox.algos.codesign.archive_export import COLUMNS, FORMATS, write_csv, write_parquet
 from warpvox.design import full_connections, load_design, sample_design
 from warpvox.errors import RunError, StorageError
 
@@ -224,15 +224,13 @@ def test_parquet_holds_the_same(filled: Archive, tmp_path: Path) -> None:
 def test_parquet_without_pyarrow_says_what_to_do(filled: Archive, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(RunError, match=r"warpvox\[analysis\]"):
-        export(filled, tmp_path, "parquet")
-    with pytest.raises(RunError, match="Did you mean 'parquet'"):
-        export(filled, tmp_path, "parqet")
+        FORMATS["parquet"](filled, tmp_path)
     assert sorted(os.listdir(tmp_path)) == ["archive.sqlite", "archive.sqlite.lock"]
 
 
 @pytest.mark.parametrize("name", ["npz", "json"])
 def test_designs_leave_in_the_formats_of_evogym_and_come_back(filled: Archive, tmp_path: Path, name: str) -> None:
-    folder = export(filled, tmp_path, name)
+    folder = FORMATS[name](filled, tmp_path)
     done = [record for record in filled.records() if record.fitness is not None]
     for record in done:
         file = folder / f"generation_{record.candidate.generation}" / "structure" / f"{record.id}.{name}"

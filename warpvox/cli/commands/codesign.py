@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from warpvox.algos.codesign.archive import FILE, Archive
-from warpvox.algos.codesign.archive_export import export
+from warpvox.algos.codesign.archive_export import FORMATS
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load, load_values
@@ -81,7 +81,7 @@ def _make(job: Job, console: Console) -> Path:
 def _export(folder: Path, formats: Sequence[str], console: Console) -> None:
     with Archive.read(folder / FILE) as archive:
         for name in dict.fromkeys(formats):
-            echo(console, shown(export(archive, folder, name)))
+            echo(console, shown(FORMATS[name](archive, folder)))
 
 
 def _report(config: CodesignConfig, console: Console) -> Path:
