@@ -176,7 +176,7 @@ class FewShot(CommonPolicy):
         from warpvox.algos.policies.layout import VoxelLayout
 
         super().resolved(search, folder)
-        content = self._read(search, folder)
+        content = self.begins_with(search, (), folder)
         spec = content["policy"]
         ppo = dataclasses.replace(self.ppo_of(search), **{k: spec[k] for k in ("action_scale", "normalize_obs")})
         changes: dict[str, Any] = {"network": dict(spec["voxels"]["settings"]), "ppo": dataclasses.asdict(ppo)}
@@ -195,7 +195,8 @@ class FewShot(CommonPolicy):
             )
         return resolved
 
-    def _read(self, search: Codesign, folder: Path | None) -> dict[str, Any]:
+    def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> dict[str, Any]:
+        """The checkpoint of the pretrained policy."""
         from warpvox.algos.checkpoints.files import load_checkpoint
 
         path, run = (folder / PRETRAINED, {}) if folder else find_pretrained(str(self.pretrained), search.output_dir)
@@ -214,10 +215,6 @@ class FewShot(CommonPolicy):
         if {"num_envs", "ppo"} <= run.keys():
             content[STEPS] = int(content["iter"]) * int(run["num_envs"]) * int(run["ppo"]["steps"])
         return content
-
-    def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> dict[str, Any]:
-        """The checkpoint of the pretrained policy."""
-        return self._read(search, folder)
 
     def keep(self, known: Any, folder: Path) -> None:
         from warpvox.algos.checkpoints.files import save_checkpoint
