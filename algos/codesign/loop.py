@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -238,10 +239,7 @@ class LocalExecutor:
 
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
         for place, batch in enumerate(work):
-
-            def tell(event: dict[str, Any], place: int = place) -> None:
-                report(place, event)
-
+            tell = partial(report, place)
             yield place, self.evaluator.evaluate(batch.candidates, parents, tell, batch.checkpoint)
 
     def close(self) -> None:
