@@ -50,15 +50,12 @@ class Evaluator(Protocol):
         ...
 
 
-def evaluate(
-    env: VoxelVecEnv, policy: Policy, max_steps: int | None = None, seed: int | Sequence[int] | None = None
-) -> EpisodeReturns:
+def evaluate(env: VoxelVecEnv, policy: Policy, seed: int | Sequence[int] | None = None) -> EpisodeReturns:
     """Run one episode in every environment of ``env`` from its beginning.
 
     Args:
         env: made with ``auto_reset=False``: an environment that has ended waits for the others.
         policy: without exploration, for a result that can be repeated bit for bit.
-        max_steps: stop earlier than the task would.
         seed: of what the episodes draw, see :meth:`VoxelVecEnv.reset`; None goes on with the numbers of ``env``.
 
     Raises:
@@ -66,13 +63,12 @@ def evaluate(
     """
     if env.auto_reset:
         raise ConfigError("An evaluation needs environments that wait at the end: make_vec(auto_reset=False).")
-    steps = env.max_episode_steps if max_steps is None else min(max_steps, env.max_episode_steps)
     check_every = 1 if torch.device(env.device).type == "cpu" else CHECK_EVERY
     if hasattr(policy, "reset"):  # it remembers episodes
         policy.reset()
     with torch.no_grad():
         obs, _ = env.reset(seed)
-        for step in range(steps):
+        for step in range(env.max_episode_steps):
             obs, _, terminated, truncated, info = env.step(policy(obs))
             if (step + 1) % check_every == 0 and bool((terminated | truncated).all()):
                 break

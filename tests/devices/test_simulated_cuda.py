@@ -219,7 +219,8 @@ def test_a_training_ends_and_no_step_of_it_waits(words: str, cuda: SimulatedCuda
     def evaluate(env: VoxelVecEnv, policy: Any, **options: Any) -> Any:
         evaluated.append(env.device)
         launched = cuda.launches.total()
-        found = evaluation_of(env, policy, max_steps=3, **options)
+        env.max_episode_steps = 3
+        found = evaluation_of(env, policy, **options)
         assert cuda.launches.total() == launched
         return found
 
