@@ -120,10 +120,6 @@ def _copy(own: torch.Tensor, old: torch.Tensor | None, rows: tuple | None, colum
     if old is None or old.ndim != own.ndim or any(old.shape[axis] != own.shape[axis] for axis in free):
         found = "nothing" if old is None else list(old.shape)
         raise RunError(f"A parent's policy has another architecture: {name} is {found}, expected {list(own.shape)}.")
-    mine, theirs = rows or (list(range(len(own))), list(range(len(own))))
-    if own.ndim == 1 or columns is None:
-        own[mine] = old[theirs].to(own)
-        return
-    values = own[mine]
-    values[:, columns[0]] = old[theirs][:, columns[1]].to(own)
-    own[mine] = values
+    pairs = [pair or [range(size)] * 2 for pair, size in zip((rows, columns), own.shape, strict=False)]
+    mine, theirs = (np.ix_(*indices) for indices in zip(*pairs, strict=True))
+    own[mine] = old[theirs].to(own)
