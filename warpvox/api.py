@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
-from warpvox.checks import check_choice, check_known
+from warpvox.checks import check_known
 from warpvox.errors import ConfigError
-from warpvox.keys import Settings, changed
+from warpvox.keys import Settings, changed, check_value
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -178,7 +178,7 @@ def evaluate(
             :func:`warpvox.make_vec`.
     """
     from warpvox.algos.codesign.results import Found
-    from warpvox.algos.protocols import PROTOCOLS, parts_of
+    from warpvox.algos.protocols import parts_of
     from warpvox.algos.settings import physics_of
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.job import own_torch
@@ -187,13 +187,18 @@ def evaluate(
     from warpvox.algos.training.policy_table import EvaluatedPolicy, PolicyTable, evaluate_run
     from warpvox.algos.training.settings import Training
     from warpvox.code import Code, is_code
+    from warpvox.configs.show import EvaluateConfig
     from warpvox.envs.vec_env import make_vec
     from warpvox.runs import find_runs
     from warpvox.trust import STORED
 
     check_known(options, evaluate, Playing, without=("num_envs",))
-    check_choice("protocol", protocol, PROTOCOLS)
+    limits = {item.name: item.metadata for item in dataclasses.fields(EvaluateConfig)}
+    for name, value in {"episodes": episodes, "protocol": protocol, "level": level}.items():
+        check_value(name, value, limits[name])
     ones = policies if isinstance(policies, Sequence) and not isinstance(policies, str) else [policies]
+    if not ones:
+        raise ConfigError("There are no policies: policies=[] names none.")
     beside = any(map(callable, ones))  # task and design are theirs
     own = Code(task) if is_code(task) else task
     network = Code(policy) if is_code(policy) else policy

@@ -200,6 +200,9 @@ def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None
         (folder, {"design": "worm"}, "Other bodies go with a run over many of them"),
         (folder, {"episods": 3}, "evaluate got an unexpected keyword argument 'episods'. Did you mean 'episodes'"),
         ("nowhere", {}, "no run at nowhere"),
+        ([], {}, "policies=\\[\\] names none"),
+        (folder, {"episodes": 0}, "episodes must be at least 1, got 0"),
+        (folder, {"level": 95}, "level must be at most 0.9999, got 95"),
     ):
         with pytest.raises(wv.WarpvoxError, match=words):
             wv.evaluate(policy, **options)
