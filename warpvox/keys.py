@@ -126,6 +126,15 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
             setattr(config, item.name, converted(value, hints[item.name], prefix + item.name))
 
 
+def flat(values: Mapping[str, Any], whole: Collection[str] = (), prefix: str = "") -> dict[str, Any]:
+    """Nested values by their dotted keys; the value of a key in ``whole`` is one, also if it is a dictionary."""
+    found = {}
+    for name, value in values.items():
+        key = prefix + name
+        found |= flat(value, whole, f"{key}.") if isinstance(value, dict) and key not in whole else {key: value}
+    return found
+
+
 def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
     """The part of a configuration that ``usual`` is with some of its values changed."""
     try:

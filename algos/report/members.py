@@ -13,6 +13,7 @@ from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.algos.codesign.evaluations import EVALUATIONS
 from warpvox.algos.search.bodies import diversity
+from warpvox.keys import flat
 from warpvox.runs import read_summary
 
 PLACES = 200
@@ -144,14 +145,14 @@ def read_members(archives: Sequence[Path]) -> list[SearchResult]:
 
 
 def _names(found: Sequence[tuple[Path, Mapping[str, Any]]]) -> list[str]:
-    flat = [_flat(settings) for _, settings in found]
-    kinds = [(own.get("task"), str(own.get("search.algorithm", "search"))) for own in flat]
+    settings = [flat(own) for _, own in found]
+    kinds = [(own.get("task"), str(own.get("search.algorithm", "search"))) for own in settings]
     keys = {}
     for kind in dict.fromkeys(kinds):
-        alike = [own for own, other in zip(flat, kinds, strict=True) if other == kind]
+        alike = [own for own, other in zip(settings, kinds, strict=True) if other == kind]
         keys[kind] = telling(alike, [key for key in differing(alike) if key not in OWN])
     names, known = [], {}
-    for (folder, _), own, kind in zip(found, flat, kinds, strict=True):
+    for (folder, _), own, kind in zip(found, settings, kinds, strict=True):
         if re.fullmatch(r"seed\d+", folder.name):
             names.append(folder.parent.name)
             continue
@@ -180,14 +181,6 @@ def telling(groups: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> list[st
         }
         first.append(max(left, key=lambda key: kinds[key]))
     return first
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings by dotted keys."""
-    flat = {}
-    for key, value in values.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
-    return flat
 
 
 def progress(members: Sequence[SearchResult], x: str) -> tuple[np.ndarray, np.ndarray]:

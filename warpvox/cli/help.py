@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from warpvox.configs.schema import PRESET, PRESET_OF, nodes_of, schema_of
-from warpvox.keys import MISSING
+from warpvox.keys import MISSING, flat
 
 FOLDERS = ("ppo", "training")
 """Keys that take the name of a YAML file in the folder of the same name, and of nothing else."""
@@ -66,15 +66,7 @@ def options_of(command: str, group: str, config_dir: Path | None = None) -> list
 
 def flat_values(command: str, values: dict[str, Any]) -> dict[str, Any]:
     """Nested values by their dotted keys; a value that may be anything is one, also if it is a mapping."""
-    anything = {name for name, key in flat_keys(schema_of(command)) if key.type is Any}
-
-    def flat(values: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-        for name, value in values.items():
-            key = prefix + name
-            nested = isinstance(value, dict) and key not in anything
-            yield from flat(value, f"{key}.") if nested else [(key, value)]
-
-    return dict(flat(values, ""))
+    return flat(values, {name for name, key in flat_keys(schema_of(command)) if key.type is Any})
 
 
 def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str | None, str]]:
