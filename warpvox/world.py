@@ -144,11 +144,7 @@ class World:
         """
         if obj.name in self.objects:
             raise WorldError(f"The world has an object '{obj.name}' already; names must differ.")
-        self._check_room(obj)
-        self._check_free(obj)
-        self.objects[obj.name] = obj
-        self._grow(obj)
-        return obj
+        return self._put(obj)
 
     def add_from_array(self, name: str, structure: object, x: int, y: int, connections: object = None) -> WorldObject:
         """Add cells ``[rows, columns]`` (row 0 on top) with the lower left corner at cell (x, y).
@@ -171,13 +167,7 @@ class World:
         Raises:
             WorldError: unknown object, negative position or an overlap; the object then stays where it was.
         """
-        obj = self._find(name).moved(x, y)
-        self._check_room(obj)
-        self._check_free(obj)
-        del self.objects[name]  # it comes last: read in this order, no box covers what lies there already
-        self.objects[name] = obj
-        self._grow(obj)
-        return obj
+        return self._put(self._find(name).moved(x, y))
 
     def add_from_json(self, source: str | os.PathLike[str] | Mapping[str, object]) -> None:
         """Add all objects of a world file (path, text of the file or parsed dictionary) to this world.
@@ -277,6 +267,15 @@ class World:
             )
         return self.objects[name]
 
+    def _put(self, obj: WorldObject) -> WorldObject:
+        width, height = max(self.width, obj.x + obj.width), max(self.height, obj.y + obj.height)
+        check_size(width, height, f" with '{obj.name}'")
+        self._check_free(obj)
+        self.objects.pop(obj.name, None)  # it comes last: read in this order, no box covers what lies there already
+        self.objects[obj.name] = obj
+        self.width, self.height = width, height
+        return obj
+
     def _check_free(self, obj: WorldObject) -> None:
         for other in self.objects.values():
             if other.name == obj.name:
@@ -295,13 +294,6 @@ class World:
                     f" overlaps '{other.name}' at cell ({left + along}, {low + up}); its bounding box must"
                     " lie on empty cells."
                 )
-
-    def _check_room(self, obj: WorldObject) -> None:
-        check_size(max(self.width, obj.x + obj.width), max(self.height, obj.y + obj.height), f" with '{obj.name}'")
-
-    def _grow(self, obj: WorldObject) -> None:
-        self.width = max(self.width, obj.x + obj.width)
-        self.height = max(self.height, obj.y + obj.height)
 
 
 def check_size(width: int, height: int, why: str = "") -> None:
