@@ -292,7 +292,8 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
     if text.startswith("["):
         return check_design(_parse_list(text, source=f"The text '{_shorten(text)}'"))
     if text.startswith("zoo:"):
-        return _stored_body(text.removeprefix("zoo:"))
+        name = text.removeprefix("zoo:")
+        return _read_file(Path(name).expanduser() if name.lower().endswith(".npz") else zoo_file(name, DesignError))
     if text.lower().endswith(_FILE_SUFFIXES):
         return _read_file(Path(text))
     if text == "random" or text.startswith("random:"):
@@ -304,13 +305,6 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
         f" ({listing(EXAMPLES)}), random, random:5x7, zoo:TASK, a file ({', '.join(_FILE_SUFFIXES)}) or a nested list"
         " such as [[3,3],[4,4]]."
     )
-
-
-def _stored_body(text: str) -> Design:
-    """The body of a stored robot: a task of the zoo, or a file."""
-    if text.lower().endswith(".npz"):
-        return _read_file(Path(text).expanduser())
-    return _read_file(zoo_file(text, DesignError))
 
 
 def zoo_file(task: str, error: type[Exception]) -> Path:
