@@ -62,13 +62,13 @@ class Sensing:
         """[num_envs, 2, points]: x row and y row minus the centre of mass, padded with 0."""
         return self._points(name, 2).transpose(1, 2)
 
-    def _sense(self, key: tuple, kernel: str, dim, shapes: list[tuple], dtype: torch.dtype, *inputs):
-        """Run a sensing kernel into buffers of its own; a recorded launch costs a fraction of a new one."""
+    def _sense(self, key: tuple, dim, shapes: list[tuple], *inputs):
+        """Run the kernel that a key begins with into its buffers; a recorded launch costs a fraction of a new one."""
         if key not in self._sensors:
-            buffers = [torch.zeros(shape, dtype=dtype, device=self.device) for shape in shapes]
-            kind = wp.vec2d if kernel in ("centres", "extents") else None
+            buffers = [torch.zeros(shape, dtype=torch.float64, device=self.device) for shape in shapes]
+            kind = wp.vec2d if key[0] in ("centres", "extents") else None
             arrays = [wp.from_torch(buffer, dtype=kind) for buffer in buffers]
-            self._sensors[key] = sensing.record(self._state, kernel, dim, *inputs, *arrays), buffers
+            self._sensors[key] = sensing.record(self._state, key[0], dim, *inputs, *arrays), buffers
         command, buffers = self._sensors[key]
         command.launch()
         return buffers
@@ -78,7 +78,7 @@ class Sensing:
         inputs = [objects.index(name), what]
         shape = (self.num_envs, objects.num_points[name], 2)
         if name in objects.movable:
-            found = self._sense(("points", *inputs), "points", self.num_envs, [shape], torch.float64, *inputs)[0]
+            found = self._sense(("points", *inputs), self.num_envs, [shape], *inputs)[0]
             out = found.to(self.dtype, copy=True)
         else:
             out = torch.zeros(shape, dtype=self.dtype, device=self.device)
@@ -102,25 +102,23 @@ class Sensing:
         if self._centres_are_new:
             return self._sensors["centres",][1]
         self._centres_are_new = True
-        return self._sense(("centres",), "centres", shape[:2], [shape, shape], torch.float64)
+        return self._sense(("centres",), shape[:2], [shape, shape])
 
     def orientation(self, name: str) -> torch.Tensor:
         """float64 [num_envs]: orientation in [0, 2 pi), counter-clockwise since time 0 (B.1)."""
-        index = self._objects.moving(name)
-        shape = (self.num_envs,)
-        return self._sense(("orientations", index), "orientations", shape, [shape], torch.float64, index)[0].clone()
+        return self._of_object("orientations", name)
 
     def extent(self, name: str) -> torch.Tensor:
         """float64 [num_envs, 2]: width and height of the box about all points of an object that can move."""
-        index = self._objects.moving(name)
-        shape = (self.num_envs, 2)
-        return self._sense(("extents", index), "extents", shape[:1], [shape], torch.float64, index)[0].clone()
+        return self._of_object("extents", name, 2)
 
     def hull_area(self, name: str) -> torch.Tensor:
         """float64 [num_envs]: area of the convex hull of all points of an object that can move (B.6.1)."""
+        return self._of_object("hulls", name)
+
+    def _of_object(self, kernel: str, name: str, *sizes: int) -> torch.Tensor:
         index = self._objects.moving(name)
-        shape = (self.num_envs,)
-        return self._sense(("hulls", index), "hulls", shape, [shape], torch.float64, index)[0].clone()
+        return self._sense((kernel, index), self.num_envs, [(self.num_envs, *sizes)], index)[0].clone()
 
     def floor_scan(self, name: str, reach: int, objects: Sequence[str] | None = None) -> torch.Tensor:
         """float64 [num_envs, 2 reach + 1]: depth of the terrain below an object's centre of mass.
@@ -140,8 +138,5 @@ class Sensing:
             self._scans[listed] = self._objects.scan_tables(listed)
         shape = (self.num_envs, 2 * reach + 1)
         inputs = [self._objects.moving(name), reach, float(SIGHT), up]
-        tables = self._scans[listed]
-        found = self._sense(
-            ("scans", *inputs, listed), "scans", self.num_envs, [shape], torch.float64, *inputs, *tables
-        )
-        return found[0].clone()
+        key = ("scans", *inputs, listed)
+        return self._sense(key, self.num_envs, [shape], *inputs, *self._scans[listed])[0].clone()
