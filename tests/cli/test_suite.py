@@ -85,6 +85,7 @@ def test_presets_name_the_tasks_of_the_paper_and_a_quick_look() -> None:
 
 def test_every_key_of_codesign_reaches_the_members() -> None:
     words = ["training.ppo.gamma=0.9", "physics.gravity=80", "rules=paper", "reuse=false", "dtype=float64", "top=2"]
+    words.append("preset=null")  # the default
     (member,) = members(*words, "tasks=[Climber-v0]", "searches=[random]", "seeds=[7]")
     alone = load("codesign", [*words, "task=Climber-v0", "search=random", "seed=7"])
     for name in ("rules", "reuse", "dtype", "top", "physics", "task", "seed", "executor", "shape"):

@@ -65,17 +65,6 @@ def key_and_value(given: Override | str) -> tuple[str, str]:
     return key, value if isinstance(value, str) else override.get_value_string()
 
 
-def key_and_word(word: str) -> tuple[str, str]:
-    """The key of an override of ``warpvox codesign`` for the searches of a suite, and the override as Hydra takes it.
-
-    ConfigError: see :func:`read_overrides`.
-    """
-    (override,) = read_overrides(
-        "codesign", [word], instead="all searches of a suite take the same; make a suite for each"
-    )
-    return override.key_or_group, str(override.input_line)
-
-
 def parse(word: str) -> Override | None:
     """A word as Hydra's grammar has it; None: it cannot be read."""
     try:

@@ -13,7 +13,7 @@ from warpvox.algos.training.pretrained import find_pretrained, kept_name
 from warpvox.checks import check_choice, check_integer, check_shape, is_integer
 from warpvox.cli.config import load
 from warpvox.cli.help import options_of
-from warpvox.cli.overrides import key_and_value, key_and_word
+from warpvox.cli.overrides import key_and_value, read_overrides
 from warpvox.code import Code, is_code
 from warpvox.configs.codesign import SuiteConfig
 from warpvox.configs.composition import quoted, shape_of
@@ -154,8 +154,10 @@ PRETRAINED = "evaluation.pretrained"
 
 
 def by_key(words: Sequence[str]) -> dict[str, str]:
-    """The words by their keys, as Hydra takes them; of two for one key the last."""
-    return dict(map(key_and_word, words))
+    """The words about design searches by their keys, as Hydra takes them; of two for one key the last."""
+    instead = "all searches of a suite take the same; make a suite for each"
+    overrides = (one for word in words for one in read_overrides("codesign", [word], instead=instead))
+    return {override.key_or_group: str(override.input_line) for override in overrides}
 
 
 def merged(words: Sequence[str], typed: Sequence[str], output_dir: str) -> list[str]:
