@@ -2,8 +2,6 @@
 
 import dataclasses
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
@@ -123,7 +121,9 @@ def suite(job: Job, console: Console) -> Path:
     if job.config.report is not None:
         return _write_again(job.config, console)
     config = dataclasses.replace(job.config, retry=False)
-    with _folder(job, to_yaml(dataclasses.replace(config, codesign=job.words or config.codesign))) as folder:
+    place = job.folder or _place(config)
+    folder = job.folder or make_folder(place.parent, place.name)
+    with going_on(folder, to_yaml(dataclasses.replace(config, codesign=job.words or config.codesign))):
         for member in {member.search: member for member in job.members}.values():
             keep_code(member.settings, folder, console)
         table = Table.of_members(folder, job.members, job.config.retry)
@@ -139,15 +139,6 @@ def suite(job: Job, console: Console) -> Path:
             raise
         _write_report(table, config, console)
         return _conclude(table, config, console)
-
-
-@contextmanager
-def _folder(job: Job, text: str) -> Iterator[Path]:
-    """The folder of the suite, ours alone, with ``text`` as its ``config.yaml``."""
-    place = job.folder or _place(job.config)
-    folder = job.folder or make_folder(place.parent, place.name)
-    with going_on(folder, text):
-        yield folder
 
 
 def _write_report(table: Table, config: SuiteConfig, console: Console) -> None:
