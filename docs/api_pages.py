@@ -74,12 +74,6 @@ def public_modules() -> dict[str, tuple[str, ...]]:
 
 
 @cache
-def public_names() -> frozenset[str]:
-    """All names that ``import warpvox`` offers."""
-    return frozenset(name for names in public_modules().values() for name in names)
-
-
-@cache
 def pages() -> dict[str, str]:
     """Place in the site -> Markdown."""
     modules = public_modules()

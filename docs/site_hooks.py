@@ -72,4 +72,5 @@ def on_page_content(html: str, **_: Any) -> str:
 
 
 def _name(match: re.Match[str]) -> str:
-    return f"[{match[0]}][warpvox.{match[2]}]" if match[2] in api_pages.public_names() else match[0]
+    public = any(match[2] in names for names in api_pages.public_modules().values())
+    return f"[{match[0]}][warpvox.{match[2]}]" if public else match[0]
