@@ -21,30 +21,26 @@ EAGER_STEPS = 2
 """Steps before the capture: they load the kernels and make the buffers, which a capture must not."""
 
 
-def capture_on_cuda(device: str) -> Capture:
-    """A :data:`Capture` of torch operations and Warp launches on one CUDA device, on a stream of its own."""
+def capture_on_cuda(device: str, step: Callable[[], Any]) -> tuple[Callable[[], None], Any]:
+    """A :data:`Capture`, once it has its device: of torch operations and Warp launches, on a stream of its own."""
+    stream = torch.cuda.Stream(device)
+    graph = torch.cuda.CUDAGraph()
+    # Within, torch's current stream is this one, and kernels are launched on it (warpvox.kernels.device).
+    # thread_local: what other threads do meanwhile (data loaders, loggers) cannot spoil the capture.
+    capturing = torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local")
+    # the outer context brings the stream back; that of torch leaves it current when a capture fails
+    with torch.cuda.stream(torch.cuda.current_stream(device)), capturing:
+        ours = current_stream(device)
+        wp.capture_begin(stream=ours, external=True)
+        try:
+            results = step()
+        finally:
+            kept = wp.capture_end(stream=ours)  # keeps the kernels' modules loaded
 
-    def capture(step: Callable[[], Any]) -> tuple[Callable[[], None], Any]:
-        stream = torch.cuda.Stream(device)
-        graph = torch.cuda.CUDAGraph()
-        # Within, torch's current stream is this one, and kernels are launched on it (warpvox.kernels.device).
-        # thread_local: what other threads do meanwhile (data loaders, loggers) cannot spoil the capture.
-        capturing = torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local")
-        # the outer context brings the stream back; that of torch leaves it current when a capture fails
-        with torch.cuda.stream(torch.cuda.current_stream(device)), capturing:
-            ours = current_stream(device)
-            wp.capture_begin(stream=ours, external=True)
-            try:
-                results = step()
-            finally:
-                kept = wp.capture_end(stream=ours)  # keeps the kernels' modules loaded
+    def replay(keeps: tuple[Any, ...] = (graph, kept, stream)) -> None:
+        graph.replay()
 
-        def replay(keeps: tuple[Any, ...] = (graph, kept, stream)) -> None:
-            graph.replay()
-
-        return replay, results
-
-    return capture
+    return replay, results
 
 
 class StepGraph:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -172,7 +173,7 @@ class VoxelVecEnv:
         self._graph: StepGraph | None = None
         wanted = sim.options.cuda_graph
         if not self._on_cpu and (not self._has_code if wanted is None else wanted):
-            self._graph = StepGraph(capture_on_cuda(sim.device))
+            self._graph = StepGraph(partial(capture_on_cuda, sim.device))
 
     def __repr__(self) -> str:
         counts = f"num_envs={self.num_envs}, num_designs={self.num_designs}"
