@@ -104,8 +104,3 @@ def draw_world(world: World) -> Image.Image:
     scale = int(np.clip(LONGEST / max(width, height), *SCALES))
     canvas = Canvas(scene, (round(width * scale), round(height * scale)), scale)
     return canvas.picture(points, (-round(BELOW * scale), -round(BELOW * scale)))
-
-
-def write_world_png(world: World, path: str | os.PathLike[str]) -> Path:
-    """Write what :func:`draw_world` draws. Returns the path."""
-    return save_png(draw_world(world), path)

@@ -73,8 +73,9 @@ def _print_task(name: str, config: TasksConfig, console: Console) -> None:
     from warpvox.design import load_design
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import task_world
-    from warpvox.view.body_picture import scene_of_world, write_world_png
+    from warpvox.view.body_picture import draw_world, scene_of_world
     from warpvox.view.cell_text import print_world
+    from warpvox.view.painter import save_png
 
     whole = get_task(name)
     task = whole.under(config.rules)
@@ -100,8 +101,7 @@ def _print_task(name: str, config: TasksConfig, console: Console) -> None:
     _print_observation(task, config.design, points, console)
     print_world(world, console)
     if config.picture is not None:
-        path = write_world_png(world, config.picture)
-        echo(console, f"\npicture: {path}")
+        echo(console, f"\npicture: {save_png(draw_world(world), config.picture)}")
 
 
 def _designs(task: Any) -> str:
