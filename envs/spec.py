@@ -161,7 +161,8 @@ def _call(what: Callable[[], str], function: Function, *args: Any, **params: Any
 def _is_ours(function: Callable[..., Any]) -> bool:
     while isinstance(function, partial):
         function = function.func
-    return str(getattr(function, "__module__", "")).startswith(("warpvox.", "operator"))
+    module = str(getattr(function, "__module__", ""))
+    return module == "operator" or module.startswith("warpvox.")
 
 
 def _told(error: Exception) -> str:

@@ -11,7 +11,7 @@ import torch
 
 from warpvox.envs.about import about
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
-from warpvox.envs.registry import get_task
+from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import Memory, TaskSpec, observes, rewards, terminates
 from warpvox.envs.terms.observations import velocity
 from warpvox.envs.terms.rewards import displacement
@@ -322,6 +322,14 @@ def test_what_a_term_does_to_its_values_is_its_own_affair() -> None:
         assert torch.equal(info["reward_terms"]["displacement_robot_x"].to(reward.dtype), reward)
         assert torch.equal(info["reward_terms"]["spoiling_robot"], info["reward_terms"]["displacement_robot_x"])
         assert torch.equal(env.memory["m"], calm.memory["m"])
+
+
+@pytest.mark.parametrize("module", ["mine", "operators", "warpvox_mine"])
+def test_a_function_of_any_module_but_ours_is_code_of_the_users_own(module: str) -> None:
+    function = odd(lambda state, name: x_of(state)[:, None])
+    function.__module__ = module
+    assert replace(BASE, observations=(*BASE.observations, observes(function))).has_code
+    assert not any(get_task(task).has_code for task in task_ids())  # Catcher-v0 has a function of the module operator
 
 
 @pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0"])
