@@ -129,11 +129,9 @@ class World:
     """
 
     def __init__(self, width: int = 1, height: int = 1) -> None:
-        for value, what in ((width, "width"), (height, "height")):
-            check_integer(f"The {what} of a world", value, 1, error=WorldError)
-        check_size(int(width), int(height))
-        self.width = int(width)
-        self.height = int(height)
+        self.width = check_integer("The width of a world", width, 1, error=WorldError)
+        self.height = check_integer("The height of a world", height, 1, error=WorldError)
+        check_size(self.width, self.height)
         self.objects: dict[str, WorldObject] = {}
 
     def add_object(self, obj: WorldObject) -> WorldObject:
