@@ -1,6 +1,7 @@
 """Documents: what is drawn becomes a body or a world, and comes back from a file unchanged."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from warpvox.design import example_designs, load_design, sample_design
+from warpvox.editor import trials
 from warpvox.editor.documents import (
     check,
     check_file_name,
@@ -18,9 +20,12 @@ from warpvox.editor.documents import (
     save_file,
     world_of,
 )
-from warpvox.editor.trials import LONGEST, MOST_MOVING, try_out
+from warpvox.editor.trials import LONGEST, MOST_MOVING
+from warpvox.envs.registry import get_task
 from warpvox.errors import WarpvoxError
 from warpvox.world import World
+
+try_out = partial(trials.try_out, tasks={"Walker-v0": get_task("Walker-v0")})
 
 
 def body_document(rows: list[list[int]]) -> dict:

@@ -34,7 +34,7 @@ ROBOT = "robot"
 
 def design_of(document: Mapping[str, Any]) -> Design:
     """The body that a document draws, without empty rows and columns around it."""
-    cells = _cells(document, "types", BODY_SIDE, BODY_SIDE)
+    cells = _cells(document, BODY_SIDE, BODY_SIDE)
     return check_design(cells[_box(cells)] if cells.any() else cells)
 
 
@@ -44,7 +44,7 @@ def world_of(document: Mapping[str, Any]) -> World:
     Objects are added from the widest to the smallest: the bounding box of an object must lie on cells that are
     free of those before it, and terrain may well reach around a robot.
     """
-    types = _cells(document, "types", WORLD_SIZE[1], WORLD_SIZE[0], error=WorldError)
+    types = _cells(document, WORLD_SIZE[1], WORLD_SIZE[0], WorldError)
     owners = _owners(document, types)
     height, width = types.shape
     objects = []
@@ -167,13 +167,11 @@ def _kind(document: Mapping[str, Any]) -> str:
     return kind
 
 
-def _cells(
-    document: Mapping[str, Any], key: str, rows: int, columns: int, error: type[WarpvoxError] = DesignError
-) -> np.ndarray:
-    value = document.get(key)
+def _cells(document: Mapping[str, Any], rows: int, columns: int, error: type[WarpvoxError] = DesignError) -> np.ndarray:
+    value = document.get("types")
     # Before numpy looks at it: what is not a rectangle of a modest size is not worth an array.
     if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
-        raise error(f"{key} must be rows of cells.")
+        raise error("types must be rows of cells.")
     if len(value) > rows or any(len(row) > columns for row in value):
         raise error(f"There is room for {columns} columns and {rows} rows.")
     return as_grid(value, what="grid", error=error)

@@ -29,7 +29,7 @@ def try_out(
     seconds: object,
     seed: object,
     task: object,
-    tasks: Mapping[str, TaskSpec] | None = None,
+    tasks: Mapping[str, TaskSpec],
 ) -> Rollout:
     """Record an episode: of a body in a task, or of a world as it stands.
 
@@ -40,7 +40,7 @@ def try_out(
         document: see :mod:`warpvox.editor.documents`.
         agent: one of :data:`warpvox.view.rollout.AGENTS`.
         task: one of ``tasks``, for a body.
-        tasks: what there is to choose from; None: the benchmark's. A name of code that is not here is not imported.
+        tasks: what there is to choose from. A name of code that is not here is not imported.
     """
     check_choice("agent", agent, AGENTS)
     if not is_number(seconds) or not FRAME_SECONDS <= seconds <= LONGEST:
@@ -50,11 +50,9 @@ def try_out(
     return record(_TimeLimited(env, time.monotonic() + TIME_LIMIT), agent, round(seconds / FRAME_SECONDS))
 
 
-def _task(document: Mapping[str, Any], task: object, tasks: Mapping[str, TaskSpec] | None, seed: int) -> Any:
-    from warpvox.envs.registry import get_task, task_ids
+def _task(document: Mapping[str, Any], task: object, tasks: Mapping[str, TaskSpec], seed: int) -> Any:
     from warpvox.envs.vec_env import make_vec
 
-    tasks = {name: get_task(name) for name in task_ids()} if tasks is None else tasks
     if not isinstance(task, str):
         raise ConfigError(f"task must be the id of a task, got {task!r:.80}.")
     if task not in tasks:
