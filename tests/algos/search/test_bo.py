@@ -200,3 +200,22 @@ def test_mutants_are_those_of_the_best_bodies() -> None:
     pool = search.pool(np.random.default_rng(0), 0, 200)
     assert len(pool.parents) == 200
     assert {search.fitness[parent] for parent in pool.parents} == set(map(float, range(15, 40)))  # the best 25 of 40
+
+
+@pytest.mark.parametrize("acquisition", ["paper", "lbfgs"])
+def test_each_start_leads_to_a_body_and_says_whether_it_is_another(acquisition: str, monkeypatch) -> None:
+    from warpvox.algos.search import bo
+
+    starts: list[np.ndarray] = []
+
+    def watched(model, bodies: np.ndarray, count: int) -> np.ndarray:
+        chosen = thompson_starts(model, bodies, count)
+        starts.append(bodies[chosen])
+        return chosen
+
+    monkeypatch.setattr(bo, "thompson_starts", watched)
+    generations = searched(hasty(acquisition=acquisition, population=6, max_evaluations=30))
+    assert len(starts) == len(generations) - 1 == 4
+    for begun, generation in zip(starts, generations[1:], strict=True):
+        for start, candidate in zip(begun, generation, strict=True):
+            assert candidate.origin == ("thompson" if np.array_equal(candidate.body, start) else "improvement")

@@ -93,6 +93,23 @@ def test_a_rollout_is_of_one_body_and_episodes_begin_with_it() -> None:
     assert len(bodies) == 4
 
 
+def test_a_recurrent_policy_forgets_the_body_that_has_left() -> None:
+    pool = draw_bodies(12, SHAPE, np.random.default_rng(0))
+    bodies = Bodies(pool, "random", np.random.default_rng(0))
+    env = small_env(designs=bodies.first(ENVS), max_episode_steps=LIMIT, obs="voxel", grid=SHAPE)
+    ppo = ppo_settings(epochs=1, rnn={"rnn_type": "gru", "rnn_hidden_dim": 4})
+    runner = Runner(adapt(env, ppo), ppo, Schedule(9, 100, 100), bodies=bodies)
+    # half of the episodes end in the first of six steps, and have five more with the body that is exchanged then
+    runner.env.episode_length_buf = torch.arange(ENVS) % 2 * (LIMIT - 1)
+    runner.learn(1)
+    ended = runner.logger.ended
+    assert ended.sum() == ENVS // 2
+    for model in (runner.alg.actor, runner.alg.critic):
+        memory = model.get_hidden_state()[0]
+        assert bool((memory[ended] == 0).all())
+        assert bool((memory[~ended] != 0).any())
+
+
 def test_bodies_on_which_the_policy_does_worse_come_more_often() -> None:
     pool = draw_bodies(4, SHAPE, np.random.default_rng(0))
     bodies = Bodies(pool, "performance", np.random.default_rng(0))

@@ -48,6 +48,15 @@ def test_the_rate_is_fixed_or_ends_one_step_above_zero(schedule: str, expected: 
     assert {(group["lr"], group["eps"]) for group in runner.alg.optimizer.param_groups} == {(rates[-1], 1e-5)}
 
 
+@pytest.mark.parametrize(("schedule", "rate"), [("linear", 0.004), ("fixed", 0.004), ("adaptive", 0.01)])
+def test_who_begins_with_moments_keeps_the_rate_that_an_adaptive_schedule_has_found(schedule: str, rate: float) -> None:
+    before = make_runner(4, ppo_settings(learning_rate=0.01))
+    runner = make_runner(4, ppo_settings(schedule=schedule, learning_rate=0.004))
+    runner.begin_with(before.state(), optimizer=True)
+    assert [group["lr"] for group in runner.alg.optimizer.param_groups] == [rate]
+    assert runner.alg.learning_rate == rate
+
+
 def test_divergence_is_one_clear_error() -> None:
     runner = make_runner(3)
     for parameter in runner.alg.get_policy().mlp.parameters():

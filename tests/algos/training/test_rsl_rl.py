@@ -109,6 +109,7 @@ def test_intrinsic_rewards_are_learned_from() -> None:
     for runner in (plain, curious):
         runner.run()
     assert curious.logger.losses["rnd"] > 0
+    assert curious.alg.rnd.initial_weight == pytest.approx(5.0 * 30 * 1e-4)  # times the seconds of a control step
     assert not torch.equal(plain.alg.storage.rewards, curious.alg.storage.rewards)
 
 
