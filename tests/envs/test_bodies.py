@@ -76,7 +76,7 @@ def test_a_state_goes_on_in_another_simulation_as_in_its_own() -> None:
 
 
 @pytest.mark.parametrize("obs", ["task", "voxel"])
-@pytest.mark.parametrize("task", ["Walker-v0", "Traverser-v0", "Climber-v2"])
+@pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0", "Traverser-v0", "Climber-v2"])
 def test_a_changed_batch_is_a_new_one_bit_for_bit(task: str, obs: str) -> None:
     designs, others = sampled(16), sampled(5, 100, (4, 5))
     env = make_vec(task, designs, 16, grid=(5, 5), obs=obs, **OPTIONS)
