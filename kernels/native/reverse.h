@@ -64,6 +64,8 @@ auto beyond = [&](int s, int lanes, Real bound, int after, Value& ux, Value& uy)
     uy = dy * over;
     return found << lane;
 };
+// A limit moves free points alone.
+auto by_free = [&](int r) -> Value { return by_pos[r] * weights(free_lanes[r / 2]); };
 // The sides of rigid voxels, in place, from the last to the first.
 auto give = [&](int p, Value x, Value y) {
     const Value free = weights(free_lanes[p]);
@@ -90,7 +92,7 @@ auto reverse_rigid_limits = [&](int after) {
         Value ux, uy;
         const int lanes = beyond(s, rigid_lanes[n], model.rigid_strain_limit, after, ux, uy);
         if (!lanes) continue;
-        const Value x = by_pos[2 * a] - by_pos[2 * b], y = by_pos[2 * a + 1] - by_pos[2 * b + 1];
+        const Value x = by_free(2 * a) - by_free(2 * b), y = by_free(2 * a + 1) - by_free(2 * b + 1);
         const Value part = (ux * x + uy * y) * weights(lanes) * (Real(0.5) * model.rigid_strain_share);
         give(a, -part * ux, -part * uy);
         give(b, part * ux, part * uy);
@@ -105,7 +107,7 @@ auto reverse_limits = [&](int after) {
         spring[6 * s + 2] = weights(lanes) * (Real(0.5) * model.strain_share);
     }
     if (!limited) return;
-    multiply([&](int r) -> Value { return by_pos[r]; }, [&](int s, Value& x, Value& y) {
+    multiply(by_free, [&](int s, Value& x, Value& y) {
         const Value ux = spring[6 * s], uy = spring[6 * s + 1], part = (ux * x + uy * y) * spring[6 * s + 2];
         x = part * ux;
         y = part * uy;

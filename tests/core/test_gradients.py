@@ -271,6 +271,21 @@ def test_who_stands_still_keeps_its_state_and_its_derivative(grads):
     assert torch.equal(after[2], state[2])
 
 
+def test_limits_pass_no_derivative_of_points_that_never_move():
+    sim = Simulation([world(6, 4, robot=([[5, 1, 3]], 1, 2))], **FIELDS | {"lanes": 1})
+    grads, fixed = Gradients(sim), sim.fixed_rows[0]
+    state = grads.state()
+    state[0, 0, 0::2] += 0.1 * VOXEL * ~fixed[0::2]  # beyond the limits of rigid and of other springs
+    state.requires_grad_()
+    actions = torch.full((1, 1), 1.5, dtype=torch.float64, requires_grad=True)
+    end = grads.step(state, actions)[0, 0, fixed]
+    assert torch.equal(end, state[0, 0, fixed])
+    end.sum().backward()
+    assert bool((state.grad[0, 0, fixed] == 1).all())
+    assert not state.grad[0, :, ~fixed].any()
+    assert not actions.grad.any()
+
+
 def test_what_is_frozen_later_has_moved_before(grads):
     def derivative(frozen):
         grads.sim.set_frozen(torch.zeros(8, dtype=torch.bool))
