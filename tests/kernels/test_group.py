@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
-from worlds import crowded_world, world
+from worlds import crowded_world, ground, world
 
 from warpvox.batch import arrays, options
 from warpvox.envs.registry import task_ids
@@ -265,4 +265,24 @@ def test_a_fixed_object_that_lies_on_terrain_touches_nothing():
     for sim in sims:
         sim.shift(torch.tensor([[0, -2], [-8, -3]]))  # on the ground, under the robot
     run(sims, 20)
+    assert not sims[1].unstable.any()
+
+
+def test_bodies_with_cut_connections_are_left_to_lanes():
+    """Lanes have twins where the other end of a cut is connected: two points that move as one; a group has none."""
+    slit = world(10, 10, ground=ground(10), robot=([[3, 3], [3, 3]], 2, 1, [[0, 1, 2], [2, 3, 3]]))
+    whole = world(10, 10, ground=ground(10), robot=([[3, 3], [3, 3]], 2, 1))
+    assert pair_of([whole])[1].layout == "group"
+    for sims in (pair_of([slit]), pair_of([whole, slit], grid=(2, 2))):
+        assert sims[1].layout == "lanes"
+        run(sims, 3)
+
+
+def test_points_that_never_move_have_no_contacts():
+    """Corners of a fixed cell lie in a wall; on CUDA there is memory for the points that move alone."""
+    blocks = {"ground": ground(20), "wall": (np.full((3, 1), 5), 11, 1), "shelf": ([[2, 2, 2, 2, 2, 5]], 5, 3)}
+    sims = pair_of([world(20, 10, **blocks, robot=([[3]], 2, 1))])
+    take_memory_of_cuda(sims[1])
+    assert sims[1]._state.group.movers < sims[1]._state.sizes["point"]
+    run(sims, 4)
     assert not sims[1].unstable.any()

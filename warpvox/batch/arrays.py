@@ -58,7 +58,10 @@ class Buffers:
 
 
 def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
-    """Allocate and fill Model and Data for a batch; None where worlds are too large for the group layout."""
+    """Allocate and fill Model and Data for a batch; None where the group layout does not take them.
+
+    It has no room for large worlds, and no twins: points that stand for one point where connections are cut.
+    """
     device, lanes = batch.device, batch.lanes
     width = lanes if device == "cpu" else 1
     units, packs = lanes // width, len(batch.pack_group)
@@ -75,7 +78,7 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
         moves = ((links > 0) | (tables["free_lanes"] != 0)).any(0)
         sizes["mover"] = sizes["point"] if batch.grid else 1 + int(np.flatnonzero(moves).max(initial=0))
         taken = choose(sizes["point"], sizes["spring"], precision, device, sizes["mover"])
-        if taken is None or links.max(initial=0) > LINKS:
+        if taken is None or batch.cut or links.max(initial=0) > LINKS:
             return None
     model, data = allocate(MODEL, sizes, precision, device), allocate(DATA, sizes, precision, device)
     types = structs(precision)

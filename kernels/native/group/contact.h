@@ -97,11 +97,11 @@ auto force_of = [&](int code, Hit& hit) {
         }
     }
     if (best < 0) return;
-    const wp::vec_t<4, int>* table = pair[1] >= 0 ? &wp::index(model.pushed, here, 0) : corner;
-    if (i >= 0) hit.point[0] = table[i][c];
+    const wp::vec_t<4, int>* pushed = row_of(model.pushed, here);  // what never moves may have no room in `contact`
+    if (i >= 0) hit.point[0] = pushed[i][c];
     if (j >= 0) {
-        hit.point[1] = table[j][best];
-        hit.point[2] = table[j][(best + 1) & 3];
+        hit.point[1] = pushed[j][best];
+        hit.point[2] = pushed[j][(best + 1) & 3];
     }
     const int* body = row_of(model.body, here);
     const bool twice = i >= 0 && j >= 0 && body[i] == body[j];
