@@ -9,7 +9,7 @@ for (int s = 0; s < springs; ++s) {
     bool alike = true;  // as in lanes of one body
     each_lane([&](int k) { alike &= drive[k] == drive[0]; });
     if (alike) {
-        const int first = (drive[0] & 0xffff) - 1, second = (drive[0] >> 16) - 1;
+        const int first = (drive[0] & 0xffff) - 1, second = (drive[0] >> 16 & 0xffff) - 1;
         if (second >= 0) {
             goal[s] = (action[first] + action[second]) * (rest * 0.5);
         } else if (first >= 0) {
@@ -20,7 +20,7 @@ for (int s = 0; s < springs; ++s) {
         continue;
     }
     each_lane([&](int k) {
-        const int first = (drive[k] & 0xffff) - 1, second = (drive[k] >> 16) - 1;
+        const int first = (drive[k] & 0xffff) - 1, second = (drive[k] >> 16 & 0xffff) - 1;
         double length = rest;
         if (second >= 0) {
             length = (lane_of(action[first], k) + lane_of(action[second], k)) * (rest * 0.5);

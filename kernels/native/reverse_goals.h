@@ -8,7 +8,7 @@ for (int s = 0; s < springs; ++s) {
     const Real rest = Real(wp::index(model.spring_rest, mesh, s));
     const int* drive = &wp::index(model.spring_drive, mesh, s, lane);
     each_lane([&](int k) {
-        const int first = (drive[k] & 0xffff) - 1, second = (drive[k] >> 16) - 1;
+        const int first = (drive[k] & 0xffff) - 1, second = (drive[k] >> 16 & 0xffff) - 1;
         if (first < 0) return;
         const Real share = lane_of(by_goal[s], k) * rest * (second < 0 ? Real(1) : Real(0.5));
         set_lane(by_action[first], k, lane_of(by_action[first], k) + share);

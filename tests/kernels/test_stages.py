@@ -44,3 +44,21 @@ def test_stages_make_up_the_control_step(dtype, arithmetic, lanes):
     expected, found = fused.state(), staged.state()
     for name in STATE_FIELDS:
         assert torch.equal(expected[name], found[name]), name
+
+
+@pytest.mark.slow
+def test_goals_of_more_actuators_than_15_bits_count():
+    side = 182
+    many = world(side, side, robot=(np.full((side, side), 3), 0, 0))
+    sim = Simulation([many], device="cpu", dtype="float64", lanes=1)
+    assert 2**15 < sim.num_actions == side**2
+    actions = torch.full((1, side**2), 0.6, dtype=torch.float64)
+    actions[0, -1] = 1.6  # its upper side is also that of the voxel above, which has another number
+    sim.take(actions)
+    sim.place_actions()
+    launch_stage(goals, sim._state)
+    springs = int(sim.array("springs")[0])
+    lengths = sim.array("goal")[0, :springs, 0] / sim.array("spring_rest")[0, :springs]
+    driven = lengths[lengths != 1]
+    assert driven.unique().tolist() == pytest.approx([0.6, 1.1, 1.6])
+    assert [(driven == value).sum() for value in driven.unique()] == [side * (side + 1) - 2, 1, 1]

@@ -12,6 +12,9 @@ from warpvox.contact_order import no_order
 from warpvox.errors import SimulationError
 from warpvox.world import World
 
+MOST_ACTUATORS = 0xFFFF
+"""Robots of a world have no more: a spring's two share 32 bits (:func:`warpvox.compile.pack_drives`)."""
+Actuators = tuple[tuple[str, int], ...]
 FRAME_TABLES = ("fixed_at", "terrain", "terrain_side", "terrain_box")
 
 
@@ -29,8 +32,11 @@ def group(worlds: Sequence[World]) -> tuple[dict[bytes, World], list[int]]:
     return different, index
 
 
-def _actuators(world: World) -> tuple[tuple[str, int], ...]:
-    return tuple(sorted((obj.name, obj.num_actuators) for obj in world.objects.values() if obj.is_robot))
+def _actuators(world: World) -> Actuators:
+    found = tuple(sorted((obj.name, obj.num_actuators) for obj in world.objects.values() if obj.is_robot))
+    if (total := sum(count for _, count in found)) > MOST_ACTUATORS:
+        raise SimulationError(f"The robots of a world may have {MOST_ACTUATORS:,} actuators together, got {total:,}.")
+    return found
 
 
 @dataclass
@@ -123,7 +129,7 @@ class Batch:
         if self.grid is None:
             raise SimulationError("Worlds can be exchanged in a simulation made with grid=(rows, columns) only.")
         known = {frame_key(self.worlds[self.group_of.index(k)]): k for k in range(len(self.frames))}
-        added: dict[int, list[tuple[bytes, World]]] = {}
+        added: dict[int, list[tuple[bytes, World, Actuators]]] = {}
         different = {id(world): world for world in worlds}
         keys = {number: world.key() for number, world in different.items()}
         group_of, chosen = dict(zip(self.keys, self.group_of, strict=True)), []
@@ -139,12 +145,13 @@ class Batch:
             if new:
                 self._check_bodies(world, self.grid)
                 group_of[key] = group
-                added.setdefault(group, []).append((key, world.copy()))
+                added.setdefault(group, []).append((key, world.copy(), _actuators(world)))
         for group, new in added.items():
-            self.local = np.append(self.local, self.frames[group].add([world for _, world in new]))
-            self.worlds = [*self.worlds, *(world for _, world in new)]
-            self.actuators = [*self.actuators, *(_actuators(world) for _, world in new)]
-            self.keys = [*self.keys, *(key for key, _ in new)]
+            names, others, actuators = zip(*new, strict=True)
+            self.local = np.append(self.local, self.frames[group].add(others))
+            self.worlds = [*self.worlds, *others]
+            self.actuators = [*self.actuators, *actuators]
+            self.keys = [*self.keys, *names]
             self.group_of = [*self.group_of, *[group] * len(new)]
         place = {key: k for k, key in enumerate(self.keys)}
         return self._assign(envs, [place[key] for key in chosen])

@@ -20,7 +20,8 @@ auto load_springs = [&]() {
         at.length[s].middle = rest0 * rest0 * (Real(1) + model.strain_limit * model.strain_limit);
         at.length[s].goal = Real(1);
         if (s >= springs) continue;
-        const int drive = wp::index(model.spring_drive, mesh, s, 0), first = (drive & 0xffff) - 1, second = (drive >> 16) - 1;
+        const int drive = wp::index(model.spring_drive, mesh, s, 0);
+        const int first = (drive & 0xffff) - 1, second = (drive >> 16 & 0xffff) - 1;
         double length = spring_rest[s];
         if (second >= 0) {
             length = (wp::index(data.action, pack, first, 0) + wp::index(data.action, pack, second, 0)) * (length * 0.5);
