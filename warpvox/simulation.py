@@ -450,6 +450,8 @@ class Simulation(Sensing):
         before = self._read(others)
         tables, which = self._batch.tables(packs)
         put_tables(self._state, {name: values[which] for name, values in tables.items()}, packs)
+        # Lanes without an environment too: torn apart, they would have the candidates of the others made again.
+        self._views["pos"][packs] = self.array("rest_pos")[packs]
         self._follow_worlds()
         self.reset(touched)
         self._write(before, others)

@@ -87,6 +87,27 @@ def test_an_environment_keeps_its_terrain():
     assert all(torch.equal(values, before[name]) for name, values in sim.state().items())
 
 
+def test_lanes_without_an_environment_are_at_rest_after_an_exchange():
+    """Torn apart they would have the candidates of all lanes made again in nearly every sub-step."""
+    small, large = (world(9, 8, ground=ground(9), robot=(np.full((n, n), 3), 2, 1)) for n in (2, 5))
+    sim = Simulation([small] * 3, grid=(5, 5), device="cpu", lanes=8)
+    sim.set_worlds([large] * 3, torch.ones(3, dtype=torch.bool))
+    assert torch.equal(sim.array("pos"), sim.array("rest_pos"))
+
+
+def test_worlds_without_robots_can_be_exchanged():
+    narrow, wide = (world(width, 6, ground=ground(8), box=([[2]], 2, 3)) for width in (8, 12))
+    sim = Simulation([narrow], grid=(2, 2), device="cpu")
+    sim.set_worlds([wide], torch.tensor([True]))
+    assert sim.worlds[0].width == 12
+
+
+def test_more_actuators_than_a_spring_can_name_are_refused():
+    many = world(256, 256, robot=(np.full((256, 256), 3), 0, 0))
+    with pytest.raises(SimulationError, match="65,535 actuators together, got 65,536"):
+        Simulation([many], device="cpu")
+
+
 def test_a_world_that_is_changed_afterwards_changes_no_simulation():
     changed = world_of(np.array([[3, 4]]))
     sim = Simulation([changed], device="cpu", lanes=8)

@@ -144,7 +144,7 @@ class Frame:
 
     def add(self, worlds: Sequence[World]) -> np.ndarray:
         """Add the bodies of more worlds, which fit the grid; return their numbers."""
-        count = len(self.bodies[0].height)
+        count = len(self.bodies[0].height) if self.bodies else 0
         for k, (name, bodies) in enumerate(zip(self.names, self.bodies, strict=True)):
             self.bodies[k] = bodies.join(
                 RobotBodies.of([world.objects[name] for world in worlds], bodies.cells.shape[1:])
@@ -469,7 +469,7 @@ def capacities(frame: Frame, rows: int, columns: int, cut: bool) -> dict[str, in
         "spring": springs + len(others["spring_rest"]),
         "link": 2 * slots * springs + len(others["link"]),
         "rigid": robots * 6 * cells + len(others["rigid_spring"]),
-        "twin_end": 2 * (slots - 1) * robots * springs,
+        "twin_end": 2 * (slots - 1) * springs,
         "twin": robots * (rows - 1) * (columns - 1) * (6 if cut else 1),
         "voxel": robots * cells + len(others["body"]),
         "movable": robots * cells + len(others["movable"]),
