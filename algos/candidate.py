@@ -55,6 +55,12 @@ class Candidate:
     origin: str = "random"
     generation: int = 0
 
+    def __post_init__(self) -> None:
+        # a search may draw them by numpy, whose integers SQLite takes for bytes
+        plain = {"id": int(self.id), "parents": tuple(map(int, self.parents)), "generation": int(self.generation)}
+        for name, value in plain.items():
+            object.__setattr__(self, name, value)
+
 
 @dataclass
 class Outcome:

@@ -198,7 +198,7 @@ class Archive(AbstractContextManager["Archive"]):
                 row = (item.id, item.generation, body_text(item.body), item.origin, candidate_seed(seed, item.id))
                 columns = "id, generation, body, origin, seed, proposed_at"
                 db.execute(f"INSERT INTO candidates ({columns}) VALUES (?,?,?,?,?,?)", (*row, _now()))
-                pairs = [(item.id, position, int(parent)) for position, parent in enumerate(item.parents)]
+                pairs = [(item.id, position, parent) for position, parent in enumerate(item.parents)]
                 db.executemany("INSERT INTO parents VALUES (?,?,?)", pairs)
 
     def finish(self, results: Iterable[Finished], seconds: float = 0.0) -> None:

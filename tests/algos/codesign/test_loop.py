@@ -85,20 +85,24 @@ def test_the_batch_does_not_change_the_results(tmp_path: Path, undisturbed: str)
     assert loop.archive.digest() == undisturbed
 
 
+class Interrupting(Listener):
+    """Interrupts once more than so many designs are evaluated."""
+
+    def __init__(self, stop: int, number: int = signal.SIGINT) -> None:
+        self.stop, self.number = stop, number
+        self.seen: list[int] = []
+
+    def finished(self, records: Sequence[Any]) -> None:
+        self.seen += [record.id for record in records]
+        if len(self.seen) > self.stop:
+            signal.raise_signal(self.number)
+
+
 @pytest.mark.parametrize(
     ("stop", "number"), [(0, signal.SIGTERM), (POPULATION - 2, signal.SIGINT), (2 * POPULATION + 1, signal.SIGTERM)]
 )
 def test_an_interrupt_keeps_what_is_finished(tmp_path: Path, undisturbed: str, stop: int, number: int) -> None:
-    class Interrupting(Listener):
-        def __init__(self) -> None:
-            self.seen: list[int] = []
-
-        def finished(self, records: Sequence[Any]) -> None:
-            self.seen += [record.id for record in records]
-            if len(self.seen) > stop:
-                signal.raise_signal(number)
-
-    listener = Interrupting()
+    listener = Interrupting(stop, number)
     loop = make_loop(tmp_path, listeners=[listener])
     with pytest.raises(KeyboardInterrupt):
         loop.run()
@@ -109,6 +113,25 @@ def test_an_interrupt_keeps_what_is_finished(tmp_path: Path, undisturbed: str, s
     again.run()
     assert not set(again.executor.evaluator.trained) & set(done)
     assert again.archive.digest() == undisturbed
+
+
+class Chained(ToySearch):
+    """Each design descends from the one before it, of the same generation; numbers are numpy's."""
+
+    def ask(self) -> list[Candidate]:
+        for place, one in enumerate(super().ask()):
+            numbers = np.arange(max(0, one.id - 1), one.id + 1)
+            parents = tuple(numbers[:-1])
+            self.asked[place] = Candidate(numbers[-1], one.body, parents, one.origin, np.int64(one.generation))
+        return self.asked if self.generation < self.generations else []
+
+
+def test_a_search_may_number_its_candidates_by_numpy(tmp_path: Path) -> None:
+    loop = make_loop(tmp_path, search=Chained(generations=2))
+    loop.run()
+    records = loop.archive.records()
+    assert [one.candidate.parents for one in records] == [(), *((number,) for number in range(2 * POPULATION - 1))]
+    assert [one.candidate.generation for one in records] == [0] * POPULATION + [1] * POPULATION
 
 
 def test_another_search_is_refused_in_its_first_generation(tmp_path: Path) -> None:
