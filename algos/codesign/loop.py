@@ -189,7 +189,8 @@ class Loop:
         return {
             record.id: Parent(record.candidate.body, self.policies.load(record.policy), cast(float, record.fitness))
             for record in map(self.archive.record, wanted)
-            if record.policy is not None
+            # of its own generation a search that is resumed would know more policies than one that was not interrupted
+            if record.policy is not None and record.candidate.generation < self.generation
         }
 
 

@@ -134,6 +134,18 @@ def test_a_search_may_number_its_candidates_by_numpy(tmp_path: Path) -> None:
     assert [one.candidate.generation for one in records] == [0] * POPULATION + [1] * POPULATION
 
 
+def test_no_parent_of_the_same_generation_is_known_after_an_interrupt(tmp_path: Path) -> None:
+    whole = make_loop(tmp_path / "whole", search=Chained(generations=2))
+    whole.run()
+    loop = make_loop(tmp_path / "stopped", search=Chained(generations=2), listeners=[Interrupting(POPULATION)])
+    with pytest.raises(KeyboardInterrupt):
+        loop.run()
+    loop.archive.close()
+    again = make_loop(tmp_path / "stopped", search=Chained(generations=2))
+    again.run()
+    assert again.archive.digest() == whole.archive.digest()
+
+
 def test_another_search_is_refused_in_its_first_generation(tmp_path: Path) -> None:
     class Interrupting(Listener):
         def proposed(self, *words: Any) -> None:
