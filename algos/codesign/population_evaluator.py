@@ -149,6 +149,8 @@ class _Generation:
         self.outcomes = list(map(outcome_of, content["outcomes"]))
         if content["active"] != self.active:
             self.active = content["active"]
+            if not self.active:  # all have diverged: nothing is left to train
+                return
             self.training = self._start()
         self.training.set_state(content["training"])
 

@@ -300,3 +300,12 @@ def test_a_learning_rate_that_is_much_too_high_ends_no_evaluation(evaluator: typ
     how.ppo.learning_rate, how.ppo.schedule = 1e30, "fixed"
     results = evaluator(factory(), how, 0).evaluate(candidates(2), {})
     assert [(outcome.diverged, outcome.stopped, outcome.steps) for outcome in results] == [(True, True, 16)] * 2
+
+
+def test_an_interrupt_while_the_last_designs_diverge_is_saved_as_well(tmp_path: Path) -> None:
+    how = small(iterations=4)
+    how.ppo.learning_rate, how.ppo.schedule = 1e30, "fixed"
+    evaluate, file = PopulationEvaluator(factory(), how, 0).evaluate, tmp_path / "state.pt"
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(candidates(2), {}, lambda event: signal.raise_signal(signal.SIGINT), file)
+    assert evaluate(candidates(2), {}, None, file) == evaluate(candidates(2), {})
