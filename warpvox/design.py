@@ -331,11 +331,11 @@ def save_design(path: str | os.PathLike[str], body: object) -> Path:
         rows = ",\n  ".join(str(row) for row in grid.tolist())
         write_text(target, f'{{"body": [\n  {rows}\n]}}\n')
     elif suffix == ".npz":
-        with atomic_path(target) as temporary:
-            np.savez(temporary, grid, full_connections(grid).T)
+        with atomic_path(target) as temporary, open(temporary, "wb") as file:  # numpy would add to a name in capitals
+            np.savez(file, grid, full_connections(grid).T)
     elif suffix == ".npy":
-        with atomic_path(target) as temporary:
-            np.save(temporary, grid)
+        with atomic_path(target) as temporary, open(temporary, "wb") as file:
+            np.save(file, grid)
     else:
         raise DesignError(f"Cannot save a design as '{target.name}': use one of {', '.join(_FILE_SUFFIXES)}.")
     return target

@@ -154,7 +154,7 @@ def test_examples_are_valid_distinct_and_fresh() -> None:
         assert wv.example_design(name).any()
 
 
-@given(DENSE.filter(is_valid), st.sampled_from([".json", ".npz", ".npy"]))
+@given(DENSE.filter(is_valid), st.sampled_from([".json", ".npz", ".npy", ".NPZ", ".Npy"]))
 def test_files_round_trip(tmp_path_factory: pytest.TempPathFactory, body: np.ndarray, suffix: str) -> None:
     path = wv.save_design(tmp_path_factory.mktemp("designs") / f"body{suffix}", body)
     for spec in (path, str(path)):
