@@ -369,7 +369,7 @@ def _read_npz(path: Path) -> np.ndarray:
         body = archive.read(name)
         pairs = {"arr_0": "arr_1", "body": "connections"}.get(name)  # of EvoGym, of a stored robot
         connections = archive.read(pairs) if pairs in archive.names else None
-    if connections is not None and body.ndim == 2 and connections.size:
+    if connections is not None and body.ndim == 2:
         # A body alone means "all neighbours are connected"; dropping cuts silently would be another robot.
         cuts = {tuple(pair) for pair in full_connections(body).tolist()} - _pairs(path, connections)
         if cuts:
@@ -382,7 +382,7 @@ def _read_npz(path: Path) -> np.ndarray:
 
 def _pairs(path: Path, connections: np.ndarray) -> set[tuple[int, ...]]:
     """Connections ``[2, k]`` as a set of pairs a < b."""
-    if connections.ndim != 2 or connections.shape[0] != 2 or not np.isfinite(connections).all():
+    if connections.size and (connections.shape[:-1] != (2,) or not np.isfinite(connections).all()):
         raise DesignError(
             f"The design file '{path}' has connections that are not pairs of cells [2, k]: got shape"
             f" {connections.shape} of {connections.dtype}."

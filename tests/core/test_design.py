@@ -175,9 +175,10 @@ def test_the_npz_file_is_evogyms_structure_file(tmp_path: Path) -> None:
     assert np.array_equal(wv.load_design(tmp_path / "theirs.npz"), body)
 
 
-def test_a_structure_file_with_cuts_is_refused(tmp_path: Path) -> None:
-    np.savez(tmp_path / "cut.npz", np.full((2, 2), 3.0), np.array([[0, 0], [1, 2]]))
-    with pytest.raises(wv.DesignError, match=r"2 pair\(s\) of neighbouring cells unconnected"):
+@pytest.mark.parametrize(("pairs", "cuts"), [([[0, 0], [1, 2]], 2), (np.empty((2, 0)), 4), ([], 4)])
+def test_a_structure_file_with_cuts_is_refused(tmp_path: Path, pairs: object, cuts: int) -> None:
+    np.savez(tmp_path / "cut.npz", np.full((2, 2), 3.0), np.array(pairs))
+    with pytest.raises(wv.DesignError, match=rf"{cuts} pair\(s\) of neighbouring cells unconnected"):
         wv.load_design(tmp_path / "cut.npz")
 
 
