@@ -185,5 +185,6 @@ def _named_in(sources: list[Path]) -> set[Path]:
         for node in ast.walk(ast.parse(source.read_bytes()))
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and 0 < len(node.value) < 200
     }
-    found = {folder / text for folder, text in texts if "\0" not in text and not text.startswith(("/", "."))}
-    return {file for file in found if ".." not in file.parts and file.is_file() and not file.is_symlink()}
+    found = {folder / text for folder, text in texts if not text.startswith(("/", "."))}
+    # os.path's test takes any text, also with NUL or of more bytes than a name may have
+    return {file for file in found if ".." not in file.parts and os.path.isfile(file) and not file.is_symlink()}

@@ -104,7 +104,8 @@ def test_two_files_have_neighbours_of_their_own(tmp_path) -> None:
         (tmp_path / name / "parts" / "__init__.py").touch()
         (tmp_path / name / "parts" / "numbers.py").write_text(f"STEPS = {steps}\n")
         own = OWN.replace('"Mine-v0"', '"Mine-v0", max_episode_steps=STEPS') + 'FILE = "data.json"\n'
-        (tmp_path / name / "json.py").write_text(f"from parts.numbers import STEPS\nimport json\njson.loads\n{own}")
+        text = f"from parts.numbers import STEPS\nimport json\njson.loads\n{own}TEXT = '{'я' * 199}'\n"
+        (tmp_path / name / "json.py").write_text(text, encoding="utf-8")
         (tmp_path / name / "data.json").write_text("{}")
     names = [Code(f"{tmp_path}/{name}/json.py:MINE") for name in ("one", "two")]
     assert [get_task(name).max_episode_steps for name in names] == [11, 22]
