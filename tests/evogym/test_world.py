@@ -57,6 +57,16 @@ def test_objects_are_moved_and_removed(world: EvoWorld) -> None:
     assert list(world.objects) == ["ground"]
 
 
+def test_what_lies_in_the_hole_of_an_object_stays() -> None:
+    world = EvoWorld()
+    world.add_from_array("ring", np.array([[5, 5, 5], [5, 0, 5], [5, 5, 5]]), 0, 0)
+    world.add_from_array("robot", [[3]], 1, 1)
+    with pytest.raises(WorldError, match="overlaps"):
+        world.move_object("ring", 0, 1)
+    world.remove_object("ring")
+    assert world.grid.tolist() == [[0, 0, 0], [0, 3, 0], [0, 0, 0]]
+
+
 def test_what_cannot_be_done_changes_nothing(world: EvoWorld) -> None:
     grid = world.grid.copy()
     for wrong, words in (

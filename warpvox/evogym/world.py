@@ -94,7 +94,7 @@ class EvoWorld:
         """Remove an object; return a copy of it. The grid keeps its size. WorldError: there is no such object."""
         obj = self._find(obj_name).copy()
         (x, y), (columns, rows) = obj.get_pos(), obj.grid.shape[::-1]
-        self.grid[y : y + rows, x : x + columns] = 0
+        self.grid[y : y + rows, x : x + columns][obj.grid != 0] = 0
         del self.objects[obj_name]
         return obj
 
