@@ -164,6 +164,13 @@ def test_mp4(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
         render.write_mp4(rollouts(5, 1), tmp_path / "odd.mp4", size=(321, 180))
 
 
+@pytest.mark.parametrize("name", ["a:b.mp4", "-films/a.mp4"])
+def test_a_path_is_neither_protocol_nor_option_of_ffmpeg(rollouts, tmp_path: Path, monkeypatch, name: str) -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    monkeypatch.chdir(tmp_path)
+    assert render.write_mp4(rollouts(2, 1), name, size=(32, 32)).stat().st_size
+
+
 @pytest.mark.parametrize(
     ("call", "words"),
     [
