@@ -75,6 +75,14 @@ def test_what_could_not_be_loaded_is_not_saved(rollouts, tmp_path: Path, monkeyp
     assert not list(tmp_path.iterdir())
 
 
+def test_metadata_with_half_of_a_character_is_not_saved(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
+    rollout = rollouts(2, 1)
+    rollout.metadata["run"] = "\udcff"  # as Python has a file's name that is not UTF-8
+    with pytest.raises(RolloutError, match="metadata must consist of JSON values"):
+        rollout.save(tmp_path / "rollout.npz")
+    assert not list(tmp_path.iterdir())
+
+
 def test_numpy_alone_can_read_it(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
     rollout = rollouts(5, 2)
     rollout.save(tmp_path / "rollout.npz")

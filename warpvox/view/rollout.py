@@ -190,7 +190,7 @@ class Rollout:
             "scenes": [scene_to_json(scene) for scene in self.scenes],
         }
         try:
-            text = json.dumps(header, allow_nan=False).encode()
+            text = json.dumps(header, allow_nan=False, ensure_ascii=False).encode()  # no halves of characters
         except (TypeError, ValueError) as error:
             raise RolloutError(f"The rollout's metadata must consist of JSON values: {error}.") from None
         arrays = {name: getattr(self, name) for name in ARRAYS}
