@@ -262,3 +262,9 @@ def test_blocks_with_seeds_of_their_own_act_as_if_they_were_alone(agent: str, tm
     each = made(["mini"], 2, [np.int32(5), 6])  # a seed for each environment
     assert not np.array_equal(each.actions[:, 0], each.actions[:, 1])
     np.testing.assert_array_equal(each.actions[:, :1], made(["mini"], 1, 5).actions)
+
+
+def test_a_larger_body_that_is_put_into_a_block_with_a_seed_moves_as_a_whole() -> None:
+    env = make_vec("Walker-v0", [[[3, 4]], [[4, 3]]], 4, device="cpu", threads=1, seed=[1, 2], grid=(2, 2))
+    env.set_designs([[[3, 3], [4, 4]]], np.array([False, True, False, False]))
+    assert (record(env, "random", 1).actions[0, 1] > 0.6).all()

@@ -357,7 +357,7 @@ def _draws(env: Any) -> Callable[[], Any]:
         return lambda: torch.rand((env.num_envs, env.num_actions), generator=generator)
     generators = [torch.Generator().manual_seed(one % 2**64) for one in seed]
     block = env.num_envs // len(seed)
-    widths = env.action_mask.sum(1)[env.design_index[::block]].tolist()
+    widths = env.action_mask.sum(1)[env.design_index].view(-1, block).amax(1).tolist()
 
     def draw() -> Any:
         values = torch.zeros((env.num_envs, env.num_actions))
