@@ -474,7 +474,7 @@ class VoxelVecEnv:
         if diverged:
             values |= {term.name: 0.0 for term in self.spec.rewards}
         self.episodes.returns.add_(sum(values.values()))
-        self.episodes.terminated.logical_or_(terminated)
+        self.episodes.terminated |= ended
         torch.ge(self.episodes.length, self.episodes.limit, out=self.episodes.truncated)
         return obs[0], values, ended, stopped, diverged
 

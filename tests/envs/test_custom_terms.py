@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from warpvox.envs.about import about
+from warpvox.envs.adapters.gym import VoxelEnv
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import Memory, TaskSpec, observes, rewards, terminates
@@ -257,6 +258,20 @@ def test_a_term_that_is_not_finite_ends_its_environments(kind: str, auto_reset: 
     assert f"The {kind} 'faulty_robot' of the task 'Mine-v0' was NaN or infinite in 1 environment," in str(
         warning.message
     )
+
+
+@pytest.mark.parametrize("kind", ["reward", "observation"])
+def test_a_single_environment_that_a_term_has_ended_stays_so(kind: str) -> None:
+    env = VoxelEnv(blinking(kind, float("nan"), [0]), body="mini")
+    env.reset()
+    for _ in range(AT - (kind == "reward")):
+        env.step(env.action_space.high)
+    with pytest.warns(RuntimeWarning, match="'faulty_robot'"):
+        obs, reward, ended, *_ = env.step(env.action_space.high)
+    assert (reward, ended) == (BASE.unstable_penalty, True)
+    again, reward, ended, *_ = env.step(env.action_space.low)
+    assert (reward, ended) == (0.0, True)
+    assert (again == obs).all()
 
 
 def test_a_reward_about_the_state_before_sees_it() -> None:
