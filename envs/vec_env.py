@@ -380,7 +380,11 @@ class VoxelVecEnv:
                 then. On CUDA an environment with such entries becomes unstable.
             DeviceError: memory has run out; says what to lower.
         """
+        before = None if self.auto_reset else self.sim.actions
         self.sim.take(actions)
+        if before is not None:  # an ended environment keeps the actions that its last observation may show
+            going = ~(self.episodes.terminated | self.episodes.truncated)
+            self.sim.action_buffer.copy_(torch.where(going[:, None], self.sim.action_buffer, before))
         self.episodes.drawn = False
         if self.dump is not None:
             self.dump.before(self.sim.actions)

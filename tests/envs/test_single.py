@@ -143,6 +143,19 @@ def test_actions_before_a_resume_are_known_after_it() -> None:
         assert ours == theirs
 
 
+def test_an_episode_that_has_ended_keeps_its_actions() -> None:
+    env = make_pair(auto_reset=False, max_episode_steps=2)
+    env.reset()
+    env.step(torch.full((2, env.num_actions), 1.5))
+    env.reset(mask=torch.tensor([False, True]))
+    last, *_ = env.step(torch.full((2, env.num_actions), 0.7))
+    obs, _, _, truncated, _ = env.step(torch.full((2, env.num_actions), 0.9))
+    assert truncated.all()
+    assert torch.equal(obs[0], last[0])
+    assert obs[1].ne(1).sum() == COUNTS[1]
+    assert torch.equal(obs[1], torch.where(last[1] == 1, last[1], 0.9))
+
+
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 def test_a_single_environment_is_stepped_fast_with_the_numbers_of_torch(dtype: str) -> None:
     env = VoxelEnv(SPEC, body="walker", dtype=dtype)
