@@ -147,7 +147,10 @@ def disturbed(policy: Any, env: VoxelVecEnv, parts: Sequence[str], seed: int) ->
     """The policy as it acts in the blocks of disturbances of ``env``, which from the next reset on draw the same."""
     if parts == (NOMINAL,):
         return policy
+    episodes = env.num_envs // len(parts)
+    if episodes % env.num_designs:
+        raise ConfigError(f"{env.num_designs} bodies need a multiple of that of episodes; got {episodes}.")
     # the numbers of as many environments as a single disturbance has
-    numbers = torch.arange(env.num_envs // len(parts)).view(env.num_designs, 1, -1)
+    numbers = torch.arange(episodes).view(env.num_designs, 1, -1)
     env.draw_as(numbers.expand(-1, len(parts), -1).flatten())
     return Disturbed(policy, env, parts, seed)

@@ -122,6 +122,11 @@ def test_all_disturbances_have_the_episodes_of_one_where_a_task_draws() -> None:
         assert alone.returns == row.returns
 
 
+def test_each_disturbance_has_as_many_episodes_of_every_body() -> None:
+    with pytest.raises(ConfigError, match="5 bodies need a multiple of that of episodes; got 2"):
+        wv.evaluate(lambda obs: obs, "Walker-v0", [[[3, 3]]] * 5, episodes=2, protocol="robust", device="cpu")
+
+
 def test_a_gait_has_no_sensors() -> None:
     rows = wv.evaluate("zoo:Jumper-v0", episodes=2, protocol="robust")
     assert [row.disturbance for row in rows] == ["nominal", "noise", "sticky", "start"]
