@@ -49,6 +49,7 @@ def load_bodies(spec: Any, seed: int) -> list[Design | dict[str, Design]]:
         spec = spec.tolist()
     if not isinstance(spec, list) or not spec:
         raise DesignError(f"design must be a name, a file or rows of cells such as [[3,3],[4,4]]; got {spec!r}.")
+    spec = [one.tolist() if isinstance(one, np.ndarray) else one for one in spec]
     several = all(isinstance(one, str) or (isinstance(one, list) and one and isinstance(one[0], list)) for one in spec)
     bodies = spec if several else [spec]
     return [load_design(body, seed=seed + number) for number, body in enumerate(bodies)]

@@ -11,7 +11,7 @@ from PIL import Image
 
 import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint
-from warpvox.algos.training.bodies import Bodies, read_bodies, training_bodies
+from warpvox.algos.training.bodies import Bodies, load_bodies, read_bodies, training_bodies
 from warpvox.cli.commands.evaluate import evaluate_runs
 from warpvox.cli.commands.play import play
 from warpvox.cli.config import load
@@ -41,6 +41,7 @@ def test_bodies_are_named_in_many_ways(tmp_path: Path) -> None:
         save_design(tmp_path / f"{number}.json", body)
     assert all(np.array_equal(a, b) for a, b in zip(read_bodies(str(tmp_path), 0, "designs"), drawn, strict=True))
     assert len(read_bodies(["walker", "worm"], 0, "designs")) == 2
+    assert all(np.array_equal(a, b) for a, b in zip(load_bodies(drawn, 0), drawn, strict=True))
 
 
 @pytest.mark.parametrize(
