@@ -83,9 +83,9 @@ class Disturbed:
         self.parts, self.kinds = tuple(parts), [DISTURBANCES[name] for name in parts for _ in range(copies)] * designs
         column = lambda name: torch.tensor([[getattr(kind, name)] for kind in self.kinds], device=env.device)  # noqa: E731
         self.noise, self.sticky, self.sensors = (column(name).double() for name in ("noise", "sticky", "sensors"))
-        sensed = torch.ones(env.num_obs, dtype=torch.float64, device=env.device)
-        for grid in env.voxels.values():  # which cells a body has is known, not measured
-            grid.cells(sensed)[:, FEATURES["type"].start :] = 0.0
+        sensed = env.obs_mask[env.design_index].double()  # padding is not measured
+        for grid in env.voxels.values():  # which cells a body has is known
+            grid.cells(sensed)[..., FEATURES["type"].start :] = 0.0
         self.sensors = self.sensors * sensed
         most = column("start")
         lengths = self._each(self.draws.uniform(LENGTH, 0, 1))

@@ -96,6 +96,15 @@ def test_what_is_no_measurement_has_no_noise_of_sensors() -> None:
     assert bool((seen[0] != obs)[:, grid.place.stop :].all())
 
 
+def test_padding_has_no_noise_of_sensors() -> None:
+    env = wv.make_vec("Walker-v0", ["mini", "walker"], 4, device="cpu", auto_reset=False)
+    seen = []
+    disturbed = Disturbed(lambda obs: seen.append(obs) or torch.ones(4, env.num_actions), env, ["sensors"], seed=0)
+    obs, _ = env.reset()
+    disturbed(obs)
+    assert torch.equal(seen[0] != obs, env.obs_mask[env.design_index])
+
+
 def test_the_nominal_rows_of_all_protocols_are_the_same() -> None:
     (nominal,) = wv.evaluate("zoo:BridgeWalker-v0", episodes=2)
     rows = wv.evaluate("zoo:BridgeWalker-v0", episodes=2, protocol="robust")
