@@ -155,9 +155,10 @@ def _matches(text: str) -> list[Path] | None:
     """Paths that match a pattern, or that a sweep, named by its folder or table, has made; None: ``text`` is a name."""
     pattern = os.path.expanduser(text)
     sweep = Path(pattern.removesuffix(".csv"))
-    if sweep.name.startswith("sweep_") and sweep.is_dir():  # where a run says that it is, seen from the sweep
+    if sweep.name.startswith("sweep_") and sweep.is_dir():  # a run's place seen from it; else the one it says
         places = [str(read_facts(file).get("folder", "")) for file in sorted(sweep.glob("run_*.json"))]
-        return [sweep.parent.joinpath(*Path(place).parts[-2:]) for place in places if place]
+        beside = {Path(place): sweep.parent.joinpath(*Path(place).parts[-2:]) for place in places if place}
+        return [near if near.exists() else place for place, near in beside.items()]
     if not any(mark in text for mark in "*?[") or Path(pattern).exists():
         return None
     return sorted(map(Path, glob.glob(pattern, recursive=True)))

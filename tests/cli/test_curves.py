@@ -86,12 +86,15 @@ def test_the_runs_of_a_sweep_have_a_panel_for_each_task(warpvox: Callable) -> No
         place = json.dumps({"folder": f"elsewhere/train/{task}/{seed}"})  # the sweep has been moved
         Path(f"out/train/sweep_1/run_{number + 1:05}.json").write_text(place)
     Path("out/train/sweep_1/run_00005.json").write_text('{"status": "failed"}')
+    run = make_run(Path("other/place"), [(10, 0.0), (20, 4.0)])  # as of a sweep with resume or output_dir
+    (run.folder / "config.yaml").write_text("task: Carrier-v0\ndesign: walker\nseed: 3\nppo: {}\n...\n")
+    Path("out/train/sweep_1/run_00006.json").write_text('{"folder": "other/place"}')
     warpvox("curves", "runs=out/train/sweep_1.csv", "size=[300,200]")
     with Image.open("curves.png") as picture:
         assert picture.size == (600, 200)
     with Path("curves.csv").open(encoding="utf-8", newline="") as file:
         ends = {row["settings"]: (row["n"], row["mean"]) for row in csv.DictReader(file)}
-    assert ends == {"Walker-v0": ("2", "2.5"), "Carrier-v0": ("2", "2.5")}
+    assert ends == {"Walker-v0": ("2", "2.5"), "Carrier-v0": ("3", "3")}
     warpvox("curves", "runs=out/train/sweep_2.csv", fails="There is no run at out/train/sweep_2.csv")
 
 
