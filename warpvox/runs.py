@@ -70,7 +70,8 @@ class Run:
     @property
     def is_many(self) -> bool:
         """Whether its policy was trained on many bodies."""
-        return (self.config.get("designs") or {}).get("bodies") is not None
+        designs = self.config.get("designs")
+        return isinstance(designs, Mapping) and designs.get("bodies") is not None
 
     @property
     def iterations(self) -> list[int]:

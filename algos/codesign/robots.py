@@ -118,7 +118,7 @@ def trained(archive: Archive) -> list[Record]:
 
 def _of_run(path: Path) -> Iterator[Robot]:
     run = find_run(str(path), "")
-    if (run.config.get("designs") or {}).get("bodies") is not None or run.config.get("obs", "task") != "task":
+    if run.is_many or run.config.get("obs", "task") != "task":
         raise RunError(
             f"{path}: the zoo has robots with a body of their own that observe what the task has (obs=task)."
         )

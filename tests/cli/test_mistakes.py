@@ -136,6 +136,7 @@ def test_a_folder_with_another_config_is_not_a_run(warpvox: Callable, tmp_path: 
     unread = "config.yaml cannot be read as YAML"
     short, other = "cut short", "that of another run"
     texts = {"a: 1\n": short, "a: 1...\n": short, "a: 1\r\n...\r\n": other, "- 1\n": other, "{": unread, "\0": unread}
+    texts["task: Walker-v0\ndesign: walker\ndesigns: 3\nppo: {}\n...\n"] = "no checkpoint yet"
     for text, says in texts.items():
         (tmp_path / "config.yaml").write_bytes(text.encode())
         warpvox("play", "run=.", fails=says)
