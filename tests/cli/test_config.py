@@ -194,6 +194,7 @@ def test_hydras_own_views_are_those_of_the_preset(words: str, key: str, value: o
         ("warpvox tr", {"train"}),
         ("warpvox train ppo.ga", {"ppo.gamma="}),
         ("warpvox codesign search=map", {"search=map_elites"}),
+        ("warpvox demo num_e", {"num_envs="}),
         ("warpvox tasks Wal", set()),
     ],
 )

@@ -191,7 +191,7 @@ def run_hydra(
 def complete(words: Sequence[str]) -> None:
     """``warpvox -sc install=SHELL``: print code that makes a shell complete our commands, which calls ``query``."""
     line = os.environ.get("COMP_LINE", "").split(" ", 2)
-    command = line[1] if len(line) == 3 else None
+    command = {"demo": "train"}.get(line[1], line[1]) if len(line) == 3 else None
     if words[:1] and words[0].startswith("query=") and command not in COMMANDS:
         print("\n".join(name for name in NAMES if command is None and name.startswith(line[-1])))
         return
