@@ -382,7 +382,7 @@ def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, 
     """
     number, body, origin, generation, stopped = (row[k] for k in ("id", "body", "origin", "generation", "stopped"))
     for place, (name, kind) in enumerate(KINDS.items()):
-        value, may_be_missing = row[name], place > 4
+        value, may_be_missing = row[name], place > (5 if stopped in (0, 1) else 4)  # the result of one that has ended
         known = isinstance(value, kind) and (kind is not float or math.isfinite(value))
         if not known and not (value is None and may_be_missing):
             raise ValueError(f"the {name} of candidate {number!r:.40} is {value!r:.40}")
@@ -516,7 +516,7 @@ def _access_problem(error: Exception) -> str | None:
 
 def _format_problem(db: sqlite3.Connection, application: int, version: int) -> str | None:
     if application != APPLICATION:
-        return "is an SQLite file, but no archive of warpvox"
+        return "is no archive of warpvox: an empty file, another program's, or a damaged one"
     if version > VERSION:
         return f"is an archive of version {version}; this warpvox reads up to {VERSION}: install a newer one"
     # what is missing at the end SQLite takes for zeros, which may pass for an empty page

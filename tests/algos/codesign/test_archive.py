@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
-from warpvox.algos.codesign.archive import APPLICATION, VERSION, Archive, Finished
+from warpvox.algos.codesign.archive import APPLICATION, BACKUP, VERSION, Archive, Finished
 from warpvox.algos.codesign.archive_export import COLUMNS, FORMATS, write_csv, write_parquet
 from warpvox.design import full_connections, load_design, sample_design
 from warpvox.errors import RunError, StorageError
@@ -199,6 +199,18 @@ def test_files_that_are_no_archives_are_refused(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="cannot be written"):
         Archive.create(tmp_path / "missing" / "a", {})
     Archive.open(good).close()
+    (tmp_path / BACKUP).write_bytes(good.read_bytes())
+    with pytest.raises(RunError, match=f"{BACKUP} beside it"):
+        Archive.read(empty)  # as a file system may leave it after a power failure
+
+
+def test_a_result_without_a_fitness_is_damage(filled: Archive) -> None:
+    db = sqlite3.connect(filled.path)
+    db.execute("UPDATE candidates SET fitness = NULL WHERE stopped = 0")
+    db.commit()
+    db.close()
+    with pytest.raises(RunError, match="the fitness of candidate 0 is None"):
+        filled.records()
 
 
 def test_csv_holds_every_candidate(filled: Archive, tmp_path: Path) -> None:
