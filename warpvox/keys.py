@@ -99,6 +99,8 @@ def check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
             continue
         if not abs(entry) < 1e308:
             raise ConfigError(f"{name} must be a finite number, got {entry!r:.40}.")
+        if isinstance(entry, int) and abs(entry) >= 1 << 63:  # as a seed torch does not take it
+            raise ConfigError(f"{name} must be an integer of at most 63 bits, got {entry!r:.40}.")
         for bound, valid, words in (
             ("low", operator.ge, "at least"),
             ("above", operator.gt, "greater than"),

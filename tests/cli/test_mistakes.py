@@ -163,3 +163,10 @@ def test_a_million_threads_are_refused_also_where_a_file_asks_for_them(key: str,
     lines = [f"{key}: 1000000\n" if line.startswith(f"{key}:") else line for line in config.open()]
     config.write_text("".join(lines))
     warpvox("play", f"run={run}", "window=off", fails=f"{key} must be at most 1024")
+
+
+@pytest.mark.parametrize("command", ["train", "codesign", "suite"])
+def test_values_that_no_run_can_begin_with(command: str, warpvox: Callable) -> None:
+    warpvox(command, "config={a:1}", fails="config must be a YAML file or the folder of a run; {'a': 1}")
+    word = f"seeds=[{1 << 63}]" if command == "suite" else f"seed={1 << 63}"
+    warpvox(command, word, fails="must be an integer of at most 63 bits")

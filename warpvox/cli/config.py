@@ -46,7 +46,7 @@ def load(
     if file is not None:
         if f"{PRESET}/{command}" in named:
             raise ConfigError(f"config={file} and preset both say where to start from: give one of them.")
-        base, home = _read_file(Path(file).expanduser())
+        base, home = _read_file(Path(str(file)).expanduser())
     # OmegaConf's clean-up turns an interrupt into errors of its own
     with hydras_errors(f"{file}: " if file else ""), uninterrupted():
         result: Any = OmegaConf.to_object(_composed(command, parsed, config_dir, base))
