@@ -83,4 +83,4 @@ FORMATS = {
     "npz": lambda archive, folder: write_designs(archive, folder / "structures", ".npz"),
     "json": lambda archive, folder: write_designs(archive, folder / "structures", ".json"),
 }
-"""What an archive can be written as, and what writes it into a folder and returns the path of what was made."""
+"""Functions that write an archive into a folder, by format; each returns the path of the file."""
