@@ -1,5 +1,6 @@
 """Files: nothing is read beyond a limit, no array is unpickled, JSON is the standard's, and writes are whole."""
 
+import os
 import stat
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from warpvox.io.reading import ArrayFile, Unreadable, parse_json, read_bytes, read_npy
-from warpvox.io.writing import atomic_path
+from warpvox.io.writing import atomic_path, write_text
 
 
 def test_arrays_come_back_within_a_limit_and_without_pickle(tmp_path: Path) -> None:
@@ -58,3 +59,13 @@ def test_a_write_makes_folders_keeps_the_suffix_and_gives_usual_permissions(tmp_
     plain = tmp_path / "plain"
     plain.write_text("")
     assert stat.S_IMODE(target.stat().st_mode) == stat.S_IMODE(plain.stat().st_mode)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links need a right on Windows")
+def test_a_write_through_a_symbolic_link_replaces_the_file_behind_it(tmp_path: Path) -> None:
+    real, link = tmp_path / "disk" / "a.txt", tmp_path / "link.txt"
+    link.symlink_to(real)  # nothing is there yet
+    for text in ("first", "second"):
+        write_text(link, text)
+        assert (link.is_symlink(), real.read_text()) == (True, text)
+    assert [file.name for file in real.parent.iterdir()] == ["a.txt"]

@@ -49,6 +49,7 @@ def atomic_path(path: str | os.PathLike[str], make_folders: bool = True) -> Iter
 
     If the block raises (an interrupt included), the temporary file is removed and whatever stood at ``path`` before
     stays as it was. The temporary name keeps the suffix of ``path``, because some writers choose their format by it.
+    A symbolic link stays, and the file that it leads to is replaced.
 
     Args:
         make_folders: make missing parent folders; False: they should be there, and it is an error if they have gone.
@@ -56,8 +57,8 @@ def atomic_path(path: str | os.PathLike[str], make_folders: bool = True) -> Iter
     Raises:
         StorageError: the disk is full, read-only or gone.
     """
-    target = Path(path)
-    with writing(target):
+    target = Path(os.path.realpath(path))
+    with writing(path):
         if make_folders:
             target.parent.mkdir(parents=True, exist_ok=True)
         # Named before it is made: an interrupt that comes with the making finds the name, and removes the file.
