@@ -1,5 +1,6 @@
 """Rollouts: what is recorded, what a file holds, and files that are none."""
 
+import functools
 import json
 import zipfile
 from collections.abc import Callable
@@ -75,9 +76,17 @@ def test_what_could_not_be_loaded_is_not_saved(rollouts, tmp_path: Path, monkeyp
     assert not list(tmp_path.iterdir())
 
 
-def test_metadata_with_half_of_a_character_is_not_saved(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"run": "\udcff"},  # as Python has a file's name that is not UTF-8
+        {1: "one", "1": "another"},
+        {"deep": functools.reduce(lambda inner, _: [inner], range(10**5), [])},
+    ],
+)
+def test_metadata_that_a_file_cannot_hold_is_not_saved(rollouts, tmp_path: Path, wrong: dict) -> None:
     rollout = rollouts(2, 1)
-    rollout.metadata["run"] = "\udcff"  # as Python has a file's name that is not UTF-8
+    rollout.metadata |= wrong
     with pytest.raises(RolloutError, match="metadata must consist of JSON values"):
         rollout.save(tmp_path / "rollout.npz")
     assert not list(tmp_path.iterdir())

@@ -191,7 +191,8 @@ class Rollout:
         }
         try:
             text = json.dumps(header, allow_nan=False, ensure_ascii=False).encode()  # no halves of characters
-        except (TypeError, ValueError) as error:
+            parse_json(text.decode())  # the names 1 and "1" would be one
+        except (TypeError, ValueError, RecursionError) as error:
             raise RolloutError(f"The rollout's metadata must consist of JSON values: {error}.") from None
         arrays = {name: getattr(self, name) for name in ARRAYS}
         total = len(text) + sum(array.nbytes for array in arrays.values())
