@@ -42,6 +42,7 @@ def test_one_is_shown_with_its_command(warpvox: Callable) -> None:
     for told in (zoo(TASK).about["command"], zoo(TASK).sha256, str(zoo(TASK).mean_return)):
         assert "".join(told.split()) in words
     warpvox("zoo", f"task={TASK.lower()}x", fails="Did you mean")
+    warpvox("zoo", "folder=typo", fails="typo has no robots, which are files TASK.npz.")
 
 
 def test_it_is_played_with_the_recorded_return(warpvox: Callable) -> None:

@@ -42,8 +42,9 @@ def zoo(config: ZooConfig, console: Console) -> None:
 def _entries(folder: Path) -> dict[str, Path]:
     """Files by task, in the order of the paper; tasks of the user's own last."""
     found = {path.stem: path for path in sorted(folder.glob("[!.]*.npz"))}
-    order = [*(name for name in task_ids() if name in found), *sorted(set(found) - set(task_ids()))]
-    return {name: found[name] for name in order}
+    if not found:
+        raise RunError(f"{folder} has no robots, which are files TASK.npz.")
+    return {name: found[name] for name in dict.fromkeys([*task_ids(), *found]) if name in found}
 
 
 def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None:
