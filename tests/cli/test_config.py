@@ -195,6 +195,8 @@ def test_hydras_own_views_are_those_of_the_preset(words: str, key: str, value: o
         ("warpvox train ppo.ga", {"ppo.gamma="}),
         ("warpvox codesign search=map", {"search=map_elites"}),
         ("warpvox demo num_e", {"num_envs="}),
+        ("warpvox train seed=1 preset=univ", {"preset=universal", "preset=universal_cpg"}),
+        ("warpvox suite suite=q", {"suite=quick"}),
         ("warpvox tasks Wal", set()),
     ],
 )

@@ -24,9 +24,10 @@ from rich.table import Table
 
 from warpvox.cli import COMMANDS as NAMES
 from warpvox.cli.config import load_start
+from warpvox.cli.help import options_of, preset_key
 from warpvox.cli.overrides import key_and_value
 from warpvox.configs.composition import hydras_errors, quoted, register
-from warpvox.configs.schema import COMMANDS
+from warpvox.configs.schema import COMMANDS, PRESET
 from warpvox.errors import ConfigError, RunError, WarpvoxError
 from warpvox.io.console import duration, echo, literal, make_console, shell_argument
 from warpvox.io.writing import write_table, write_text
@@ -192,8 +193,11 @@ def complete(words: Sequence[str]) -> None:
     """``warpvox -sc install=SHELL``: print code that makes a shell complete our commands, which calls ``query``."""
     line = os.environ.get("COMP_LINE", "").split(" ", 2)
     command = {"demo": "train"}.get(line[1], line[1]) if len(line) == 3 else None
-    if words[:1] and words[0].startswith("query=") and command not in COMMANDS:
-        print("\n".join(name for name in NAMES if command is None and name.startswith(line[-1])))
+    word, options = line[-1].rpartition(" ")[2], NAMES if command is None else ()
+    if command in COMMANDS and word.startswith(f"{preset_key(command)}="):  # Hydra knows presets by another name
+        options = [f"{preset_key(command)}={name}" for name in options_of(command, f"{PRESET}/{command}")]
+    if words[:1] and words[0].startswith("query=") and (options or command not in COMMANDS):
+        print("\n".join(name for name in options if name.startswith(word)))
         return
     if command is not None:  # Hydra knows one command only
         os.environ["COMP_LINE"] = f"{line[0]} {line[2]}"
