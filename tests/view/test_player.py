@@ -153,6 +153,10 @@ def test_it_plays_and_obeys_keys(show: Callable, wait_for: Callable) -> None:
     for key in ("ArrowRight", "Shift+ArrowRight", "ArrowLeft"):
         page.keyboard.press(key)
     assert page.evaluate("player.frame") == 60
+    for key, frame in (("ArrowRight", 61), ("ArrowLeft", 59)):
+        page.evaluate("player.seek(60.7)")  # between frames, as a pause leaves it; the clock says 60
+        page.keyboard.press(key)
+        assert page.evaluate("player.time") == frame
     page.keyboard.press("End")
     assert page.evaluate("player.frame") == 199
     page.keyboard.press("Home")

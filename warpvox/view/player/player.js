@@ -31,7 +31,7 @@ class Player {
 
   seek(frame) { this.time = this.clampTime(frame); this.sync(); }
   pause() { this.playing = false; this.sync(); }
-  step(count) { this.playing = false; this.seek(Math.round(this.time) + count); }
+  step(count) { this.playing = false; this.seek(this.frame + count); }
 
   toggle() {
     if (!this.playing && this.time >= this.last) this.time = 0;
