@@ -170,9 +170,7 @@ class _Frame:
 
 def _span(values: Sequence[float]) -> tuple[float, float]:
     low, high = min(values), max(values)
-    if low == high:
-        return low - 0.5, high + 0.5
-    margin = 0.04 * (high - low)
+    margin = 0.04 * (high - low) or max(0.5, 1e-9 * abs(low))  # 0.5 would vanish beside 1e17
     return low - margin, high + margin
 
 

@@ -101,7 +101,9 @@ def test_charts_put_points_where_they_belong() -> None:
     assert y[1] < y[2] < y[0]  # up is less
     assert "a &amp; b" in svg
     assert "Nothing to show" in chart([Series("none", [])], "x", "y")
-    assert "<circle" in chart([Series("one", [(1.0, 2.0)])], "x", "y")
+    for height in (0.0, 2.0, -1e18):  # where all values are the same, they lie in the middle
+        (circle,) = re.findall(r'<circle [^>]*cy="([0-9.]+)"', chart([Series("one", [(1.0, height)])], "x", "y"))
+        assert float(circle) == (28 + 300) / 2
 
 
 @settings(max_examples=40)
