@@ -48,8 +48,7 @@ def atomic_path(path: str | os.PathLike[str], make_folders: bool = True) -> Iter
     """Yield a temporary path beside ``path``; rename it to ``path`` when the block ends without an error.
 
     If the block raises (an interrupt included), the temporary file is removed and whatever stood at ``path`` before
-    stays as it was. The temporary name keeps the suffix of ``path``, because some writers choose their format by it.
-    A symbolic link stays, and the file that it leads to is replaced.
+    stays as it was. The temporary name keeps the suffix, by which some writers choose their format. A link stays one.
 
     Args:
         make_folders: make missing parent folders; False: they should be there, and it is an error if they have gone.

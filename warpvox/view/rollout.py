@@ -118,22 +118,19 @@ class Rollout:
     @cached_property
     def returns(self) -> np.ndarray:
         """float64 ``[T + 1, E]``: reward collected up to each entry of ``positions``."""
-        start = np.zeros((1, self.num_envs))
-        return np.concatenate([start, self.rewards.cumsum(axis=0)])
+        return np.pad(self.rewards.cumsum(axis=0), ((1, 0), (0, 0)))
 
     @property
     def names(self) -> list[str]:
         """Names of the environments in pictures: ``metadata["names"]`` if it has one for each, else their numbers."""
-        names = self.metadata.get("names")
-        if not isinstance(names, list) or len(names) != self.num_envs:
-            names = range(self.num_envs)
-        return [str(name) for name in names]
+        names: Any = self.metadata.get("names")
+        known = isinstance(names, list) and len(names) == self.num_envs
+        return [str(name) for name in (names if known else range(self.num_envs))]
 
     def best_first(self) -> Rollout:
         """The environments in the order of their returns, the highest first; each keeps its name (:attr:`names`)."""
         order = np.argsort(-self.returns[-1], kind="stable")
-        arrays = {name: getattr(self, name) for name in ARRAYS}
-        arrays = {name: value[..., order] if value.ndim < 3 else value[:, order] for name, value in arrays.items()}
+        arrays = {name: getattr(self, name).take(order, axis=int(name != "design_index")) for name in ARRAYS}
         names = [self.names[env] for env in order]
         return Rollout(scenes=self.scenes, metadata=self.metadata | {"names": names}, **arrays)
 

@@ -58,11 +58,10 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
         about, lengths = robot.about, robot.about.get("lengths") or []
         mean = f"{sum(lengths) / len(lengths):.0f}" if lengths else "-"
         spent = about.get("control_steps")
-        mark = "" if robot.has_feedback else "○"
         trained = "-" if spent is None else f"{spent:,}"
         body = "/".join("".join(map(str, row)) for row in robot.body.tolist())
         returns = figure(robot.robust_return), figure(robot.mean_return)
-        table.add_row(*map(literal, (name, *returns, mark, mean, trained, body)))
+        table.add_row(*map(literal, (name, *returns, "" if robot.has_feedback else "○", mean, trained, body)))
     console.print(table)
     total = sum(path.stat().st_size for path in entries.values())
     echo(console, f"{len(entries)} robot{'s' * (len(entries) != 1)} in {folder}, {total / 1e6:.2f} MB")
