@@ -20,6 +20,7 @@ from typing import Any
 
 from warpvox import __version__
 from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, archives_in, repair_hint
+from warpvox.checks import is_number
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.reading import Unreadable, parse_yaml, read_facts, read_text
 from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
@@ -28,8 +29,10 @@ from warpvox.robots.gait import Gait
 from warpvox.system import processor_name
 
 CONFIG, SUMMARY = "config.yaml", "summary.json"
+NUMBERS = ("evaluations", "steps", "elapsed_seconds", "best_fitness", "pretraining_steps")
+"""Finite numbers in the latter, where there are any."""
 LARGEST_CONFIG = 1_000_000
-"""Bytes that the former may have."""
+"""Bytes that the configuration may have."""
 ZOO = "zoo:"
 """How the name of a stored robot begins where a run or a design is expected."""
 BEST = "model_best.pt"
@@ -365,8 +368,12 @@ def going_on(folder: Path, config: str) -> Iterator[Path]:
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
-    """Content of ``summary.json``; nothing if there is none, or one that cannot be read."""
-    return read_facts(folder / SUMMARY)
+    """Content of ``summary.json``, but for what is damaged; nothing if there is none, or one that cannot be read."""
+    known = read_facts(folder / SUMMARY)
+    fresh = known.get("fresh_seeds")
+    judged = isinstance(fresh, dict) and all(is_number(fresh.get(name)) for name in ("mean", "low", "high", "episodes"))
+    good = {name: is_number(known.get(name)) for name in NUMBERS} | {"fresh_seeds": judged}
+    return {name: value for name, value in known.items() if good.get(name, True)}
 
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:

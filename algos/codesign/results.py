@@ -20,7 +20,6 @@ from warpvox.algos.evaluate import evaluate
 from warpvox.algos.report import FILE as REPORT, FILM, write_report
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.algos.training.playing import Playing, load_result, load_trained, own_code
-from warpvox.checks import is_number
 from warpvox.envs.registry import get_task
 from warpvox.io.console import duration
 from warpvox.io.writing import atomic_path
@@ -59,8 +58,8 @@ class Results(Listener):
         self.folder, self.archive, self.settings, self.pretraining = folder, archive, settings, pretraining
         self.search = NAMES.get(settings.search.algorithm, settings.search.algorithm)
         summary = read_summary(folder)
-        before, self.fresh = summary.get("elapsed_seconds"), summary.get("fresh_seeds")
-        self._began = time.monotonic() - (before if is_number(before) else 0.0)  # as if it had not been interrupted
+        self.fresh = summary.get("fresh_seeds")
+        self._began = time.monotonic() - summary.get("elapsed_seconds", 0.0)  # as if it had not been interrupted
 
     def told(self, generation: int, fresh: bool) -> None:
         self.draw(generation, keep=not fresh)
@@ -124,7 +123,7 @@ class Results(Listener):
             "task": self.settings.task,
             "search": self.search,
             "status": str(summary.get("status", "unknown")),
-            "time": duration(float(summary.get("elapsed_seconds", 0.0))),
+            "time": duration(summary.get("elapsed_seconds", 0.0)),
             "seed": str(self.settings.seed),
             "version": __version__,
         }

@@ -101,14 +101,12 @@ class SearchResult:
     @property
     def seconds(self) -> float | None:
         """Wall time of the search."""
-        value = self.summary.get("elapsed_seconds")
-        return float(value) if isinstance(value, int | float) else None
+        return self.summary.get("elapsed_seconds")
 
     @property
     def fresh(self) -> Mapping[str, Any]:
         """The winner's returns on fresh seeds, where the task is random: mean, low, high, episodes."""
-        value = self.summary.get("fresh_seeds")
-        return value if isinstance(value, dict) else {}
+        return self.summary.get("fresh_seeds", {})
 
     def ranked(self, generation: int) -> list[Record]:
         """The evaluated designs of a generation, best first, equal bodies once."""

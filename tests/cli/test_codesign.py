@@ -150,6 +150,17 @@ def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
             assert (picture.read_bytes() == b"of other designs") != fresh
 
 
+DAMAGED = '{"elapsed_seconds": "x", "steps": [], "fresh_seeds": {"mean": 1}, "status": "done"}'
+
+
+def test_a_damaged_summary_stops_no_report(search: Callable, warpvox: Callable) -> None:
+    folder = search("search.max_evaluations=5")
+    for words in ("report=latest", "resume=latest"):
+        (folder / "summary.json").write_text(DAMAGED)
+        warpvox("codesign", words)
+    assert read_summary(folder)["evaluations"] == 5
+
+
 @pytest.fixture
 def watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable:
     """``news(watch, seconds, iteration, steps, first)`` of two designs; returns what the last line says is left."""
