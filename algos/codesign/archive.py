@@ -239,6 +239,8 @@ class Archive(AbstractContextManager["Archive"]):
         try:
             with _transaction(self._db):
                 yield self._db
+        except sqlite3.IntegrityError as error:  # rows that others have left where ours go
+            raise _unreadable(self.path, f"is damaged ({error})") from None
         except sqlite3.Error as error:
             raise _write_error(self.path, error) from None
 

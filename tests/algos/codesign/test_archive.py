@@ -128,6 +128,16 @@ def test_all_or_nothing_is_written(filled: Archive) -> None:
     assert filled.digest() == before
 
 
+def test_rows_that_others_have_left_are_damage(filled: Archive, path: Path) -> None:
+    """A candidate was deleted by hand, but not its parents."""
+    filled.back_up()
+    db = sqlite3.connect(path)
+    db.execute("INSERT INTO parents VALUES (6, 0, 1)")
+    db.commit()
+    with pytest.raises(RunError, match=r"is damaged \(UNIQUE .*archive\.backup\.sqlite beside it"):
+        filled.propose([Candidate(6, bodies(1)[0], parents=(0,))], 0)
+
+
 def test_one_process_writes_and_others_read(filled: Archive, path: Path) -> None:
     with pytest.raises(RunError, match="Another process is writing"):
         Archive.open(path)
