@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -21,6 +22,7 @@ from warpvox.algos.report import FILE as REPORT, FILM, write_report
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.algos.training.playing import Playing, load_result, load_trained, own_code
 from warpvox.envs.registry import get_task
+from warpvox.errors import RunError
 from warpvox.io.console import duration
 from warpvox.io.writing import atomic_path
 from warpvox.runs import find_run, read_summary, write_summary
@@ -176,7 +178,7 @@ def film_designs(folder: Path, records: Sequence[Record], settings: Any) -> None
 
     Args:
         folder: of the search.
-        records: designs; those without a policy, or whose policy is gone, are left out.
+        records: designs; those without a policy, or whose policy is gone or damaged, are left out.
         settings: of the search, with the code that the user has named.
     """
     for one in records:
@@ -184,11 +186,12 @@ def film_designs(folder: Path, records: Sequence[Record], settings: Any) -> None
         file = policy.with_name(FILM)
         if file.is_file() or not policy.is_file():
             continue
-        rollout = record(*load_result(find_run(str(file.parent), ""), settings), LONGEST)
-        painter = Painter(rollout, 0, SIZE, VOXELS)
-        first, *others = [painter.frame(frame) for frame in range(0, rollout.num_frames, EVERY)]
-        with atomic_path(file) as temporary:
-            first.save(temporary, "WEBP", save_all=True, append_images=others, duration=PAUSE, loop=0, quality=40)
+        with suppress(RunError):  # of this design alone
+            rollout = record(*load_result(find_run(str(file.parent), ""), settings), LONGEST)
+            painter = Painter(rollout, 0, SIZE, VOXELS)
+            first, *more = [painter.frame(frame) for frame in range(0, rollout.num_frames, EVERY)]
+            with atomic_path(file) as temporary:
+                first.save(temporary, "WEBP", save_all=True, append_images=more, duration=PAUSE, loop=0, quality=40)
 
 
 SHOWN = 5

@@ -15,6 +15,7 @@ from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.report.charts import Series, chart, sparkline
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
+from warpvox.errors import RunError
 from warpvox.io.console import shell_argument
 from warpvox.io.writing import write_text
 from warpvox.runs import CONFIG, find_run
@@ -45,12 +46,13 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
     done = [record for record in records if record.fitness is not None]
     best = archive.best(BEST)
     line = [record for record in archive.lineage(best[0].id) if record.fitness is not None] if best else []
+    learning = [Series(f"#{one.id}", one.curve, "line", k) for k, one in enumerate(best[:CURVES], 1) if one.curve]
     title = " · ".join(str(facts[name]) for name in ("task", "search") if name in facts)
     slots = {
         "facts": fact_list(_figures(done, best) | dict(facts)),
         "progress": _progress(archive, done),
         "best": "".join(_card(one, folder) for one in best) or NOTHING,
-        "curves": _learning(best[:CURVES]),
+        "curves": chart(learning, "control steps", "return"),
         "tree": family_tree(line) if line else '<p class="faint">Nothing to show yet.</p>',
         "rows": "".join(_row(record) for record in records),
         "settings": escape(json.dumps(archive.settings, indent=2)),
@@ -96,11 +98,6 @@ def _progress(archive: Archive, done: Sequence[Record]) -> str:
     return chart(series, "designs trained", "fitness")
 
 
-def _learning(best: Sequence[Record]) -> str:
-    series = [Series(f"#{one.id}", one.curve, "line", number) for number, one in enumerate(best, 1) if one.curve]
-    return chart(series, "control steps", "return")
-
-
 def _card(record: Record, folder: Path) -> str:
     """A design, in motion if there is a film of it, with the command that plays it if it is there."""
     item = record.candidate
@@ -109,8 +106,11 @@ def _card(record: Record, folder: Path) -> str:
     more, film = sparkline([value for _, value in record.curve]), ""
     place = (folder / str(record.policy)).parent
     if record.policy is not None and (place / CONFIG).is_file():
-        keys = again(find_run(str(place), "").config)
-        more += f"<code>warpvox play {escape(shell_argument('run', place) + keys)}</code>"
+        try:
+            keys = again(find_run(str(place), "").config)
+            more += f"<code>warpvox play {escape(shell_argument('run', place) + keys)}</code>"
+        except RunError as error:  # of this design alone
+            more += f'<p class="faint">{escape(str(error))}</p>'
         if (place / FILM).is_file():
             data = base64.b64encode((place / FILM).read_bytes()).decode()
             film = f'<img src="data:image/webp;base64,{data}" alt="an episode of design {record.id}">'

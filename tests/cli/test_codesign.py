@@ -161,6 +161,19 @@ def test_a_damaged_summary_stops_no_report(search: Callable, warpvox: Callable) 
     assert read_summary(folder)["evaluations"] == 5
 
 
+def test_a_damaged_design_stops_no_report(search: Callable, warpvox: Callable) -> None:
+    folder = search("search.max_evaluations=5")
+    for film in folder.glob("designs/*/film.webp"):
+        film.unlink()
+    (folder / "designs/1/config.yaml").write_text("task: Wal")
+    (folder / "designs/2/model_best.pt").write_bytes(b"")
+    warpvox("codesign", "report=latest")
+    page = (folder / "report.html").read_text()
+    assert page.count("data:image/webp;base64,") == 3
+    assert page.count("<code>warpvox play") == 4
+    assert "designs/1/config.yaml has been cut short" in page
+
+
 @pytest.fixture
 def watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable:
     """``news(watch, seconds, iteration, steps, first)`` of two designs; returns what the last line says is left."""
