@@ -15,6 +15,8 @@ from warpvox.keys import Settings, key
 
 DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", "height", "width", "symmetry")
 """What MAP-Elites can sort bodies by, each a number from 0 to 1 (see ``describe`` in ``map_elites.py``)."""
+MOST = 1_000_000
+"""Evaluations of a search, whose generations are counted one by one."""
 
 
 @dataclass
@@ -23,7 +25,9 @@ class SearchSettings(Settings):
 
     algorithm: str = key("", "which search")
     population: int = key(25, "designs of a generation", low=2)
-    max_evaluations: int = key(250, "number of different designs to evaluate; in the paper 250, 500 or 750", low=1)
+    max_evaluations: int = key(
+        250, "number of different designs to evaluate; in the paper 250, 500 or 750", low=1, high=MOST
+    )
 
 
 @dataclass
