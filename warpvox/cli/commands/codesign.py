@@ -12,8 +12,9 @@ from warpvox.algos.codesign.archive_export import FORMATS
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load, load_values
+from warpvox.cli.overrides import key_and_value
 from warpvox.configs.codesign import CodesignConfig
-from warpvox.errors import RunError, listing
+from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.console import echo, shown
 from warpvox.io.writing import check_writable, to_yaml
 from warpvox.runs import check_unchanged, find_codesign, find_searches, new_folder, read_summary
@@ -42,8 +43,11 @@ def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | No
     """The job of a configuration; with ``resume`` on top of that of the search that it goes on with."""
     from warpvox.algos.codesign.run import check
 
-    job = Job(config)
-    if config.report is not None:
+    job, named = Job(config), dict(map(key_and_value, overrides))
+    if named.get("report", "null") != "null":
+        known = ("report", "export", "top", "name", "output_dir")
+        if others := [key for key in named if key not in known]:
+            raise ConfigError(f"{listing(others)} cannot change a report: {listing(known[1:])} go with report.")
         return job
     if config.resume is not None:
         source = find_codesign(config.resume, config.output_dir)
@@ -91,7 +95,7 @@ def _report(config: CodesignConfig, console: Console) -> Path:
     texts = [str(text) for text in (config.report if isinstance(config.report, list) else [config.report])]
     if texts != ["latest"]:
         searches = find_searches(texts, config.output_dir)
-        if len(texts) > 1 or searches not in ([], [Path(texts[0]).expanduser()]):
+        if len(texts) != 1 or searches not in ([], [Path(texts[0]).expanduser()]):
             return _compare(config, texts, searches, console)
     source = find_codesign(texts[0], config.output_dir)
     stored = Codesign.of(vars(load_values("codesign", source.config)))
