@@ -29,8 +29,7 @@ from warpvox.robots.gait import Gait
 from warpvox.system import processor_name
 
 CONFIG, SUMMARY = "config.yaml", "summary.json"
-NUMBERS = ("evaluations", "steps", "elapsed_seconds", "best_fitness", "pretraining_steps")
-"""Finite numbers in the latter, where there are any."""
+NUMBERS = ("evaluations", "steps", "elapsed_seconds", "best_fitness", "pretraining_steps")  # of a summary
 LARGEST_CONFIG = 1_000_000
 """Bytes that the configuration may have."""
 ZOO = "zoo:"
@@ -110,13 +109,20 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
         resume: ``latest`` may be a run that was stopped before it had a checkpoint to play.
     """
     if text.startswith(ZOO) and not resume:
-        return _stored_robot(text)
+        robot = find_robot(text.removeprefix(ZOO))
+        policy = "gait" if isinstance(robot.policy, Gait) else "mlp"
+        known = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "obs": robot.obs}
+        return Run(Path(text), known | {"policy": policy}, robot=robot)
     path = _latest(Path(output_dir), commands, resume) if text == "latest" else Path(text).expanduser()
     if not path.exists():
         raise RunError(f"There is no run at {path}: expected latest, the folder of a run or a checkpoint in it.")
     folder = _folder_of(path)
     if (folder / ARCHIVE).is_file():
-        path = folder = _best_design(folder)
+        with Archive.read(folder / ARCHIVE) as archive:
+            best = [record for record in archive.best() if record.policy is not None]
+        if not best:
+            raise RunError(f"The design search {folder} has no design with a policy yet.")
+        path = folder = (folder / str(best[0].policy)).parent
     return Run(folder, _config_of(folder, "train"), path if path.is_file() else None)
 
 
@@ -127,13 +133,6 @@ def _folder_of(path: Path) -> Path:
     if not (path.parent / CONFIG).is_file():
         raise RunError(f"{path} is a file in a folder that is no run: there is no {CONFIG} beside it.")
     return path.parent
-
-
-def _stored_robot(text: str) -> Run:
-    robot = find_robot(text.removeprefix(ZOO))
-    policy = "gait" if isinstance(robot.policy, Gait) else "mlp"
-    known = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "obs": robot.obs, "policy": policy}
-    return Run(Path(text), known, robot=robot)
 
 
 def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
@@ -214,14 +213,6 @@ def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
     return list(found.values())
 
 
-def _best_design(folder: Path) -> Path:
-    with Archive.read(folder / ARCHIVE) as archive:
-        best = [record for record in archive.best() if record.policy is not None]
-    if not best:
-        raise RunError(f"The design search {folder} has no design with a policy yet.")
-    return (folder / str(best[0].policy)).parent
-
-
 def _config_of(folder: Path, command: str) -> dict[str, Any]:
     if not (folder / CONFIG).is_file():
         raise RunError(f"{folder} is not a run: it has no {CONFIG}. Runs are made by `warpvox {command}`.")
@@ -281,7 +272,9 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
         with going_on(folder, config):
             yield folder
     except BaseException:
-        if folder.is_dir() and not _has_result(folder):
+        found = [file.name for file in folder.glob("*.*") if file.suffix in (".pt", ".npz", ".json", ".sqlite")]
+        # the state before the first iteration holds nothing that the configuration does not
+        if folder.is_dir() and all(name.startswith((MARK, "state")) for name in found):
             shutil.rmtree(folder, ignore_errors=True)
             for empty in made:
                 if empty.is_dir() and not any(empty.iterdir()):
@@ -325,12 +318,6 @@ def make_folder(parent: Path, stamp: str, ending: str = "") -> Path:
             raise StorageError(f"The folder {folder} cannot be made: {reason}.", error) from None
         return folder
     raise RunError(f"{parent} has too many runs of this second.")
-
-
-def _has_result(folder: Path) -> bool:
-    kept = (".pt", ".npz", ".json", ".sqlite")
-    # the state before the first iteration holds nothing that the configuration does not
-    return any(file.suffix in kept and not file.name.startswith((MARK, "state")) for file in folder.iterdir())
 
 
 def run_folder(

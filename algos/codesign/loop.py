@@ -66,7 +66,9 @@ class Loop:
                 if known:
                     _check_same(asked, known)
                 else:
-                    self._check_new(asked)
+                    for one in asked:
+                        if one.generation != (now := self.generation):
+                            raise RunError(f"Candidate {one.id} belongs to generation {now}, not {one.generation}.")
                     self.archive.propose(asked, self.seed)
                 self._evaluate(asked, interrupt)
                 self.search.tell([cast(float, record.fitness) for record in self.archive.records(self.generation)])
@@ -93,11 +95,6 @@ class Loop:
         for self.generation in range(len(history)):
             self._tell("told", self.generation, False)
         self.generation = len(history)
-
-    def _check_new(self, asked: Sequence[Candidate]) -> None:
-        for one in asked:
-            if one.generation != self.generation:
-                raise RunError(f"Candidate {one.id} belongs to generation {self.generation}, not {one.generation}.")
 
     def _evaluate(self, asked: Sequence[Candidate], interrupt: Interrupt) -> None:
         done = {record.id for record in self.archive.records(self.generation) if record.finished}
@@ -240,8 +237,7 @@ class LocalExecutor:
 
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
         for place, batch in enumerate(work):
-            tell = partial(report, place)
-            yield place, self.evaluator.evaluate(batch.candidates, parents, tell, batch.checkpoint)
+            yield place, self.evaluator.evaluate(batch.candidates, parents, partial(report, place), batch.checkpoint)
 
     def close(self) -> None:
         """Nothing to release."""
