@@ -22,7 +22,7 @@ from warpvox.algos.report import FILE as REPORT, FILM, write_report
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.algos.training.playing import Playing, load_result, load_trained, own_code
 from warpvox.envs.registry import get_task
-from warpvox.errors import RunError
+from warpvox.errors import WarpvoxError
 from warpvox.io.console import duration
 from warpvox.io.writing import atomic_path
 from warpvox.runs import find_run, read_summary, write_summary
@@ -186,7 +186,7 @@ def film_designs(folder: Path, records: Sequence[Record], settings: Any) -> None
         file = policy.with_name(FILM)
         if file.is_file() or not policy.is_file():
             continue
-        with suppress(RunError):  # of this design alone
+        with suppress(WarpvoxError):  # of this design alone
             rollout = record(*load_result(find_run(str(file.parent), ""), settings), LONGEST)
             painter = Painter(rollout, 0, SIZE, VOXELS)
             first, *more = [painter.frame(frame) for frame in range(0, rollout.num_frames, EVERY)]
