@@ -13,8 +13,9 @@ LEAST_POINTS = 4
 class ObservationLayout:
     """Concatenates observation terms; each design's real entries come first, the rest of its row is 0.
 
-    Terms with a value for every point are padded to the largest body by the simulator, x and y apart. A
-    gather closes those gaps, and is left out where all designs are of one size.
+    Terms with a value for every point are padded to the largest body by the simulator, x and y apart, those with as
+    many columns as ``actions(name)`` that read these by its padding. A gather closes those gaps, and is left out where
+    all designs are of one size.
 
     Attributes:
         num_obs: entries of a row.
@@ -26,7 +27,12 @@ class ObservationLayout:
 
     def __init__(self, terms: tuple[Observation, ...], sim: Simulation, state: Snapshot) -> None:
         self._terms, self._sim, self._dtype = terms, sim, sim.dtype
-        self._values = [term(state) for term in terms]
+        states = [Snapshot(sim, state.memory_values, copies=True) for _ in terms]
+        self._values = [term(own) for term, own in zip(terms, states, strict=True)]
+        # Terms with a column for every action, and of which robots: smaller bodies have fewer.
+        read = [[name for quantity, *name in own.quantities if quantity == "robot_actions"] for own in states]
+        whole = [value.shape[1:] == (sim.num_actions,) for value in self._values]
+        self._robots = [names[0][0] if each and len(names) == 1 else None for names, each in zip(read, whole, strict=True)]
         self._gather: torch.Tensor | None = None
         self._zeros = torch.zeros((sim.num_envs, 1), dtype=sim.dtype, device=sim.device)
         counts = self.refresh()
@@ -36,6 +42,7 @@ class ObservationLayout:
             robots = [dict(term.params).get("name") in sim.action_columns[0] for term in terms]
             bodies = torch.tensor(robots) & torch.tensor([value.ndim == 3 for value in self._values])
             least = torch.where(bodies, 2 * LEAST_POINTS, least)
+            least = least.masked_fill(torch.tensor([name is not None for name in self._robots]), 0)
         starts, stops = map(int, least.cumsum(0) - least), map(int, most.cumsum(0))
         self.places = {term.name: slice(*at) for term, at in zip(terms, zip(starts, stops, strict=True), strict=True)}
         self.always = int(least.sum())
@@ -47,8 +54,8 @@ class ObservationLayout:
         real = [
             sim.point_mask(dict(term.params)["name"]).cpu().repeat(1, 2)
             if value.ndim == 3
-            else torch.ones((sim.num_designs, value.shape[1]), dtype=torch.bool)
-            for term, value in zip(terms, self._values, strict=True)
+            else torch.arange(value.shape[1]) < self._counts(value.shape[1], robot)
+            for term, value, robot in zip(terms, self._values, self._robots, strict=True)
         ]
         counts = torch.stack([mask.sum(1) for mask in real], dim=1)  # [designs, terms]
         full = torch.cat(real, dim=1)
@@ -73,6 +80,12 @@ class ObservationLayout:
             else:
                 self._gather.copy_(source)  # in place: a captured step may read it
         return counts
+
+    def _counts(self, width: int, robot: str | None) -> torch.Tensor:
+        """long ``[sim.num_designs, 1]``: how many actions a robot has; None: ``width``."""
+        columns = self._sim.action_columns
+        found = [width if robot is None else len(range(*at.get(robot, slice(0, 0)).indices(width))) for at in columns]
+        return torch.tensor(found)[:, None]
 
     def observe(self, state: Snapshot) -> torch.Tensor:
         """A fresh tensor ``[num_envs, num_obs]`` in the simulation's dtype."""

@@ -148,6 +148,25 @@ def test_objects_can_be_translated(name: str) -> None:
     assert 0 < moved < 0.5
 
 
+@pytest.mark.parametrize(
+    ("name", "move", "turn"),  # as the release gives them: rounding decides
+    [
+        ("robot", (0.02, 0.1), 0.0020562779859526034),
+        ("box", (0.05, 0.3), 0.0013098655586423161),
+        ("ground", (0.0, -0.1), 0.001042900917955862),
+    ],
+)
+def test_turns_are_measured_from_where_an_object_was_moved_at_time_0(name: str, move: tuple, turn: float) -> None:
+    world = EvoWorld()
+    world.add_from_array("ground", np.full((1, 12), 5), 0, 0)
+    world.add_from_array("robot", np.array([[3, 3, 3], [4, 0, 4]]), 1, 1)
+    world.add_from_array("box", np.full((2, 2), 2), 6, 1)
+    sim = EvoSim(world)
+    sim.translate_object(*move, name)
+    sim.step()
+    assert sim.object_orientation_at_time(0, name) == pytest.approx(turn, abs=1e-15)
+
+
 def test_translated_terrain_carries() -> None:
     world = EvoWorld()
     world.add_from_array("robot", np.array([[3]]), 10, 2)

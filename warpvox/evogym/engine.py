@@ -53,7 +53,7 @@ class Engine:
         options = SimOptions("cpu", "float64", lanes=1, threads=1)
         sim = self._sim = Simulation([self.world], options, loose=self._loose, action_range=_ANY_NUMBER)
         self.sensors, moving, statics = Sensors(sim), sim.designs[0].bodies, sim.designs[0].statics
-        self._views = {name: sim.array(name).numpy().reshape(-1, 2) for name in ("pos", "vel", "true_vel")}
+        self._views = {name: sim.array(name).numpy().reshape(-1, 2) for name in ("pos", "vel", "true_vel", "rest_pos")}
         self._status = sim.array("status").numpy().reshape(-1)
         self._actions = sim.action_buffer.numpy()[0]  # of all robots
         self._actions[:] = 1.0  # until an action is set, actuators keep their length
@@ -113,6 +113,7 @@ class Engine:
         self._sim.invalidate()
         self._moved()
         self._record()
+        self._views["rest_pos"][:] = self._past[0][0, : self._moving]  # what turns are measured from
 
     def _at(self, time: int) -> np.ndarray:
         if not isinstance(time, int | np.integer):
