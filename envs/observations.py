@@ -29,10 +29,12 @@ class ObservationLayout:
         self._terms, self._sim, self._dtype = terms, sim, sim.dtype
         states = [Snapshot(sim, state.memory_values, copies=True) for _ in terms]
         self._values = [term(own) for term, own in zip(terms, states, strict=True)]
-        # Terms with a column for every action, and of which robots: smaller bodies have fewer.
-        read = [[name for quantity, *name in own.quantities if quantity == "robot_actions"] for own in states]
-        whole = [value.shape[1:] == (sim.num_actions,) for value in self._values]
-        self._robots = [names[0][0] if each and len(names) == 1 else None for names, each in zip(read, whole, strict=True)]
+        # Terms with a column for every action, and of which robot: smaller bodies have fewer.
+        read = [[name for what, *name in own.quantities if what == "robot_actions"] for own in states]
+        self._robots = [
+            names[0][0] if len(names) == 1 and value.shape[1:] == (sim.num_actions,) else None
+            for names, value in zip(read, self._values, strict=True)
+        ]
         self._gather: torch.Tensor | None = None
         self._zeros = torch.zeros((sim.num_envs, 1), dtype=sim.dtype, device=sim.device)
         counts = self.refresh()
@@ -50,11 +52,12 @@ class ObservationLayout:
     def refresh(self) -> torch.Tensor:
         """Read the sizes of the designs again, after they have changed: columns ``[designs, terms]``."""
         sim, terms = self._sim, self._terms
+        actions = [{name: at.stop - at.start for name, at in columns.items()} for columns in sim.action_columns]
         # which of a term's flattened columns each design has, bool [designs, k]
         real = [
             sim.point_mask(dict(term.params)["name"]).cpu().repeat(1, 2)
             if value.ndim == 3
-            else torch.arange(value.shape[1]) < self._counts(value.shape[1], robot)
+            else torch.arange(value.shape[1]) < torch.tensor([[sizes.get(robot, value.shape[1])] for sizes in actions])
             for term, value, robot in zip(terms, self._values, self._robots, strict=True)
         ]
         counts = torch.stack([mask.sum(1) for mask in real], dim=1)  # [designs, terms]
@@ -80,12 +83,6 @@ class ObservationLayout:
             else:
                 self._gather.copy_(source)  # in place: a captured step may read it
         return counts
-
-    def _counts(self, width: int, robot: str | None) -> torch.Tensor:
-        """long ``[sim.num_designs, 1]``: how many actions a robot has; None: ``width``."""
-        columns = self._sim.action_columns
-        found = [width if robot is None else len(range(*at.get(robot, slice(0, 0)).indices(width))) for at in columns]
-        return torch.tensor(found)[:, None]
 
     def observe(self, state: Snapshot) -> torch.Tensor:
         """A fresh tensor ``[num_envs, num_obs]`` in the simulation's dtype."""

@@ -1,12 +1,16 @@
 """A different body in every environment, and other bodies for environments that run."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from warpvox.algos.training.settings import Training
 from warpvox.design import example_design, full_connections, sample_design
-from warpvox.envs.registry import task_ids
+from warpvox.envs.registry import get_task, task_ids
+from warpvox.envs.snapshot import Snapshot
+from warpvox.envs.spec import observes
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError, DesignError, SimulationError, WorldError
 
@@ -41,6 +45,29 @@ def test_a_body_does_the_same_whatever_the_others_of_its_pack_are(task: str) -> 
         for found, wanted in zip(results, expected, strict=True):
             assert torch.equal(found[k, : alone.num_obs], wanted[k])
             assert not found[k, alone.num_obs :].any()
+
+
+def doubled(state: Snapshot, name: str) -> torch.Tensor:
+    return 2 * state.actions(name)
+
+
+@pytest.mark.parametrize("grid", [None, (2, 3)])
+def test_actions_are_observed_as_wide_as_those_of_a_body_that_is_alone(grid: tuple[int, int] | None) -> None:
+    base = get_task("Walker-v0")
+    spec = replace(base, id="Acting-v0", observations=(observes(doubled), *base.observations))
+    small, large = [[3, 3], [3, 0]], [[3, 3, 3], [4, 4, 4]]
+    mixed = make_vec(spec, [small, large], 2, grid=grid, auto_reset=False, **OPTIONS)
+    if grid:
+        mixed.set_designs([large, small], np.array([True, True]))
+        mixed.set_designs([small, large], np.array([True, True]))
+    goals = torch.tensor([[0.7, 0.8, 0.9, 0.7, 0.7, 0.7], [1.1, 1.2, 1.3, 1.4, 1.5, 1.6]])
+    seen = mixed.step(goals)[0]
+    for k, (body, actuators, entries) in enumerate(((small, 3, 21), (large, 6, 32))):
+        alone = make_vec(spec, [body], 1, auto_reset=False, **OPTIONS)
+        assert alone.num_obs == int(mixed.obs_mask[mixed.design_index[k]].sum()) == entries
+        assert torch.allclose(seen[k, :actuators], 2 * goals[k, :actuators])
+        assert torch.allclose(seen[k, :entries], alone.step(goals[k : k + 1, :actuators])[0][0], atol=1e-4)
+        assert not seen[k, entries:].any()
 
 
 def cut_body(seed: int) -> tuple[np.ndarray, np.ndarray]:
