@@ -371,13 +371,6 @@ class Simulation(Sensing):
         """long and bool [num_envs, rows]: where the entries of :meth:`state` lie in the arrays, and which are real."""
         return self._rows, self._has_row
 
-    @property
-    def fixed_rows(self) -> torch.Tensor:
-        """bool [num_envs, rows]: which entries of the positions in :meth:`state` belong to points that never move."""
-        mesh = _torch(self._state.arrays["pack_mesh"])[self._env[0]]
-        free = wp.to_torch(self._state.arrays["free_lanes"])[mesh[:, None], self._rows // 2]
-        return ((free >> self._env[1][:, None]) & 1 == 0) & self._has_row
-
     def rows_of(self, name: str) -> torch.Tensor:
         """bool [num_envs, rows]: which entries of the positions in :meth:`state` belong to an object."""
         points = self._objects.point_range[:, self._objects.index(name), :, None]

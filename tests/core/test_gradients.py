@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pytest
 import torch
-from worlds import ground, world
+from worlds import fixed_rows, ground, world
 
 from warpvox.design import sample_design
 from warpvox.errors import ActionError, SimulationError
@@ -273,7 +273,7 @@ def test_who_stands_still_keeps_its_state_and_its_derivative(grads):
 
 def test_limits_pass_no_derivative_of_points_that_never_move():
     sim = Simulation([world(6, 4, robot=([[5, 1, 3]], 1, 2))], **FIELDS | {"lanes": 1})
-    grads, fixed = Gradients(sim), sim.fixed_rows[0]
+    grads, fixed = Gradients(sim), fixed_rows(sim)[0]
     state = grads.state()
     state[0, 0, 0::2] += 0.1 * VOXEL * ~fixed[0::2]  # beyond the limits of rigid and of other springs
     state.requires_grad_()

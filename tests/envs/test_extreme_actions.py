@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from worlds import fixed_rows
 
 from warpvox.design import sample_design
 from warpvox.envs.registry import task_ids
@@ -34,7 +35,7 @@ def test_results_are_finite_and_fixed_points_stay(task: str, steps: int, bodies:
     env = make_vec(task, designs, LANES * bodies, device="cpu", threads=1)
     rng, sim = np.random.default_rng(0), env.sim
     placed = torch.stack([sim.rows_of(name) for name in sim.object_names if name not in sim.loose]).any(0)
-    fixed, free = placed & sim.fixed_rows, placed & ~sim.fixed_rows
+    fixed, free = placed & fixed_rows(sim), placed & ~fixed_rows(sim)
     env.reset(0)
     start = sim.state()["pos"][fixed]
     for step in range(steps):

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from worlds import ground, world
+from worlds import fixed_rows, ground, world
 
 from warpvox.design import sample_design
 from warpvox.errors import ConfigError
@@ -140,7 +140,7 @@ def test_strain_is_limited_as_the_plain_formula_does(dtype, arithmetic: str, tol
     body = np.array([[5, 1, 3], [1, 1, 4], [2, 2, 3]])
     sim = scene(dataclasses.replace(DEFAULT, **limits), dtype, body, 8, arithmetic=arithmetic)
     rng, state = np.random.default_rng(0), sim.state()
-    moving = ~sim.fixed_rows
+    moving = ~fixed_rows(sim)
     for lane in (0, 3, 7):
         noise = torch.as_tensor(rng.normal(0, 0.02, state["pos"].shape))
         sim.set_state(state | {"pos": state["pos"] + noise * moving})

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from worlds import world
+from worlds import fixed_rows, world
 
 from warpvox.design import sample_design
 from warpvox.kernels import step
@@ -119,7 +119,7 @@ def found(sim: Simulation, env: int = 0) -> np.ndarray:
 )
 def test_contact_forces_follow_the_law(dtype, arithmetic: str, tolerance: float, changes: dict, speed: float) -> None:
     sim = touching(dtype, arithmetic, Physics.preset("evogym", **changes), speed)
-    fixed = sim.fixed_rows[0, ::2, None].numpy()
+    fixed = fixed_rows(sim)[0, ::2, None].numpy()
     for env in (0, LANES - 1):
         expected, count = forces(sim, env)
         assert count > 5

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from worlds import ground, world
+from worlds import fixed_rows, ground, world
 
 from warpvox.design import sample_design
 from warpvox.simulation import Simulation
@@ -99,7 +99,7 @@ def test_bodies_do_not_go_through_terrain(thickness: int, dtype: str) -> None:
     for speed, most in IMPACTS:
         sim.reset()
         state = sim.state()
-        rows = ~sim.fixed_rows
+        rows = ~fixed_rows(sim)
         rows[:, 0::2] = False
         for name in ("vel", "true_vel"):
             state[name] = torch.where(rows, state[name] - speed, state[name])
@@ -135,7 +135,7 @@ def batter(seed: int, largest: int, steps: int, dtype: str) -> int:
     """Extreme actions and teleports in a random world; the number of control steps that diverged."""
     rng = np.random.default_rng(seed)
     sim = Simulation([random_world(rng, largest)] * 4, device="cpu", dtype=dtype, threads=1)
-    fixed = sim.fixed_rows
+    fixed = fixed_rows(sim)
     home, stopped = sim.state()["pos"], 0
     for step in range(steps):
         if step % 12 == 11:  # each environment its own: pushed together, thrown, torn, mixed up
