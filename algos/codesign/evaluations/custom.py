@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
@@ -38,10 +39,12 @@ class Custom(Evaluation):
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
         """ConfigError: no such file, module or name, settings that it does not take, or it makes no evaluator."""
+        function, settings = load_code(cast(str, self.make)), self.settings or {}
         try:
-            made = load_code(cast(str, self.make))(search, **(self.settings or {}))
+            inspect.signature(function).bind(search, **settings)
         except TypeError as error:
             raise ConfigError(f"'{self.make}' does not take these settings: {error}.") from error
+        made = function(search, **settings)
         if not callable(getattr(made, "evaluate", None)):
             raise ConfigError(
                 f"'{self.make}' makes a {type(made).__name__}, which has no method"

@@ -15,6 +15,7 @@ from tiny import tiny
 import warpvox as wv
 from warpvox.algos.candidate import START, Listener
 from warpvox.algos.codesign.archive import FILE, Archive
+from warpvox.algos.codesign.evaluations.custom import Custom
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.search.base import RandomSearch
@@ -172,6 +173,13 @@ def test_an_evaluation_in_a_file(warpvox: Callable, tmp_path: Path, monkeypatch:
         ("evaluation.settings={wait:2}", "does not take these settings"),
     ]:
         warpvox(*tiny("codesign", *words, wrong), fails=says)
+
+
+def test_a_type_error_within_an_evaluation_of_ones_own_is_not_taken_for_a_wrong_setting(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def make(search):\n    return 1 + 'a'\n")
+    evaluation = Custom(make=wv.Code(f"{tmp_path / 'mine.py'}:make"))
+    with pytest.raises(TypeError, match="unsupported operand"):
+        evaluation.build(Codesign(), None)
 
 
 def test_names_of_sets_are_those_of_the_command() -> None:
