@@ -183,8 +183,8 @@ class RslRlVecEnv(VecEnv):
         mask = self.env.design_index[:, None] == torch.as_tensor(list(designs), device=self.device)
         rows = mask.T.nonzero()[:, 1]
         state = state_rows(self.state() | {"sums": None, "reward_norm": None}, rows)
-        # columns that only wider designs have
-        state["obs"] = state["obs"][:, : int(self.env.obs_mask[list(designs)].sum(1).max())]
+        if self.env.sim.grid is None:  # without columns that only wider designs have
+            state["obs"] = state["obs"][:, : int(self.env.obs_mask[list(designs)].sum(1).max())]
         norm = None if self.reward_norm is None else self.reward_norm.pick(rows, list(designs))
         return state | {"sums": torch.zeros_like(self._sums), "reward_norm": norm}
 

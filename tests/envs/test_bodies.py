@@ -8,6 +8,7 @@ import torch
 
 from warpvox.algos.training.settings import Training
 from warpvox.design import example_design, full_connections, sample_design
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.spec import observes
@@ -68,6 +69,19 @@ def test_actions_are_observed_as_wide_as_those_of_a_body_that_is_alone(grid: tup
         assert torch.allclose(seen[k, :actuators], 2 * goals[k, :actuators])
         assert torch.allclose(seen[k, :entries], alone.step(goals[k : k + 1, :actuators])[0][0], atol=1e-4)
         assert not seen[k, entries:].any()
+
+
+@pytest.mark.parametrize("grid", [None, (2, 3)])
+def test_designs_of_an_adapter_go_on_alone(grid: tuple[int, int] | None) -> None:
+    bodies = [[[3, 3], [3, 0]], [[3, 3, 3], [4, 4, 4]]]
+    both = RslRlVecEnv(make_vec("Walker-v0", bodies, 4, grid=grid, **OPTIONS))
+    both.step(torch.full((4, both.num_actions), 0.3))
+    alone = RslRlVecEnv(make_vec("Walker-v0", bodies[:1], 2, grid=grid, **OPTIONS))
+    alone.set_state(both.pick([0]))
+    wide = alone.env.num_obs
+    assert torch.equal(alone.get_observations()["policy"], both.get_observations()["policy"][:2, :wide])
+    steps = [one.step(torch.full((one.num_envs, one.num_actions), -0.3))[0]["policy"] for one in (alone, both)]
+    assert torch.equal(steps[0], steps[1][:2, :wide])
 
 
 def cut_body(seed: int) -> tuple[np.ndarray, np.ndarray]:
