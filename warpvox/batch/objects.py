@@ -141,6 +141,8 @@ class Objects:
             for name in names:
                 body = next((body for body in compiled.bodies if body.name == name), None)
                 if body is None:
+                    if any(name in frame.names for frame in self._batch.frames):
+                        raise SimulationError(f"The robot {name!r} can be loose with arithmetic='exact' only.")
                     raise SimulationError(f"All worlds need the loose object {name!r}; one has no object of that name.")
                 source = body.source
                 for x, y in body.points:
