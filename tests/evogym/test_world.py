@@ -34,6 +34,8 @@ def test_rows_count_upward(world: EvoWorld) -> None:
     assert robot.get_pos() == (2, 1)
     assert robot.grid.tolist() == BODY[::-1].tolist()
     assert np.array_equal(robot.get_structure(), BODY)
+    for kind in ("float64", "int8"):  # as in the release
+        assert WorldObject.from_array("robot", BODY.astype(kind)).get_structure().dtype == kind
     assert Pair(1, 1) not in robot.voxels
     assert set(robot.neighbors[Pair(0, 0)]) == {Pair(1, 0), Pair(0, 1)}
 

@@ -141,7 +141,7 @@ class WorldObject:
     Attributes:
         name: unique in its world.
         pos: :class:`Pair`, cell of the lower left corner.
-        grid: int ``[rows, columns]``, row 0 at the bottom.
+        grid: ``[rows, columns]``, row 0 at the bottom; int, or of the type of the array that it was made of.
         grid_size: :class:`Pair`, columns and rows.
         voxels: a Pair (column, row) for every cell that is not empty.
         neighbors: for each of them the Pairs of those it is connected to.
@@ -188,6 +188,7 @@ class WorldObject:
             WorldError: cells or connections that are not valid.
         """
         self._become(core.WorldObject.from_array(name, structure, 0, 0, connections))
+        self.grid = self.grid.astype(np.asarray(structure).dtype)
 
     def load_from_parsed_json(self, name: str, json_data: Any, grid_size: Pair) -> None:
         """Become an object of a parsed world file of ``grid_size``; ``indices``, ``types``, ``neighbors``."""
@@ -228,7 +229,7 @@ class WorldObject:
         self.pos = Pair(x, y)
 
     def get_structure(self) -> np.ndarray:
-        """Cells int ``[rows, columns]``, row 0 on top."""
+        """Cells ``[rows, columns]``, row 0 on top, of the type of ``grid``."""
         return np.flipud(self.grid)
 
     def get_connections(self) -> np.ndarray:
