@@ -29,22 +29,20 @@ class ObservationLayout:
         self._terms, self._sim, self._dtype = terms, sim, sim.dtype
         states = [Snapshot(sim, state.memory_values, copies=True) for _ in terms]
         self._values = [term(own) for term, own in zip(terms, states, strict=True)]
-        # Terms with a column for every action, and of which robot: smaller bodies have fewer.
-        read = [[name for what, *name in own.quantities if what == "robot_actions"] for own in states]
-        self._robots = [
-            names[0][0] if len(names) == 1 and value.shape[1:] == (sim.num_actions,) else None
-            for names, value in zip(read, self._values, strict=True)
-        ]
+        # Of which robot a term has a column for every action ("": of none): smaller bodies have fewer.
+        read = [[name for what, name, *_ in own.quantities if what == "robot_actions"] for own in states]
+        whole = [value.shape[1:] == (sim.num_actions,) for value in self._values]
+        self._robots = [one[0] if each and len(one) == 1 else "" for one, each in zip(read, whole, strict=True)]
         self._gather: torch.Tensor | None = None
         self._zeros = torch.zeros((sim.num_envs, 1), dtype=sim.dtype, device=sim.device)
         counts = self.refresh()
         least, most = counts.min(0).values, counts.max(0).values
         if sim.grid is not None:
             most = torch.tensor([value[0].numel() for value in self._values])
-            robots = [dict(term.params).get("name") in sim.action_columns[0] for term in terms]
-            bodies = torch.tensor(robots) & torch.tensor([value.ndim == 3 for value in self._values])
-            least = torch.where(bodies, 2 * LEAST_POINTS, least)
-            least = least.masked_fill(torch.tensor([name is not None for name in self._robots]), 0)
+            named = [dict(term.params).get("name") in sim.action_columns[0] for term in terms]
+            bodies = torch.tensor(named) & torch.tensor([value.ndim == 3 for value in self._values])
+            acting = torch.tensor([robot != "" for robot in self._robots])
+            least = least.masked_fill(bodies, 2 * LEAST_POINTS).masked_fill(acting, 0)
         starts, stops = map(int, least.cumsum(0) - least), map(int, most.cumsum(0))
         self.places = {term.name: slice(*at) for term, at in zip(terms, zip(starts, stops, strict=True), strict=True)}
         self.always = int(least.sum())

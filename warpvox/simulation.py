@@ -30,16 +30,8 @@ from warpvox.world import World
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-NUMBERS = {
-    torch.float32,
-    torch.float64,
-    torch.float16,
-    torch.bfloat16,
-    torch.int64,
-    torch.int32,
-    torch.int16,
-    torch.int8,
-}
+INTEGERS = {torch.int64, torch.int32, torch.int16, torch.int8}
+NUMBERS = INTEGERS | {torch.float32, torch.float64, torch.float16, torch.bfloat16}
 """Types that actions may have."""
 
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
