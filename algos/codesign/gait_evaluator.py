@@ -1,12 +1,14 @@
 """Evaluation of designs without a policy: a few gaits are tried with each, and handed on to its descendants."""
 
+from __future__ import annotations
+
 import json
 import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -26,6 +28,9 @@ from warpvox.errors import RunError
 from warpvox.io.writing import write_text
 from warpvox.types import Cell
 
+if TYPE_CHECKING:
+    from warpvox.algos.codesign.evaluations.gaits import Gaits
+
 FRESH = 0.125
 """Share of the first gaits of a design with a parent that owe nothing to it."""
 KEPT = 0.5
@@ -44,39 +49,23 @@ class GaitEvaluator:
 
     The first ones are those of its parents with mutants of the best parent's; random ones, if it has none. In each
     further round mutants of the best so far are tried. Passes of a beam search (:class:`Beam`) may come before the
-    rounds. It takes ``beam * passes + count * rounds`` episodes for a design, where a training of 512,000 control steps
+    rounds. It takes ``beam * passes + gaits * rounds`` episodes for a design, where a training of 512,000 control steps
     has a thousand.
 
     Attributes:
         factory: makes environments.
-        count: gaits that each design is tried with in a round.
-        rounds: of gaits.
-        stages: parts of an episode in which a gait has a motion each.
+        settings: how many gaits are tried, and which; finalists have settings of their own.
         seed: of the experiment.
         episodes: of each gait, whose mean counts; more than one for tasks that draw at random. All gaits of all
             designs play the same ones, those of ``seed``.
-        passes: beam searches before the rounds.
-        beam: continuations that a beam search tries in each stage.
-        stage_steps: control steps of a stage in the first beam search; others have longer and shorter ones.
-        fitness: nominal, or robust: with noise on the actions.
         known: gaits of candidates with the origin :data:`warpvox.algos.candidate.START`, by the bytes of the body.
     """
 
     factory: EnvFactory
-    count: int
-    rounds: int = 1
-    stages: int = 2
+    settings: Gaits
     seed: int = 0
     episodes: int = 1
-    passes: int = 0
-    beam: int = 64
-    stage_steps: int = 20
     known: Mapping[bytes, Gait] = field(default_factory=dict)
-    fitness: str = NOMINAL
-
-    def noise(self, device: Any) -> Draws | None:
-        """Noise on the actions of the episodes of each gait, the same for all gaits; None: there is none."""
-        return None if self.fitness == NOMINAL else Draws(self.seed, SEARCHED, self.episodes, device)
 
     def evaluate(
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
@@ -84,7 +73,7 @@ class GaitEvaluator:
         """Rounds that take seconds are not saved."""
         if not candidates:
             return []
-        most = max(self.count, self.beam if self.passes else 0)
+        most = max(self.settings.gaits, self.settings.beam if self.settings.passes else 0)
         hint = (
             f"Take less at once: {most} gaits are tried with each of {len(candidates)} designs (evaluation.gaits,"
             " evaluation.beam, batch)."
@@ -97,17 +86,19 @@ class _Rounds:
     """The gaits of some candidates, round by round."""
 
     def __init__(self, how: GaitEvaluator, candidates: Sequence[Candidate], parents: Parents) -> None:
-        self.how, self.bodies = how, [candidate.body for candidate in candidates]
+        self.how, self.settings, self.bodies = how, how.settings, [candidate.body for candidate in candidates]
         self.seeds = [candidate_seed(how.seed, candidate.id) for candidate in candidates]
         self.random = [np.random.default_rng([STREAM, how.seed, candidate.id]) for candidate in candidates]
         self.origins = [candidate.origin for candidate in candidates]
-        self.env = self._environments(how.beam if how.passes else how.count)
+        self.env = self._environments(self.settings.beam if self.settings.passes else self.settings.gaits)
         self.inherited = [self._inherited(candidate, parents) for candidate in candidates]
         self.round = 0  # passes are counted, too
-        self.rounds = how.passes + how.rounds
+        self.rounds = self.settings.passes + self.settings.rounds
         self.best: list[tuple[float, Gait]] = []
         self.curves: list[list[tuple[int, float]]] = [[] for _ in candidates]
         self.spent = [0] * len(candidates)
+        noisy = how.factory.fitness != NOMINAL  # on the actions, the same for all gaits
+        self.noise = Draws(how.seed, SEARCHED, how.episodes, self.env.device) if noisy else None
 
     def _environments(self, count: int) -> VoxelVecEnv:
         """``count`` of each design, times the episodes of a gait."""
@@ -120,7 +111,7 @@ class _Rounds:
         self._tell(report)
         saved = time.monotonic()
         while self.round < self.rounds:
-            found, steps = self._pass() if self.round < self.how.passes else self._try()
+            found, steps = self._pass() if self.round < self.settings.passes else self._try()
             self.best = [max(pair, key=lambda one: one[0]) for pair in zip(self.best or found, found, strict=True)]
             for place, (value, _) in enumerate(self.best):
                 self.spent[place] += int(steps[place])
@@ -154,14 +145,14 @@ class _Rounds:
         """The gaits that a candidate begins with: those of its parents, the best first, or the one it is known by."""
         if candidate.origin == START:
             known = self.how.known.get(candidate.body.tobytes())
-            return [] if known is None else [with_stages(known, self.how.stages, self.env.max_episode_steps)]
+            return [] if known is None else [with_stages(known, self.settings.stages, self.env.max_episode_steps)]
         found = [parents[number] for number in candidate.parents if number in parents]
         found.sort(key=lambda parent: -parent.fitness)
         fields = Gait.__dataclass_fields__
         return [Gait(**{name: parent.policy[name].numpy() for name in fields}) for parent in found]
 
     def _gaits(self, place: int) -> list[Gait]:
-        rng, body, count = self.random[place], self.bodies[place], self.how.count
+        rng, body, count = self.random[place], self.bodies[place], self.settings.gaits
         steps = self.env.max_episode_steps
         known, gaits = self.inherited[place], []
         if self.best:
@@ -174,25 +165,24 @@ class _Rounds:
         else:
             fresh = math.ceil(FRESH * (count - 1))
             gaits = known[: count - fresh]
-        gaits += [draw_gait(rng, body, steps, self.how.stages) for _ in range(fresh)]
+        gaits += [draw_gait(rng, body, steps, self.settings.stages) for _ in range(fresh)]
         return gaits + [mutate_gait(rng, known[0], body, steps) for _ in range(count - len(gaits))]
 
     def _pass(self) -> tuple[list[tuple[float, Gait]], np.ndarray]:
         """The best gait of each design by a beam search with its mean return, and the control steps ``[designs]``."""
-        how = self.how
         known = [[best[1]] for best in self.best] if self.best else self.inherited
-        steps = max(1, round(how.stage_steps * STRETCH[self.round % len(STRETCH)]))
-        beam = Beam(self.env, self.bodies, how.beam, how.episodes, how.noise(self.env.device))
-        return beam.search(known, self.random, how.seed, steps)
+        steps = max(1, round(self.settings.stage_steps * STRETCH[self.round % len(STRETCH)]))
+        beam = Beam(self.env, self.bodies, self.settings.beam, self.how.episodes, self.noise)
+        return beam.search(known, self.random, self.how.seed, steps)
 
     def _try(self) -> tuple[list[tuple[float, Gait]], np.ndarray]:
         """The same of an episode of each gait that is tried next."""
-        how = self.how
-        if self.env.num_envs != len(self.bodies) * how.count * how.episodes:
-            self.env = self._environments(how.count)
+        how, count = self.how, self.settings.gaits
+        if self.env.num_envs != len(self.bodies) * count * how.episodes:
+            self.env = self._environments(count)
         gaits = [self._gaits(place) for place in range(len(self.bodies))]
-        begin_alike(self.env, len(self.bodies), how.count, how.episodes, how.seed)
-        returns = play(self.env, self.bodies, gaits, how.episodes, noise=how.noise(self.env.device)).numpy()
+        begin_alike(self.env, len(self.bodies), count, how.episodes, how.seed)
+        returns = play(self.env, self.bodies, gaits, how.episodes, noise=self.noise).numpy()
         found = [(float(got.max()), tried[int(got.argmax())]) for got, tried in zip(returns, gaits, strict=True)]
         return found, self.env.state()["length"].view(len(self.bodies), -1).sum(1).cpu().numpy()
 

@@ -13,6 +13,7 @@ from population_cases import candidates, factory
 import warpvox as wv
 from warpvox.algos.candidate import candidate_seed
 from warpvox.algos.checkpoints.files import Controller, build_actor, load_controller, spec_of
+from warpvox.algos.codesign.evaluations import Gaits
 from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 from warpvox.algos.disturbance import JUDGED, NOISE, SEARCHED, Disturbed, Draws
 from warpvox.algos.evaluate import evaluator
@@ -148,7 +149,8 @@ def test_a_gait_has_no_sensors() -> None:
 @pytest.mark.usefixtures("narrow_packs")
 def test_a_robust_gait_is_worth_what_its_policy_gets_in_the_same_copies() -> None:
     (candidate,) = candidates(1)
-    how = GaitEvaluator(factory(), 4, passes=1, beam=4, rounds=1, episodes=COPIES, fitness="robust")
+    where = dataclasses.replace(factory(), fitness="robust")
+    how = GaitEvaluator(where, Gaits(gaits=4, passes=1, beam=4, rounds=1, stages=2), episodes=COPIES)
     (outcome,) = how.evaluate([candidate], {})
     spec = spec_of(outcome.spec)
     actor = build_actor(spec)

@@ -104,18 +104,18 @@ class Gaits(Screened):
     def screening(self, search: Codesign, known: Any) -> GaitEvaluator:
         from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 
-        own = {name: getattr(self, name) for name in ("rounds", "stages", "passes", "beam", "stage_steps")}
-        fixed = {"seed": search.seed, "episodes": self._episodes(search), "known": known, "fitness": search.fitness}
-        return GaitEvaluator(search.factory(), count=self.gaits, **fixed, **own)
+        return GaitEvaluator(search.factory(), self, search.seed, self._episodes(search), known)
 
     def final(self, search: Codesign, known: Any) -> DesignEvaluator:
         """More gaits, and a training that is judged by as many episodes: the better of both counts."""
         from warpvox.algos.codesign.finalists import BestOf
 
-        changes = {"count": self._final_gaits, "rounds": self.final_rounds, "passes": self.final_passes}
-        more = dataclasses.replace(self.screening(search, known), beam=self.final_beam, **changes)
+        counts = {"rounds": self.final_rounds, "passes": self.final_passes, "beam": self.final_beam}
+        more = dataclasses.replace(self, gaits=self._final_gaits, **counts)
         training = dataclasses.replace(search.training, eval_envs=self._final_episodes(search))
-        return BestOf(more, super().final(dataclasses.replace(search, training=training), known))
+        return BestOf(
+            more.screening(search, known), super().final(dataclasses.replace(search, training=training), known)
+        )
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
         """A gait is played in simulations like those that have found its fitness."""

@@ -3,7 +3,9 @@
 import dataclasses
 import itertools
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from population_cases import LIMIT, candidates, factory
 
 from warpvox.algos.candidate import START, Candidate, Outcome, Parent
 from warpvox.algos.codesign import gait_evaluator
+from warpvox.algos.codesign.evaluations import Gaits
 from warpvox.algos.codesign.finalists import BestOf
 from warpvox.algos.codesign.gait_actions import actions_of_gaits
 from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
@@ -28,7 +31,7 @@ COUNT = 8
 
 
 def evaluator(rounds: int = 1, seed: int = 0) -> GaitEvaluator:
-    return GaitEvaluator(factory(), COUNT, rounds, seed=seed)
+    return GaitEvaluator(factory(), Gaits(gaits=COUNT, rounds=rounds, stages=2), seed)
 
 
 def parent_of(candidate: Candidate, outcome: Outcome) -> Parent:
@@ -140,9 +143,9 @@ def test_of_gait_and_training_the_better_one_counts() -> None:
 LANES, STEPS = 8, 5
 
 
-def staged(where: EnvFactory, **changes: object) -> GaitEvaluator:
-    how = {"passes": 1, "beam": COUNT, "stage_steps": STEPS, "rounds": 0} | changes
-    return GaitEvaluator(where, count=COUNT, **how)
+def staged(where: EnvFactory, seed: int = 0, known: Mapping | None = None, **changes: Any) -> GaitEvaluator:
+    how = {"passes": 1, "beam": COUNT, "stage_steps": STEPS, "rounds": 0, "stages": 2} | changes
+    return GaitEvaluator(where, Gaits(gaits=COUNT, **how), seed, changes.get("episodes", 1), known or {})
 
 
 def policy_gait(policy: dict[str, torch.Tensor]) -> Gait:
