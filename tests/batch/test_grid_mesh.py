@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from warpvox.batch.frames import RobotBodies
-from warpvox.batch.grid_mesh import GridMesh, most_points
+from warpvox.batch.grid_mesh import GridMesh, RobotBodies, most_points
 from warpvox.compile import Body, mesh
 from warpvox.design import full_connections
 from warpvox.types import Cell, Physics
@@ -79,7 +78,7 @@ def test_every_lane_has_the_mesh_of_its_body(seed: int, lanes: int, cut: bool, f
     physics = Physics.preset(preset)
     objects = robots(np.random.default_rng(seed), lanes, cut, fixed)
     bodies = RobotBodies.of(objects)
-    meshes = GridMesh(bodies.in_lanes(np.arange(lanes)[None], objects[0].x, objects[0].y), physics)
+    meshes = GridMesh(bodies, np.arange(lanes)[None], (objects[0].x, objects[0].y), physics)
     for k, obj in enumerate(objects):
         lane, body = Lane(meshes, k), mesh(obj, physics)
         positions = [tuple(meshes.position[0, row // 4, :, k]) for row in lane.order]
@@ -101,7 +100,7 @@ def test_every_lane_has_the_mesh_of_its_body(seed: int, lanes: int, cut: bool, f
 @settings(max_examples=20, deadline=None)
 def test_twins_are_pulled_by_the_springs_of_their_leaders(seed: int, cut: bool) -> None:
     objects = robots(np.random.default_rng(seed), 8, cut, False)
-    meshes = GridMesh(RobotBodies.of(objects).in_lanes(np.arange(8)[None], 2, 1), Physics())
+    meshes = GridMesh(RobotBodies.of(objects), np.arange(8)[None], (2, 1), Physics())
     for k in range(8):
         lane = Lane(meshes, k)
         springs = np.flatnonzero(meshes.spring[0, :, k])

@@ -9,11 +9,10 @@ grid.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from warpvox.batch.grid_mesh import TWIN_PAIRS, GridMesh, RobotCells, most_points, pack_bits
+from warpvox.batch.grid_mesh import TWIN_PAIRS, GridMesh, RobotBodies, most_points, pack_bits
 from warpvox.compile import NOTHING_MOVES, CompiledWorld, compile_others, join, pack_drives, world_arrays
 from warpvox.errors import SimulationError
 from warpvox.types import Physics
@@ -34,64 +33,6 @@ def is_cut(obj: WorldObject) -> bool:
     filled = obj.grid != 0
     beside = np.count_nonzero(filled[:, 1:] & filled[:, :-1]) + np.count_nonzero(filled[1:] & filled[:-1])
     return beside != len(obj.connections)
-
-
-@dataclass
-class RobotBodies:
-    """The bodies of one robot, an entry each, on the smallest common grid (lower left corners together).
-
-    Attributes:
-        cells: int8 ``[bodies, rows, columns]``; ``right``, ``down``: bool, same shape, connections with the right and
-            the lower neighbour; ``height``: int ``[bodies]``, rows of each.
-    """
-
-    cells: np.ndarray
-    right: np.ndarray
-    down: np.ndarray
-    height: np.ndarray
-
-    @classmethod
-    def of(cls, robots: Sequence[WorldObject], grid: tuple[int, int] = (1, 1)) -> RobotBodies:
-        """Bodies of objects, on a grid of at least ``(rows, columns)``."""
-        rows = max(grid[0], *(robot.height for robot in robots))
-        columns = max(grid[1], *(robot.width for robot in robots))
-        shape = (len(robots), rows, columns)
-        cells, right, down = np.zeros(shape, np.int8), np.zeros(shape, bool), np.zeros(shape, bool)
-        for n, robot in enumerate(robots):
-            top = rows - robot.height
-            cells[n, top:, : robot.width] = robot.grid
-            a, b = robot.connections.T
-            row, column = np.divmod(a, robot.width)
-            beside = b - a == 1 if robot.width > 1 else np.zeros(len(a), bool)
-            right[n, row[beside] + top, column[beside]] = True
-            down[n, row[~beside] + top, column[~beside]] = True
-        return cls(cells, right, down, np.array([robot.height for robot in robots]))
-
-    def split_nodes(self) -> np.ndarray:
-        """bool ``[bodies, nodes]``: inner grid nodes where two cells touch without being connected."""
-        filled = self.cells != 0
-        a, b, c, d = filled[:, :-1, :-1], filled[:, :-1, 1:], filled[:, 1:, :-1], filled[:, 1:, 1:]
-        split = (a & d & ~b & ~c) | (b & c & ~a & ~d)
-        cut = (a & b & ~self.right[:, :-1, :-1]) | (c & d & ~self.right[:, 1:, :-1])
-        cut |= (a & c & ~self.down[:, :-1, :-1]) | (b & d & ~self.down[:, :-1, 1:])
-        return (split | cut).reshape(len(filled), -1)
-
-    def join(self, other: RobotBodies) -> RobotBodies:
-        """These bodies and others on a grid of the same size."""
-        pairs = [(getattr(self, name), getattr(other, name)) for name in ("cells", "right", "down", "height")]
-        return RobotBodies(*(np.concatenate(pair) for pair in pairs))
-
-    def take(self, numbers: np.ndarray) -> RobotBodies:
-        """Some of them."""
-        return RobotBodies(self.cells[numbers], self.right[numbers], self.down[numbers], self.height[numbers])
-
-    def in_lanes(self, index: np.ndarray, x: int, y: int) -> RobotCells:
-        """The bodies that packs hold, from their numbers ``[packs, lanes]``."""
-
-        def laid(values: np.ndarray) -> np.ndarray:
-            return np.moveaxis(values[index], 1, -1)
-
-        return RobotCells(laid(self.cells), laid(self.right), laid(self.down), self.height[index], x, y)
 
 
 class Frame:
@@ -163,8 +104,7 @@ class Frame:
 
     def _tables(self, index: np.ndarray) -> dict[str, np.ndarray]:
         meshes = [
-            GridMesh(bodies.in_lanes(index, *place), self.physics)
-            for bodies, place in zip(self.bodies, self.places, strict=True)
+            GridMesh(bodies, index, place, self.physics) for bodies, place in zip(self.bodies, self.places, strict=True)
         ]
         return _PackTables(self, meshes, *index.shape).arrays
 

@@ -13,11 +13,13 @@ and each feels the forces on all of them, in the same order, so that they never 
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from warpvox.types import VOXEL, Cell, Physics
+from warpvox.world import WorldObject
 
 # The cells around a node, in the order in which a mesh is made: above left, above right, below left, below right.
 ABOVE_LEFT, ABOVE_RIGHT, BELOW_LEFT, BELOW_RIGHT = range(4)
@@ -32,23 +34,54 @@ TWIN_PAIRS = ((1, 0), (2, 0), (2, 1), (3, 0), (3, 1), (3, 2))
 NOBODY = -1
 
 
-@dataclass(frozen=True)
-class RobotCells:
-    """The bodies of one robot in all lanes of packs, on a common grid whose lower left corner is cell (x, y).
+@dataclass
+class RobotBodies:
+    """The bodies of one robot, an entry each, on the smallest common grid (lower left corners together).
 
     Attributes:
-        cells: int8 ``[packs, rows, columns, lanes]``, row 0 on top; smaller bodies lie at the lower left.
-        right, down: bool, same shape: whether a cell is connected with its right and with its lower neighbour.
-        height: int ``[packs, lanes]``: rows of each body.
-        x, y: cell of the lower left corner.
+        cells: int8 ``[bodies, rows, columns]``; ``right``, ``down``: bool, same shape, connections with the right and
+            the lower neighbour; ``height``: int ``[bodies]``, rows of each.
     """
 
     cells: np.ndarray
     right: np.ndarray
     down: np.ndarray
     height: np.ndarray
-    x: int
-    y: int
+
+    @classmethod
+    def of(cls, robots: Sequence[WorldObject], grid: tuple[int, int] = (1, 1)) -> RobotBodies:
+        """Bodies of objects, on a grid of at least ``(rows, columns)``."""
+        rows = max(grid[0], *(robot.height for robot in robots))
+        columns = max(grid[1], *(robot.width for robot in robots))
+        shape = (len(robots), rows, columns)
+        cells, right, down = np.zeros(shape, np.int8), np.zeros(shape, bool), np.zeros(shape, bool)
+        for n, robot in enumerate(robots):
+            top = rows - robot.height
+            cells[n, top:, : robot.width] = robot.grid
+            a, b = robot.connections.T
+            row, column = np.divmod(a, robot.width)
+            beside = b - a == 1 if robot.width > 1 else np.zeros(len(a), bool)
+            right[n, row[beside] + top, column[beside]] = True
+            down[n, row[~beside] + top, column[~beside]] = True
+        return cls(cells, right, down, np.array([robot.height for robot in robots]))
+
+    def split_nodes(self) -> np.ndarray:
+        """bool ``[bodies, nodes]``: inner grid nodes where two cells touch without being connected."""
+        filled = self.cells != 0
+        a, b, c, d = filled[:, :-1, :-1], filled[:, :-1, 1:], filled[:, 1:, :-1], filled[:, 1:, 1:]
+        split = (a & d & ~b & ~c) | (b & c & ~a & ~d)
+        cut = (a & b & ~self.right[:, :-1, :-1]) | (c & d & ~self.right[:, 1:, :-1])
+        cut |= (a & c & ~self.down[:, :-1, :-1]) | (b & d & ~self.down[:, :-1, 1:])
+        return (split | cut).reshape(len(filled), -1)
+
+    def join(self, other: RobotBodies) -> RobotBodies:
+        """These bodies and others on a grid of the same size."""
+        pairs = [(getattr(self, name), getattr(other, name)) for name in ("cells", "right", "down", "height")]
+        return RobotBodies(*(np.concatenate(pair) for pair in pairs))
+
+    def take(self, numbers: np.ndarray) -> RobotBodies:
+        """Some of them."""
+        return RobotBodies(self.cells[numbers], self.right[numbers], self.down[numbers], self.height[numbers])
 
 
 def most_points(rows: int, columns: int, cut: bool = False) -> int:
@@ -147,7 +180,12 @@ class GridMesh:
     The rows of arrays number what the grid may have at most: ``node * 4 + slot`` for points, the springs of
     :func:`_springs`, cells row by row. :mod:`warpvox.batch.packs` leaves out what no lane of a pack has.
 
+    Args:
+        index: numbers of the bodies that packs hold, ``[packs, lanes]``.
+        place: cell of the lower left corner of their common grid.
+
     Attributes (P packs, L lanes, S points, E springs, V cells):
+        grid: int8 ``[P, rows, columns, L]``, row 0 on top; ``right``, ``down``: as of :class:`RobotBodies`, same shape.
         point: bool ``[P, S, L]``, points there are; ``free``: that can move; ``leader``: int8 ``[P, S, L]``, the slot
             that stands for a point's twins (its own where it is that).
         position: float64 ``[P, nodes, 2, L]``.
@@ -161,11 +199,13 @@ class GridMesh:
         actions: int ``[P, L]``.
     """
 
-    def __init__(self, robot: RobotCells, physics: Physics) -> None:
-        packs, self.rows, self.columns, lanes = robot.cells.shape
-        self.robot, self.physics = robot, physics
+    def __init__(self, bodies: RobotBodies, index: np.ndarray, place: tuple[int, int], physics: Physics) -> None:
+        parts = (bodies.cells, bodies.right, bodies.down)
+        self.grid, self.right, self.down = (np.moveaxis(part[index], 1, -1) for part in parts)
+        self.height, self.place, self.physics = bodies.height[index], place, physics
+        packs, self.rows, self.columns, lanes = self.grid.shape
         self.springs = _springs(self.rows, self.columns)
-        self.cells = robot.cells.reshape(packs, -1, lanes)
+        self.cells = self.grid.reshape(packs, -1, lanes)
         self.filled = self.cells != Cell.EMPTY
         self._share_points()
         self._number_points()
@@ -181,9 +221,8 @@ class GridMesh:
 
     def _share_points(self) -> None:
         """``owner`` [4, P, nodes, L]: which of the cells around a node has made the point that a cell has there."""
-        robot = self.robot
-        there = self._around(robot.cells != Cell.EMPTY)
-        right, down = self._around(robot.right), self._around(robot.down)
+        there = self._around(self.grid != Cell.EMPTY)
+        right, down = self._around(self.right), self._around(self.down)
         top, bottom = right[ABOVE_LEFT], right[BELOW_LEFT]  # connections between the cells around a node
         left, side = down[ABOVE_LEFT], down[ABOVE_RIGHT]
         a = np.zeros(top.shape, np.int8)
@@ -195,7 +234,7 @@ class GridMesh:
         self.slot = _spread(self.owner)
 
     def _number_points(self) -> None:
-        owner, slot, robot = self.owner, self.slot, self.robot
+        owner, slot = self.owner, self.slot
         packs, nodes, lanes = owner.shape[1:]
         used = np.full((packs, nodes, 4, lanes), NOBODY, np.int8)  # whose point a slot holds
         for place in range(4):
@@ -207,7 +246,7 @@ class GridMesh:
         for s, t in reversed(TWIN_PAIRS):  # the lowest slot of a point is looked at last
             same = (used[:, :, s] == used[:, :, t]) & (used[:, :, s] >= 0)
             leader[:, :, s] = np.where(same, t, leader[:, :, s])
-        fixed_cell = self._around(robot.cells == Cell.FIXED)
+        fixed_cell = self._around(self.grid == Cell.FIXED)
         fixed = np.zeros(used.shape, bool)
         for place in range(4):
             fixed |= (fixed_cell[place][:, :, None] & (owner[place][:, :, None] == used)) & (used >= 0)
@@ -216,10 +255,10 @@ class GridMesh:
         self.point: np.ndarray = (used >= 0).reshape(shape)
         self.fixed = fixed.reshape(shape)
         row, column = np.divmod(np.arange(nodes), self.columns + 1)
-        x = robot.x * VOXEL + column * VOXEL
+        x = self.place[0] * VOXEL + column * VOXEL
         # Exactly these expressions: the last bit of a coordinate decides which touching voxels are in contact.
-        own_row = row[None, :, None] - (self.rows - robot.height[:, None, :])
-        y = (robot.y * VOXEL + robot.height[:, None, :] * VOXEL) - own_row * VOXEL
+        own_row = row[None, :, None] - (self.rows - self.height[:, None, :])
+        y = (self.place[1] * VOXEL + self.height[:, None, :] * VOXEL) - own_row * VOXEL
         self.position = np.stack([np.broadcast_to(x[None, :, None], y.shape), y], axis=2)
         self._order_points(used, row, column)
 
@@ -294,7 +333,7 @@ class GridMesh:
         """bool [P, E, L]: the two cells of a side are connected."""
         springs = self.springs
         first = np.where(springs.second, springs.other, springs.cell)  # the upper or left one
-        links = getattr(self.robot, axis).reshape(self.cells.shape)
+        links = getattr(self, axis).reshape(self.cells.shape)
         return self._of(links, first, False)
 
     def _stiffness(self, kinds, has: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -332,7 +371,7 @@ class GridMesh:
         self.link = link.reshape(packs, -1, at.shape[1], lanes)
 
     def _mark_surface(self) -> None:
-        right, down = self.robot.right, self.robot.down
+        right, down = self.right, self.down
         top = np.zeros_like(down)
         top[:, 1:] = down[:, :-1]
         left = np.zeros_like(right)
