@@ -105,11 +105,9 @@ def _compile(
 
 def mesh(source: WorldObject, physics: Physics) -> Body:
     """Points, springs and surface of one object (paper section A.1)."""
-    body = Body(source.name, source)
-    body.links = links = _links(source)
-    for cell in zip(*np.nonzero(source.grid), strict=True):
-        row, column = int(cell[0]), int(cell[1])
-        _add_voxel(body, links, (row, column), physics)
+    body = Body(source.name, source, links=_links(source))
+    for row, column in np.argwhere(source.grid).tolist():
+        _add_voxel(body, (row, column), physics)
     _orient_surface(body)
     _set_stiffness(body, physics)
     _set_drives(body)
@@ -130,7 +128,7 @@ def _links(source: WorldObject) -> set[tuple[tuple[int, int], tuple[int, int]]]:
     return pairs
 
 
-def _add_voxel(body: Body, links, cell, physics: Physics) -> None:
+def _add_voxel(body: Body, cell: tuple[int, int], physics: Physics) -> None:
     row, column = cell
     near = {
         "top": (row - 1, column),
@@ -138,10 +136,10 @@ def _add_voxel(body: Body, links, cell, physics: Physics) -> None:
         "left": (row, column - 1),
         "right": (row, column + 1),
     }
-    linked = {side: (cell, other) in links for side, other in near.items()}
+    linked = {side: (cell, other) in body.links for side, other in near.items()}
     corners = {}
     for corner in CREATION:
-        found = _find_corner(body, links, cell, corner)
+        found = _find_corner(body, cell, corner)
         if found is None:
             found = _new_point(body, row + (corner in (BL, BR)), column + (corner in (TR, BR)))
         corners[corner] = found
@@ -168,9 +166,9 @@ def _orient_surface(body: Body) -> None:
                 spring[0], spring[1] = spring[1], spring[0]
 
 
-def _find_corner(body: Body, links, cell, corner) -> int | None:
+def _find_corner(body: Body, cell: tuple[int, int], corner: int) -> int | None:
     """The point that a connected voxel above or to the left has made at this corner; the last candidate counts."""
-    row, column = cell
+    (row, column), links = cell, body.links
     up, side = (-1 if corner in (TL, TR) else 1), (-1 if corner in (TL, BL) else 1)
     vertical, horizontal, diagonal = (row + up, column), (row, column + side), (row + up, column + side)
     mirror_v = {TL: BL, TR: BR, BL: TL, BR: TR}[corner]

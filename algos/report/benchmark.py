@@ -6,6 +6,7 @@ It is made from archives alone, also while the searches are running. Formulas an
 import base64
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -187,10 +188,9 @@ def _panel(task: str, named: Mapping[str, Sequence[SearchResult]], x: str, looks
             spread = values.std(1, ddof=1)
             upper, lower = (list(zip(places, mean + sign * spread, strict=True)) for sign in (1, -1))
             band = [*upper, *reversed(lower)]
-        points = list(zip(places, mean, strict=True))
-        series.append(Series(name, points, "line", looks[name].colour, band=band, look=looks[name].look))
+        series.append(replace(looks[name], points=list(zip(places, mean, strict=True)), band=band))
     if (best := _published(task)) is not None:
-        series.append(Series(KNOWN.name, [(0.0, best), (last, best)], colour=3, look=KNOWN.look))
+        series.append(replace(KNOWN, points=[(0.0, best), (last, best)]))
     label = {"evaluations": "designs trained", "steps": "control steps"}[x]
     return chart(series, label, task, PANEL, names=False)
 

@@ -6,7 +6,7 @@ After Agarwal et al. (2021); formulas in docs/evaluation.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from itertools import permutations
 
@@ -87,8 +87,7 @@ def _charts(comparison: Comparison, looks: Mapping[str, Series]) -> list[str]:
         share, low, high = bootstrap(lambda drawn: profile(drawn, thresholds), scores)
         upper, lower = (list(zip(thresholds, ends, strict=True)) for ends in (high, low))
         points = list(zip(thresholds, share, strict=True))
-        look = looks[name]
-        series.append(Series(name, points, "line", look.colour, band=[*upper, *reversed(lower)], look=look.look))
+        series.append(replace(looks[name], points=points, band=[*upper, *reversed(lower)]))
     return [*charts, chart(series, "score", "share of runs above it", PANEL, names=False)]
 
 
