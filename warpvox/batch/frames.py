@@ -325,16 +325,14 @@ class _PackTables:
         return np.stack([pack, spring, point, end[node, n], lanes], axis=1)
 
     def _voxels(self) -> None:
-        corner, pushed = self._table("voxels", 4), self._table("voxels", 4)
-        sides, grid = self._table("voxels", 4), self._table("voxels", 2)
+        corner, sides, grid = self._table("voxels", 4), self._table("voxels", 4), self._table("voxels", 2)
         body, robot, fixed_voxel = self._table("voxels"), self._table("voxels"), self._table("voxels")
         pack = np.arange(self.packs)[:, None, None]
         limits = []
         for number, (mesh, points, voxels) in enumerate(zip(self.meshes, self.points, self.voxels, strict=True)):
             corners = points.row[pack, mesh.corner]
             voxels.put(corner, corners)
-            sides_of = pack_bits(mesh.side)
-            voxels.put(sides, sides_of)
+            voxels.put(sides, pack_bits(mesh.side))
             row, column = np.divmod(np.arange(corners.shape[1]), mesh.columns)
             voxels.put(grid, np.broadcast_to(np.stack([column, row], axis=-1), (self.packs, len(row), 2)))
             for table in (body, robot):
@@ -348,18 +346,17 @@ class _PackTables:
             (fixed_voxel, others["fixed_voxel"]),
         ):  # fmt: skip
             self._append(table, start, len(others["body"]), values)
-        is_active = self.active[pack, corner]
-        pushed = np.where(is_active, corner, -1)
-        movable_rows = [np.arange(int(n)) for n in start]
-        movable = [np.concatenate([own, n + others["movable"]]) for own, n in zip(movable_rows, start, strict=True)]
-        self.arrays["movables"] = np.array([len(rows) for rows in movable], np.int32)
-        table = self._table("movables")
-        for row, values in zip(table, movable, strict=True):
-            row[: len(values)] = values
+        pushed = np.where(self.active[pack, corner], corner, -1)
+        count = len(others["movable"])
+        self.arrays["movables"] = (start + count).astype(np.int32)
+        movable = self._table("movables")
+        row = np.arange(movable.shape[1])
+        movable[:] = np.where(row < start[:, None], row, 0)
+        self._append(movable, start, count, start[:, None] + others["movable"])
         folds = np.stack(limits, axis=1) if limits else np.zeros((self.packs, 1, self.lanes))
         self.arrays |= dict(
             corner=corner, pushed=pushed, side_lanes=sides, grid=grid, body=body, robot=robot, fixed_voxel=fixed_voxel,
-            movable=table, fold_limit=folds.astype(np.int32), robots=np.full(self.packs, robots, np.int32),
+            movable=movable, fold_limit=folds.astype(np.int32), robots=np.full(self.packs, robots, np.int32),
         )  # fmt: skip
 
     def _objects(self) -> None:
