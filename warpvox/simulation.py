@@ -408,8 +408,7 @@ class Simulation(Sensing):
             else:
                 view[place] = values[env, column]
         reset_stage.launch_follow(self._state)
-        self._views["drift"].fill_(STALE)
-        self._centres_are_new = False
+        self.invalidate()
 
     def set_worlds(self, worlds: Sequence[World], mask: torch.Tensor) -> None:
         """Replace the worlds of environments by worlds that differ in the bodies of robots alone, and reset them.

@@ -128,22 +128,18 @@ def array_sizes(
 def put_tables(state: Buffers, tables: dict[str, np.ndarray], meshes: np.ndarray | None = None) -> None:
     """Copy tables into the Model, those of ``meshes`` or all."""
     for name in MODEL.keys() & tables.keys():
-        values = tables[name]
-        _fill(state, name, values, meshes)
+        _fill(state, name, tables[name], meshes)
 
 
 def _fill(state: Buffers, name: str, values: np.ndarray, rows: np.ndarray | None = None) -> None:
     """Copy values into the beginning of every axis of an array, or of some of its rows."""
     if not values.size:
         return
-    array = state.arrays[name]
-    view = wp.to_torch(array)
+    view = wp.to_torch(state.arrays[name])
     given = torch.from_numpy(np.ascontiguousarray(values)).to(view.device, view.dtype)
     place = tuple(slice(n) for n in given.shape[1:])
-    if rows is None:
-        view[(slice(len(given)), *place)] = given
-    else:
-        view[(torch.as_tensor(rows, device=view.device), *place)] = given
+    chosen = slice(len(given)) if rows is None else torch.as_tensor(rows, device=view.device)
+    view[(chosen, *place)] = given
 
 
 def _set_constants(state: Buffers, physics: Physics) -> None:
