@@ -92,10 +92,7 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
         for name, array in arrays.items():
             setattr(struct, name, array)
     _set_constants(state, batch.physics)
-    _fill(state, "pack_mesh", which.astype(np.int32))
-    for name, values in frames.items():
-        _fill(state, name, values)
-    put_tables(state, tables)
+    put_tables(state, frames | tables | {"pack_mesh": which.astype(np.int32)})
     # Lanes without an environment hold a body at rest, frozen.
     rest_pos = wp.to_torch(model["rest_pos"])[torch.as_tensor(which, device=device)]
     wp.to_torch(data["pos"]).copy_(rest_pos)
@@ -125,21 +122,16 @@ def array_sizes(
     return sizes | _capacities(sizes["voxel"], sizes["movable"], width, batch.layout == "group")
 
 
-def put_tables(state: Buffers, tables: dict[str, np.ndarray], meshes: np.ndarray | None = None) -> None:
-    """Copy tables into the Model, those of ``meshes`` or all."""
+def put_tables(state: Buffers, tables: dict[str, np.ndarray], rows: np.ndarray | None = None) -> None:
+    """Copy tables into the beginning of every axis of the Model's arrays, or of some of their ``rows``."""
     for name in MODEL.keys() & tables.keys():
-        _fill(state, name, tables[name], meshes)
-
-
-def _fill(state: Buffers, name: str, values: np.ndarray, rows: np.ndarray | None = None) -> None:
-    """Copy values into the beginning of every axis of an array, or of some of its rows."""
-    if not values.size:
-        return
-    view = wp.to_torch(state.arrays[name])
-    given = torch.from_numpy(np.ascontiguousarray(values)).to(view.device, view.dtype)
-    place = tuple(slice(n) for n in given.shape[1:])
-    chosen = slice(len(given)) if rows is None else torch.as_tensor(rows, device=view.device)
-    view[(chosen, *place)] = given
+        if not tables[name].size:
+            continue
+        view = wp.to_torch(state.arrays[name])
+        given = torch.from_numpy(np.ascontiguousarray(tables[name])).to(view.device, view.dtype)
+        place = tuple(slice(n) for n in given.shape[1:])
+        chosen = slice(len(given)) if rows is None else torch.as_tensor(rows, device=view.device)
+        view[(chosen, *place)] = given
 
 
 def _set_constants(state: Buffers, physics: Physics) -> None:
