@@ -74,6 +74,18 @@ def test_tasks_of_ones_own_are_shown(warpvox: Callable, tmp_path: Path) -> None:
     assert "reward   0.5 speed(name=robot)" in detail  # a term that says nothing about itself
 
 
+def test_each_robot_of_a_task_is_shown_with_its_own_body(warpvox: Callable) -> None:
+    Path("mine.py").write_text(
+        "from dataclasses import replace\nfrom warpvox.envs.registry import get_task\n"
+        "from warpvox.envs.worlds import block\nground = (block('ground', 30, 1),)\n"
+        "TWO = replace(get_task('Walker-v0'), id='Two-v0', objects=ground, partners={'mate': (20, 1)})\n"
+    )
+    shown = warpvox("tasks", "mine.py:TWO", "design={robot:[[3,3]],mate:[[4],[1]]}").out
+    assert "6 points of robot: [[3, 3]], 6 points of mate: [[4], [1]]" in " ".join(shown.split())
+    top, bottom = shown.splitlines()[-3:-1]
+    assert (top[20], bottom[1:3], bottom[20]) == ("|", "--", "#")
+
+
 def screen(world: World, width: int = 200, colour: bool = True) -> Console:
     """A console that remembers what it shows."""
     console = Console(

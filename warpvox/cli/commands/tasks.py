@@ -70,16 +70,15 @@ def _layout(task: Any, points: dict[str, int]) -> Iterator[tuple[int, int, str, 
 
 
 def _print_task(name: str, config: TasksConfig, console: Console) -> None:
-    from warpvox.design import load_design
     from warpvox.envs.registry import get_task
-    from warpvox.envs.worlds import task_world
+    from warpvox.envs.worlds import load_worlds
     from warpvox.view.body_picture import draw_world, scene_of_world
     from warpvox.view.cell_text import print_world
     from warpvox.view.painter import save_png
 
     whole = get_task(name)
     task = whole.under(config.rules)
-    world = task_world(task, load_design(config.design))
+    world = load_worlds(task, [config.design], None)[1][0]
     scene, _ = scene_of_world(world)
     points = {obj.name: obj.num_points for obj in scene.objects}
     section = f"paper section {task.section}, " if task.section else ""
@@ -140,12 +139,13 @@ def _ends(task: Any) -> Iterator[str]:
     yield f"the robot folds into itself: {task.unstable_penalty:+g}"
 
 
-def _print_observation(task: Any, design: str, points: dict[str, int], console: Console) -> None:
+def _print_observation(task: Any, design: Any, points: dict[str, int], console: Console) -> None:
     from warpvox.envs.about import UNITS
+    from warpvox.envs.worlds import task_team
 
-    robots = ", ".join(f"{points[name]} points of {name}" for name in task.robots)
+    robots = ", ".join(f"{points[name]} points of {name}: {body}" for name, body in task_team(task, design).items())
     rows = list(_layout(task, points))
-    title = literal(f"observation: {rows[-1][1]} numbers ({robots}, design={design})")
+    title = literal(f"observation: {rows[-1][1]} numbers ({robots})")
     table = Table(title=title, title_justify="left")
     for heading in ("entries", "what", "unit", "values"):
         table.add_column(heading, justify="right" if heading == "entries" else "left", overflow="fold")
