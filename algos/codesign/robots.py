@@ -118,9 +118,9 @@ def trained(archive: Archive) -> list[Record]:
 
 def _of_run(path: Path) -> Iterator[Robot]:
     run = find_run(str(path), "")
-    if run.is_many or run.config.get("obs", "task") != "task":
+    if run.is_many or run.config.get("obs", "task") != "task" or isinstance(run.config["design"], dict):
         raise RunError(
-            f"{path}: the zoo has robots with a body of their own that observe what the task has (obs=task)."
+            f"{path}: the zoo has single robots with their own body that observe what the task has (obs=task)."
         )
     yield _robot(run.config["task"], check_design(run.config["design"]), run.find_checkpoint("best"), _of_training(run))
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from omegaconf import OmegaConf
 
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.codesign.archive import Archive, Finished
@@ -80,6 +81,10 @@ def test_a_run_becomes_an_entry_and_only_a_better_one_replaces_it(warpvox: Calla
     warpvox("zoo", f"add=[empty,{run}]", "folder=other", fails="1 of 2 could not be added")
     assert Path("other/Walker-v0.npz").is_file()
     warpvox("zoo", "add=nowhere", "folder=other", fails="There is no design search")
+    config = OmegaConf.load(run / "config.yaml")
+    config.design = {"robot": config.design, "mate": config.design}
+    (run / "config.yaml").write_text(OmegaConf.to_yaml(config) + "...\n")
+    warpvox("zoo", f"add={run}", "folder=other", fails="the zoo has single robots")
     warpvox("evaluate", "zoo=[mine/Walker-v0.npz]")
     assert summary("evaluate/*/*/summary.json")["mean_return"] == pytest.approx(robot.mean_return, abs=1e-9)
 
