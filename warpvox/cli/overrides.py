@@ -25,6 +25,8 @@ RENAMED = {"finalists": "evaluation.finalists", "pretrained": "evaluation.pretra
 FILES = {"export": "format", "format": "export"}
 """Names of one list: what a command writes beside its results, and what ``export`` itself writes."""
 SWEEP = "add --multirun to run them one after another"
+MOST_RUNS = 10_000
+"""Runs of a sweep, all of which are checked before the first begins."""
 QUOTED = re.compile(r"""'(\\.|[^'\\])*'|"(\\.|[^"\\])*\"""", re.DOTALL)
 
 
@@ -47,11 +49,19 @@ def read_overrides(command: str, words: list[str], sweeps: bool = False, instead
 
 def expand(overrides: Iterable[Override]) -> list[list[str]]:
     """The overrides of each run: one list for each combination of the values that are listed."""
-    texts = []
+    texts, runs = [], 1
     for override in overrides:
         if override.is_interval_sweep():
             raise ConfigError(f"'{override.input_line}': an interval has no end; use range(...) or choice(...).")
-        values = override.sweep_string_iterator() if override.is_sweep_override() else [override.get_value_string()]
+        try:
+            found = override.sweep_string_iterator() if override.is_sweep_override() else [override.get_value_string()]
+            values = list(itertools.islice(found, MOST_RUNS + 1))
+        except ValueError:  # a range of steps of 0
+            values = []
+        runs *= len(values)
+        if not 0 < runs <= MOST_RUNS:
+            many = "too many" if runs else "no"
+            raise ConfigError(f"'{override.input_line:.200}' makes {many} runs: expected 1 to {MOST_RUNS:,} in all.")
         texts.append([f"{override.get_key_element()}={value}" for value in values])
     return [list(run) for run in itertools.product(*texts)]
 
