@@ -57,6 +57,8 @@ def _prepare(typed: list[str], config: SuiteConfig, overrides: list[str], config
     if {"evaluations", "control_steps"} <= named:
         raise ConfigError("evaluations and control_steps are both a budget: give one of them.")
     if config.report is not None:
+        if others := [*sorted(named - {"report", "output_dir"}), *(word.partition("=")[0] for word in typed)]:
+            raise ConfigError(f"{listing(others)} cannot change a report: output_dir alone goes with report.")
         return Job(config)
     if config.resume is not None:
         job = _resumed(config, typed, overrides, config_dir)
