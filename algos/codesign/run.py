@@ -153,7 +153,9 @@ def run_codesign(
             known_settings = archive.settings if archive else {}
         settings = dataclasses.replace(settings, batch=_batch(settings, executor, known_settings))
         written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), known_settings)
-        kept = _kept(written)
+        kept = {name: value for name, value in dataclasses.asdict(written).items() if name not in CHANGEABLE}
+        kept["training"].pop("save_interval")
+        kept = json.loads(json.dumps(kept))  # as an archive has it
         if resumed:
             _check_same(known_settings, kept, resumed)
         folder = opened.enter_context(run_folder(resumed, written, "codesign", to_yaml(written), place, BEFORE))
@@ -210,6 +212,8 @@ def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[
             listener.begun(run)
             begun.append(listener)
         loop.run()
+        # before it is done: a suite leaves alone what is
+        run.results.fresh = evaluate_winner(run.results.folder, settings)
         status = "done"
     except KeyboardInterrupt:
         status = "interrupted"
@@ -219,20 +223,10 @@ def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[
             # a search that has failed may have failed because nothing can be written; that is the error to report
             with suppress(StorageError, RunError) if status == "failed" else nullcontext():
                 summary = run.results.write(status)
-                if status == "done" and (fresh := evaluate_winner(run.results.folder, settings)):
-                    run.results.fresh = fresh
-                    summary = run.results.write(status)
         finally:
             for listener in begun:
                 listener.ended(summary)
     return summary
-
-
-def _kept(settings: Codesign) -> dict[str, Any]:
-    """The settings that results follow from, as an archive has them."""
-    values = {name: value for name, value in dataclasses.asdict(settings).items() if name not in CHANGEABLE}
-    values["training"].pop("save_interval")
-    return json.loads(json.dumps(values))
 
 
 def _check_same(known: Mapping[str, Any], values: Mapping[str, Any], folder: Path, prefix: str = "") -> None:

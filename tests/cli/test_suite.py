@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import parallel
 import pytest
@@ -35,6 +36,7 @@ from warpvox.cli.config import load
 from warpvox.cli.suite_plan import BENCHMARK10, merged, plan, task_names
 from warpvox.envs.registry import task_ids
 from warpvox.errors import DivergenceError, StorageError, WarpvoxError
+from warpvox.runs import read_summary
 
 SIZES = "tasks=[Walker-v0,Thrower-v0]", "searches=[ga]", "seeds=2", "evaluations=8", "search.population=5"
 MEMBER_KEYS = [(task, "ga", seed) for seed in (0, 1) for task in ("Walker-v0", "Thrower-v0")]
@@ -340,6 +342,19 @@ def test_a_member_that_others_end_is_no_failure(quick: Callable, monkeypatch: py
     assert "1 of 4 members were asked to end" in quick(code=2).err
     (folder,) = Path("outputs/suite").iterdir()
     assert states(folder) == ["done", "done", "waiting", "done"]
+
+
+def test_members_that_are_ended_while_their_winner_is_judged_judge_it_when_they_go_on(
+    quick: Callable, monkeypatch
+) -> None:
+    judged = {"mean": 1.5, "low": 1.0, "high": 2.0, "episodes": 64, "seed": 1000}
+    with monkeypatch.context() as patched:
+        patched.setattr(search_run, "evaluate_winner", Mock(side_effect=Terminated()))
+        quick(code=2)
+    monkeypatch.setattr(search_run, "evaluate_winner", lambda *_: judged)
+    quick("resume=latest")
+    (folder,) = Path("outputs/suite").iterdir()
+    assert [read_summary(folder / row["folder"]).get("fresh_seeds") for row in table(folder)] == [judged] * 4
 
 
 def test_report_again(quick: Callable) -> None:

@@ -132,7 +132,7 @@ def test_who_has_heard_the_beginning_of_a_search_hears_its_end(tmp_path: Path, m
 
     assert heard(ValueError, Deaf(), Ear()) == ["ended failed", "", ""]
     for where, error, end in (
-        ("evaluate_winner", KeyboardInterrupt, "ended done"),
+        ("evaluate_winner", KeyboardInterrupt, "ended interrupted"),
         ("Results.write", wv.StorageError, "ended None"),
     ):
         monkeypatch.setattr(f"warpvox.algos.codesign.run.{where}", Mock(side_effect=error("no")))
