@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any, Protocol, cast
 
 from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Listener, Outcome, Parent, Parents, Search
-from warpvox.algos.codesign.archive import Archive, Finished, Record, body_text
+from warpvox.algos.codesign.archive import Archive, Finished, body_text, repair_hint
 from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
-from warpvox.errors import DivergenceError, RunError
+from warpvox.errors import DivergenceError, RunError, SearchError
 
 
 @dataclass
@@ -64,7 +64,14 @@ class Loop:
             while asked := self.search.ask():
                 known = self.archive.records(self.generation)
                 if known:
-                    _check_same(asked, known)
+                    several = asked, [record.candidate for record in known]
+                    now, before = ([(c.id, body_text(c.body), tuple(c.parents), c.origin) for c in s] for s in several)
+                    if now != before:
+                        raise RunError(
+                            f"The search now proposes other designs for generation {self.generation} than the archive"
+                            " holds: it was made by another version of warpvox or of the library that the search uses,"
+                            f" or its rows were changed.{repair_hint(self.archive.path)}"
+                        )
                 else:
                     for one in asked:
                         if one.generation != (now := self.generation):
@@ -91,7 +98,10 @@ class Loop:
             ([one.candidate for one in records], [cast(float, one.fitness) for one in records]) for records in known
         ]
         if history:
-            self.search.replay(history)
+            try:
+                self.search.replay(history)
+            except SearchError as error:
+                raise SearchError(f"{error}{repair_hint(self.archive.path)}") from None
         for self.generation in range(len(history)):
             self._tell("told", self.generation, False)
         self.generation = len(history)
@@ -189,17 +199,6 @@ class Loop:
             # of its own generation a search that is resumed would know more policies than one that was not interrupted
             if record.policy is not None and record.candidate.generation < self.generation
         }
-
-
-def _check_same(asked: Sequence[Candidate], known: Sequence[Record]) -> None:
-    """Raise RunError unless the search repeats its earlier proposals."""
-    several = asked, [record.candidate for record in known]
-    now, before = ([(one.id, body_text(one.body), tuple(one.parents), one.origin) for one in each] for each in several)
-    if now != before:
-        raise RunError(
-            f"The search now proposes other designs for generation {known[0].candidate.generation} than the archive"
-            " holds: it was made by another version of warpvox or of the library that the search uses."
-        )
 
 
 Report = Callable[[int, dict[str, Any]], None]

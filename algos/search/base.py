@@ -70,7 +70,13 @@ class BaseSearch(ABC):
 
     def __init__(self, settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
         self.settings, self.shape, self.seed = settings, check_shape("shape", shape), check_integer("seed", seed, 0)
-        _check_room(self.shape, settings.max_evaluations)
+        (rows, columns), most = self.shape, settings.max_evaluations
+        # a search that has to find nearly every body there is would spend its time on drawing known ones
+        if rows * columns <= FEW_CELLS and (bodies := count_valid(self.shape)) < 2 * most:
+            raise ConfigError(
+                f"There are only {bodies} valid bodies of {rows}x{columns}: a search with max_evaluations={most} needs"
+                f" at least twice as many bodies. Use a larger shape or max_evaluations={bodies // 2} at most."
+            )
         self.generation = 0
         self.bodies: list[np.ndarray] = []
         self.fitness: list[float] = []
@@ -220,7 +226,13 @@ class BaseSearch(ABC):
 
     def recall(self, candidates: Sequence[Candidate]) -> None:
         """Propose these candidates again. Where proposing is costly, a subclass calls :meth:`adopt`."""
-        _check_same(candidates, self.ask())
+        again = self.ask()
+        if [(one.id, one.body.tolist()) for one in candidates] != [(one.id, one.body.tolist()) for one in again]:
+            raise SearchError(
+                f"The history is not of this search: generation {again[0].generation if again else 'the last'} holds"
+                " other designs than these settings and this seed propose. It comes from other settings, another seed"
+                " or another version, or was changed."
+            )
 
     def adopt(self, candidates: Sequence[Candidate]) -> None:
         """Take these candidates as proposed.
@@ -268,26 +280,3 @@ class RandomSearch(BaseSearch):
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
         """``count`` random bodies."""
         return [self.random_proposal(rng) for _ in range(count)]
-
-
-def _check_same(told: Sequence[Candidate], asked: Sequence[Candidate]) -> None:
-    known, again = ([(one.id, one.body.tolist()) for one in several] for several in (told, asked))
-    if known != again:
-        generation = asked[0].generation if asked else "the last"
-        raise SearchError(
-            f"The history is not of this search: generation {generation} holds other designs than these settings and"
-            " this seed propose. It comes from other settings, another seed or another version."
-        )
-
-
-def _check_room(shape: tuple[int, int], evaluations: int) -> None:
-    if shape[0] * shape[1] > FEW_CELLS:
-        return
-    # a search that has to find nearly every body there is would spend its time on drawing known ones
-    bodies = count_valid(shape)
-    if bodies < 2 * evaluations:
-        raise ConfigError(
-            f"There are only {bodies} valid bodies of {shape[0]}x{shape[1]}: a search with"
-            f" max_evaluations={evaluations} needs at least twice as many bodies. Use a larger shape or"
-            f" max_evaluations={bodies // 2} at most."
-        )

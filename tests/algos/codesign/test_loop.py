@@ -2,8 +2,11 @@
 
 import math
 import os
+import shutil
 import signal
+import sqlite3
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +15,11 @@ import pytest
 from codesign_toys import GENERATIONS, POPULATION, SEED, ToyEvaluator, ToySearch, make_loop
 
 from warpvox.algos.candidate import Candidate, Listener, Outcome, Parent
-from warpvox.algos.codesign.archive import FILE, Archive
+from warpvox.algos.codesign.archive import BACKUP, FILE, Archive
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.report import report_page
 from warpvox.algos.search import BO, GA, CppnNeat, MapElites, RandomDesigns, make_search
-from warpvox.errors import DivergenceError, RunError, StorageError
+from warpvox.errors import DivergenceError, RunError, StorageError, WarpvoxError
 
 
 def test_equal_bodies_are_trained_once(tmp_path: Path) -> None:
@@ -157,6 +160,28 @@ def test_another_search_is_refused_in_its_first_generation(tmp_path: Path) -> No
     loop.archive.close()
     with pytest.raises(RunError, match="other designs for generation 0"):
         make_loop(tmp_path, search=ToySearch(seed=SEED + 1)).run()
+
+
+@pytest.mark.parametrize("gone", ["id >= 4 AND generation = 0", "id = 29"])
+def test_where_rows_were_deleted_the_backup_is_named(tmp_path: Path, gone: str) -> None:
+    def search() -> Any:
+        return make_search(RandomDesigns(population=6, max_evaluations=30), (3, 3), SEED)
+
+    loop = make_loop(tmp_path, search=search())
+    loop.run()
+    digest = loop.archive.digest()
+    loop.archive.close()
+    with closing(sqlite3.connect(tmp_path / FILE)) as db, db:
+        for table, number in (("curves", "candidate"), ("parents", "child"), ("candidates", "id")):
+            db.execute(f"DELETE FROM {table} WHERE {number} IN (SELECT id FROM candidates WHERE {gone})")
+    damaged = make_loop(tmp_path, search=search())
+    with pytest.raises(WarpvoxError, match=f"{BACKUP} beside it .* copy it over {FILE}"):
+        damaged.run()
+    damaged.archive.close()
+    shutil.copy(tmp_path / BACKUP, tmp_path / FILE)
+    loop = make_loop(tmp_path, search=search())
+    loop.run()
+    assert loop.archive.digest() == digest
 
 
 def test_wrong_answers_of_search_and_evaluator_are_refused(tmp_path: Path) -> None:
