@@ -173,3 +173,5 @@ def test_one_report_of_several_searches(warpvox: Callable) -> None:
     (page,) = Path("outputs/report/several").glob("*/report.html")
     assert len((page.parent / "results.csv").read_text().splitlines()) == 1 + 3
     warpvox("codesign", "report=nowhere", fails="There is no design search at nowhere")
+    for word in ("export=[json]", "top=3"):
+        warpvox("codesign", "report=suite", word, fails="export and top go with the report of one search")
