@@ -104,11 +104,6 @@ def actions_of(outputs: torch.Tensor, scale: float) -> torch.Tensor:
     return (ACTION_CENTER + scale * outputs).clamp(ACTION_LOW, ACTION_HIGH)
 
 
-def rnn_of(settings: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Entry ``rnn`` of a specification, of the settings that rsl-rl makes an actor by."""
-    return None if settings["class_name"] is not RNNModel else {name: settings.get(name, RNN[name]) for name in RNN}
-
-
 def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
     """Write tensors, numbers, texts, lists and dictionaries of them to ``path``, atomically."""
     # By way of memory: of a full disk torch's own writer says neither what has happened nor where.

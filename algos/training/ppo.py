@@ -12,9 +12,11 @@ from rsl_rl.modules import EmpiricalDiscountedVariationNormalization
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
+from warpvox.algos.checkpoints.files import RNN, WIDEST
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.policies.network import LATENT, Gaussian, Network
 from warpvox.algos.settings import Ppo
+from warpvox.checks import check_choice, check_integer
 from warpvox.code import load_code
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.errors import ConfigError, did_you_mean, listing
@@ -167,6 +169,10 @@ def rsl_rl_config(
         if voxels is not None:
             raise ConfigError("ppo.rnn goes with policy=mlp: policies for voxels are not recurrent.")
         network |= {"class_name": RNNModel, **_checked("rnn", ppo.rnn, RNNModel, MLP_SETTINGS)}
+        sizes = RNN | ppo.rnn
+        check_choice("ppo.rnn.rnn_type", sizes.pop("rnn_type"), ("lstm", "gru"))  # rsl-rl takes all else for lstm
+        for name, size in sizes.items():
+            check_integer(f"ppo.rnn.{name}", size, 1, WIDEST)
     network["obs_normalization"] = ppo.normalize_obs
     settings = {theirs: getattr(ppo, ours) for theirs, ours in SETTINGS.items()}
     extra = _checked("extra", ppo.extra or {}, RslRlPPO, [*settings, *GIVEN])

@@ -17,10 +17,10 @@ from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils.logger import Logger
 
 from warpvox.algos.checkpoints.files import (
+    RNN,
     Controller,
     check_fits,
     load_checkpoint,
-    rnn_of,
     save_checkpoint,
     spec_dict,
     spec_for,
@@ -149,7 +149,7 @@ class Runner(OnPolicyRunner):
                 raise
             raise ConfigError(f"ppo.rnn or ppo.extra is not what rsl-rl takes: {error}") from error
         self.logger, self._writer = _Rollout(bodies), logger
-        kind = {"voxels": None if voxels is None else dict(voxels), "rnn": rnn_of(config["actor"])}
+        kind = {"voxels": None if voxels is None else dict(voxels), "rnn": None if ppo.rnn is None else RNN | ppo.rnn}
         self.spec = spec_for(ppo, env.get_observations()["policy"].shape[1], env.num_actions, **kind)
         self.current_learning_iteration, self.saved_iteration, self.elapsed = 0, None, 0.0
         self.best_return, self.best_iteration, self.last_return = -math.inf, 0, math.nan

@@ -145,6 +145,14 @@ def test_symmetric_samples_are_learned_from(tmp_path: Path) -> None:
     [
         ({"rnn": {"rnn_typ": "gru"}}, "Did you mean 'rnn_type'"),
         ({"rnn": GRU, "steps": 1}, "ppo.steps of 2 or more, got 1"),
+        (
+            {"rnn": GRU | {"rnn_type": "GRU"}},
+            "ppo.rnn.rnn_type must be one of lstm, gru, got 'GRU'. Did you mean 'gru'",
+        ),
+        (
+            {"rnn": GRU | {"rnn_num_layers": True}},
+            "ppo.rnn.rnn_num_layers must be an integer from 1 to 65536, got True",
+        ),
         ({"rnn": 3}, "ppo.rnn must be settings by name"),
         ({"extra": {"rnd_confg": {}}}, "Did you mean 'rnd_cfg'"),
         ({"extra": {"gamma": 0.9}}, "ppo.extra has the settings"),
