@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from warpvox.design import example_design, full_connections
 from warpvox.envs.adapters.gym_vector import VoxelGymVectorEnv
-from warpvox.errors import ConfigError, SimulationError
+from warpvox.errors import ConfigError, RolloutError, SimulationError
 
 SAME = 1e-9  # batches sum in another order than single environments; a few steps later that is all there is
 
@@ -105,6 +105,12 @@ def test_pictures_of_all() -> None:
     silent = make(num_envs=2, body="walker")
     with pytest.warns(UserWarning, match="without render_mode"):
         assert silent.render() is None
+
+
+@pytest.mark.parametrize("size", [("a", 30), 30, (float("nan"), 30), (100_000, 100_000), (15, 30)])
+def test_pictures_of_a_size_that_cannot_be_drawn_are_refused_in_one_line(size: object) -> None:
+    with pytest.raises(RolloutError, match="in pixels|in 16 to 8192 pixels"):
+        make(render_mode="rgb_array", render_size=size).render()
 
 
 def test_connections_are_those_of_the_one_body() -> None:

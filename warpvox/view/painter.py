@@ -28,6 +28,7 @@ BEYOND, BEYOND_INK = (226, 230, 236), (120, 128, 140)
 GROUND, GROUND_LINE, GROUND_EDGE = (74, 80, 92), (86, 93, 106), (40, 44, 52)
 INK, PALE_INK = (28, 30, 36), (98, 100, 108)
 LARGEST_SPRITE = 5e7  # pixels of terrain that are painted beforehand
+MAX_PIXELS = 8192
 SMOOTH = 4  # pictures of moving objects are painted this many times larger
 VIEW = 12.0  # voxels from the bottom to the top of a picture, if the robot is not higher than half of that
 BELOW = 1.25  # voxels that the camera shows below and beside the world
@@ -294,6 +295,17 @@ def _number(image: Image.Image, rows: np.ndarray, columns: np.ndarray, scale: in
             draw.text((k * scale, y), str(column), fill=BEYOND_INK, font=font(size), anchor="mm")
 
 
+def check_size(size: tuple[int, int]) -> tuple[int, int]:
+    """``size`` of a picture as integers; RolloutError: it cannot be drawn."""
+    try:
+        width, height = (int(value) for value in size)
+    except (TypeError, ValueError, OverflowError):
+        raise RolloutError(f"A size is (width, height) in pixels, got {size!r}.") from None
+    if not (16 <= width <= MAX_PIXELS and 16 <= height <= MAX_PIXELS):
+        raise RolloutError(f"Width and height must lie in 16 to {MAX_PIXELS} pixels, got {width} x {height}.")
+    return width, height
+
+
 class LiveView:
     """Looks at environments of a simulation; each picture depends on the present state alone.
 
@@ -302,13 +314,11 @@ class LiveView:
         size: width and height of a picture in pixels.
 
     Raises:
-        RolloutError: a size of less than 16 pixels.
+        RolloutError: a size that cannot be drawn.
     """
 
     def __init__(self, sim: Any, size: tuple[int, int] = (640, 360)) -> None:
-        self.size = (int(size[0]), int(size[1]))
-        if min(self.size) < 16:
-            raise RolloutError(f"A picture must be at least 16 pixels wide and high, got {size}.")
+        self.size = check_size(size)
         scenes, self._positions = scenes_of(sim)
         self._design = sim.design_index.tolist()
         self._canvases = [Canvas(scene, self.size, fitting_scale(scene, self.size)) for scene in scenes]

@@ -18,7 +18,7 @@ from warpvox.io.console import escaped
 from warpvox.io.writing import atomic_path
 from warpvox.types import FRAME_SECONDS, VOXEL
 from warpvox.view.gif import write_pictures
-from warpvox.view.painter import INK, Painter, font, save_png
+from warpvox.view.painter import INK, Painter, check_size, font, save_png
 from warpvox.view.rollout import Rollout
 
 SIZE = (640, 360)
@@ -28,7 +28,6 @@ FAINT = (112, 118, 130)
 GIF_COLOURS = 255  # one of a GIF's 256 is left for "as before", which makes its frames small
 MOST_OF_GIF = 10_000
 """Pictures of a GIF; those who show one keep all of them in memory."""
-MAX_PIXELS = 8192
 
 
 class Film:
@@ -54,7 +53,7 @@ class Film:
         voxels: float | None = None,
     ) -> None:
         self.rollout, self.hud = rollout, hud
-        self.size = _check_size(size)
+        self.size = check_size(size)
         self.envs = rollout.check_envs(envs)[: 16 if envs is None else None]
         if voxels is not None and not 1 <= voxels <= 1000:
             raise RolloutError(f"voxels must be a number from 1 to 1000, got {voxels!r}.")
@@ -170,7 +169,7 @@ def write_filmstrip(
     Raises:
         RolloutError: no such frame or environment, or a size that cannot be drawn.
     """
-    width, height = _check_size(size)
+    width, height = check_size(size)
     rollout.check_envs([env])
     if is_integer(frames):
         if not 1 <= frames <= 64:
@@ -183,7 +182,7 @@ def write_filmstrip(
     each = (width - MARGIN * (len(chosen) - 1)) // len(chosen)
     # The robot fills a good part of a picture, and what it stands on shows.
     tall = float(np.ptp(rollout.positions[0, env, rollout.scene(env).robot_points, 1])) / VOXEL
-    painter = Painter(rollout, env, _check_size((each, height)), voxels or max(6.5, 2.1 * tall))
+    painter = Painter(rollout, env, check_size((each, height)), voxels or max(6.5, 2.1 * tall))
     strip, letters = Image.new("RGB", (width, height), PAPER), font(max(9, height // 14))
     for number, frame in enumerate(chosen):
         tile = painter.frame(frame)
@@ -298,7 +297,7 @@ def check_mp4(size: tuple[int, int]) -> None:
         raise RolloutError(
             "MP4 needs imageio-ffmpeg, which is not installed: pip install 'warpvox[view]', or write a GIF."
         )
-    width, height = _check_size(size)
+    width, height = check_size(size)
     if width % 2 or height % 2:
         raise RolloutError(f"The width and the height of an MP4 must be even, got {width} x {height}.")
 
@@ -350,13 +349,3 @@ def _layout(count: int, size: tuple[int, int]) -> tuple[int, tuple[int, int]]:
 
     best = max(range(1, count + 1), key=lambda columns: min(tile(columns)[0] / 16, tile(columns)[1] / 9))
     return best, tile(best)
-
-
-def _check_size(size: tuple[int, int]) -> tuple[int, int]:
-    try:
-        width, height = (int(value) for value in size)
-    except (TypeError, ValueError, OverflowError):
-        raise RolloutError(f"A size is (width, height) in pixels, got {size!r}.") from None
-    if not (16 <= width <= MAX_PIXELS and 16 <= height <= MAX_PIXELS):
-        raise RolloutError(f"Width and height must lie in 16 to {MAX_PIXELS} pixels, got {width} x {height}.")
-    return width, height
