@@ -48,7 +48,7 @@ class Adapter:
 
     def _pictures(self) -> Sequence[np.ndarray]:
         """A picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
-        if self._view is None:
+        if self._view is None or self._view.worlds is not self.vec.sim.world_numbers:  # bodies have been exchanged
             from warpvox.view.painter import LiveView
 
             self._view = LiveView(self.vec.sim, self.render_size)

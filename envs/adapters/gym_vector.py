@@ -112,7 +112,6 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
         fresh = self.vec.set_designs(designs, mask, connections).cpu().numpy()
         self._obs = np.where(np.asarray(mask)[:, None], fresh, self._obs)
         self._ended = self._ended & ~np.asarray(mask)
-        self._view = None  # it has drawn the old bodies
         return self._obs.copy()
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:

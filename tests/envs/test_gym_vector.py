@@ -109,7 +109,7 @@ def test_pictures_of_all() -> None:
 
 @pytest.mark.parametrize("size", [("a", 30), 30, (float("nan"), 30), (100_000, 100_000), (15, 30)])
 def test_pictures_of_a_size_that_cannot_be_drawn_are_refused_in_one_line(size: object) -> None:
-    with pytest.raises(RolloutError, match="in pixels|in 16 to 8192 pixels"):
+    with pytest.raises(RolloutError, match=r"in pixels|in 16 to 8192 pixels"):
         make(render_mode="rgb_array", render_size=size).render()
 
 
@@ -160,6 +160,15 @@ def test_bodies_are_exchanged_in_the_running_batch(mode: AutoresetMode) -> None:
     assert not env.step(actions)[3].any()
     with pytest.raises(SimulationError, match="grid"):
         make(body=first, dtype="float32").set_designs(second, mask)
+
+
+def test_pictures_show_bodies_that_were_exchanged_in_the_environments_themselves() -> None:
+    first, second = example_design("mini"), np.array([[3, 4], [1, 2], [4, 3]], dtype=np.int8)
+    options = {"num_envs": 2, "grid": (4, 4), "dtype": "float32", "render_mode": "rgb_array"}
+    env, wanted = make(body=first, **options), make(designs=[second, first], **options)
+    env.render()
+    env.vec.set_designs(second, np.array([True, False]))
+    np.testing.assert_array_equal(env.render(), wanted.render())
 
 
 @pytest.mark.parametrize("task", ["Walker-v0", "UpStepper-v0", "Pusher-v0"])

@@ -313,12 +313,15 @@ class LiveView:
         sim: a :class:`warpvox.Simulation`.
         size: width and height of a picture in pixels.
 
+    Attributes:
+        worlds: ``world_numbers`` of the simulation, whose bodies it draws; those that are exchanged need another view.
+
     Raises:
         RolloutError: a size that cannot be drawn.
     """
 
     def __init__(self, sim: Any, size: tuple[int, int] = (640, 360)) -> None:
-        self.size = check_size(size)
+        self.size, self.worlds = check_size(size), sim.world_numbers
         scenes, self._positions = scenes_of(sim)
         self._design = sim.design_index.tolist()
         self._canvases = [Canvas(scene, self.size, fitting_scale(scene, self.size)) for scene in scenes]
