@@ -8,7 +8,7 @@ import weakref
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 import torch
@@ -118,6 +118,9 @@ class Simulation(Sensing):
         self._views["frozen"].fill_(1)  # lanes that belong to no environment stay so
         self.reset()
 
+    def __reduce_ex__(self, protocol: object) -> NoReturn:
+        raise SimulationError("A simulation cannot be copied or pickled: another's set_state() takes its state().")
+
     def step(self, actions) -> None:
         """One control step of every environment that is not frozen.
 
@@ -183,9 +186,7 @@ class Simulation(Sensing):
 
     def reset(self, mask: torch.Tensor | None = None) -> None:
         """Reset environments to time 0 and unfreeze them; ``mask``: bool ``[num_envs]``; None means all."""
-        if mask is None:
-            mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        mask = self._check_mask(mask)
+        mask = self._check_mask(torch.ones_like(self.design_index, dtype=torch.bool) if mask is None else mask)
         reset_stage.launch(self._state, wp.from_torch(mask.contiguous()))
         self._centres_are_new = False
 

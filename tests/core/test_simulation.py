@@ -1,6 +1,9 @@
 """Contracts of the simulator that hold for every body: batching, determinism, reset, freezing, physics."""
 
+import copy
 import os
+import pickle
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -165,3 +168,14 @@ def test_no_kernel_is_built_after_the_first_step(monkeypatch):
 def test_lanes_go_by_the_environments_and_the_processor(vectors, most, monkeypatch):
     monkeypatch.setattr("torch.backends.cpu.get_cpu_capability", lambda: vectors)
     assert [lanes_for(count) for count in (1, 2, 9, 17, 512)] == [1, 8, 16, most, most]
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])
+def test_copies_are_refused_with_what_to_do_instead(copied: Callable[[object], object]) -> None:
+    sim = Simulation(worlds(1), device="cpu")
+    for holder in (sim, [sim]):
+        with pytest.raises(
+            SimulationError, match=r"cannot be copied or pickled: another's set_state\(\) takes its state"
+        ):
+            copied(holder)
+    copied(sim.state())

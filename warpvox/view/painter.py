@@ -310,11 +310,8 @@ class LiveView:
     """Looks at environments of a simulation; each picture depends on the present state alone.
 
     Args:
-        sim: a :class:`warpvox.Simulation`.
+        sim: a :class:`warpvox.Simulation`; bodies other than those of ``worlds``, its world_numbers, need another view.
         size: width and height of a picture in pixels.
-
-    Attributes:
-        worlds: ``world_numbers`` of the simulation, whose bodies it draws; those that are exchanged need another view.
 
     Raises:
         RolloutError: a size that cannot be drawn.
@@ -323,14 +320,13 @@ class LiveView:
     def __init__(self, sim: Any, size: tuple[int, int] = (640, 360)) -> None:
         self.size, self.worlds = check_size(size), sim.world_numbers
         scenes, self._positions = scenes_of(sim)
-        self._design = sim.design_index.tolist()
-        self._canvases = [Canvas(scene, self.size, fitting_scale(scene, self.size)) for scene in scenes]
+        canvases = [Canvas(scene, self.size, fitting_scale(scene, self.size)) for scene in scenes]
+        self._canvases = [canvases[design] for design in sim.design_index.tolist()]
 
     def pictures(self) -> list[np.ndarray]:
         """A picture of each environment, uint8 ``[height, width, 3]``."""
         positions, pictures = self._positions().cpu().numpy(), []
-        for design, points in zip(self._design, positions, strict=True):
-            canvas = self._canvases[design]
+        for canvas, points in zip(self._canvases, positions, strict=True):
             view = (self.size[0] / canvas.scale, self.size[1] / canvas.scale)
             corner = np.rint(camera_path(canvas.scene, points[None], view)[0] * canvas.scale).astype(int)
             pictures.append(np.array(canvas.picture(points, corner)))
