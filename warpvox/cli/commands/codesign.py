@@ -119,7 +119,7 @@ def _compare(config: CodesignConfig, texts: list[str], searches: list[Path], con
 
     if not searches:
         raise RunError(f"There is no design search at {listing(texts)}: expected latest, folders or a pattern of some.")
-    if config.export or config.top != CodesignConfig().top:
+    if config.export or config.top != CodesignConfig.top:
         raise ConfigError("export and top go with the report of one search, and this is of several.")
     home = Path(texts[0]).expanduser()
     if len(texts) == 1 and home.is_dir():
