@@ -53,7 +53,7 @@ def environment_bytes(
     one = replace(sim, grid=None, lanes=lanes)
     batch = Batch({b"": largest}, [0], one, spec.randomized, sim.layout)
     room = {} if grid is None else capacities(batch.frames[0], *grid, any(is_cut(body) for body in bodies))
-    sizes = array_sizes(batch, batch.tables()[0], batch.frame_tables(), room)
+    sizes = array_sizes(batch, batch.tables()[0] | batch.frame_tables(), room)
     pack = bytes_of(DATA, sizes, sim.dtype) + (0 if grid is None else bytes_of(MODEL, sizes, sim.dtype))
     num_obs = _entries(spec, obs, sizes["point"], prod(grid or box))
     each = pack / min(batch.lanes, count) + sizes["point"] * (3 * LONG + 2)

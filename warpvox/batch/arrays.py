@@ -68,8 +68,8 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
     tables, which = batch.tables()
     if batch.grid is not None:  # any pack may come to differ from the others
         tables, which = {name: values[which] for name, values in tables.items()}, np.arange(packs)
-    frames = batch.frame_tables()
-    sizes = array_sizes(batch, tables, frames, batch.capacities())
+    tables |= batch.frame_tables()
+    sizes = array_sizes(batch, tables, batch.capacities())
     sizes["mesh"] = len(which) if batch.grid else int(which.max()) + 1
     tables.pop("actions")
     taken = None
@@ -92,7 +92,7 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
         for name, array in arrays.items():
             setattr(struct, name, array)
     _set_constants(state, batch.physics)
-    put_tables(state, frames | tables | {"pack_mesh": which.astype(np.int32)})
+    put_tables(state, tables | {"pack_mesh": which.astype(np.int32)})
     # Lanes without an environment hold a body at rest, frozen.
     rest_pos = wp.to_torch(model["rest_pos"])[torch.as_tensor(which, device=device)]
     wp.to_torch(data["pos"]).copy_(rest_pos)
@@ -100,12 +100,11 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
     return state
 
 
-def array_sizes(
-    batch: Batch, tables: dict[str, np.ndarray], frames: dict[str, np.ndarray], room: dict[str, int]
-) -> dict[str, int]:
+def array_sizes(batch: Batch, tables: dict[str, np.ndarray], room: dict[str, int]) -> dict[str, int]:
     """The shape symbols of :mod:`warpvox.kernels.state`, with one mesh for each of ``tables``.
 
     Args:
+        tables: those of all packs and of all frames.
         room: sizes that they have at least (:meth:`Batch.capacities`).
     """
     width = batch.lanes if batch.device == "cpu" else 1
@@ -114,7 +113,7 @@ def array_sizes(
     sizes |= {"point": sizes["point"] // 2, "active": sizes["active"] // 2}
     sizes |= {"action": int(tables["actions"].max(initial=0))}
     sizes |= {name: max(sizes[name], size) for name, size in room.items()}
-    sizes |= {"frame": len(frames["terrain"]), "cell": frames["terrain_side"].shape[1], "mesh": len(tables["actions"])}
+    sizes |= {"frame": len(tables["terrain"]), "cell": tables["terrain_side"].shape[1], "mesh": len(tables["actions"])}
     exact = batch.arithmetic == "exact"
     sizes["pulled"] = sizes["spring" if exact else "point"]
     sizes["hit"] = HITS + HITS_PER_VOXEL * sizes["movable"] if exact else 1

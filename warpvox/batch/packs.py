@@ -7,7 +7,7 @@ import numpy as np
 
 from warpvox.batch.frames import Frame, capacities, frame_key, is_cut
 from warpvox.batch.options import ResolvedOptions, choose_lanes
-from warpvox.compile import compile_world, exact_tables, join, world_arrays
+from warpvox.compile import compile_world, exact_tables, join
 from warpvox.contact_order import no_order
 from warpvox.errors import SimulationError
 from warpvox.world import World
@@ -235,9 +235,9 @@ class Batch:
         return spans
 
     def frame_tables(self) -> dict[str, np.ndarray]:
-        """Tables of the terrain of all frames."""
-        parts = [frame.arrays for frame in self.frames] or [world_arrays(world) for world in self.compiled]
-        return join([{name: part[name][None] for name in FRAME_TABLES} for part in parts])
+        """Tables of the terrain of all frames; in exact arithmetic :meth:`tables` of all packs has them."""
+        parts = [{name: frame.arrays[name][None] for name in FRAME_TABLES} for frame in self.frames]
+        return join(parts) if parts else {}
 
     def capacities(self) -> dict[str, int]:
         """Capacities that bodies up to ``grid`` may need; empty without one."""
