@@ -186,8 +186,7 @@ class Simulation(Sensing):
 
     def reset(self, mask: torch.Tensor | None = None) -> None:
         """Reset environments to time 0 and unfreeze them; ``mask``: bool ``[num_envs]``; None means all."""
-        mask = self._check_mask(torch.ones_like(self.design_index, dtype=torch.bool) if mask is None else mask)
-        reset_stage.launch(self._state, wp.from_torch(mask.contiguous()))
+        reset_stage.launch(self._state, wp.from_torch(self._chosen(mask).contiguous()))
         self._centres_are_new = False
 
     def shift(self, cells: torch.Tensor, mask: torch.Tensor | None = None) -> None:
@@ -199,8 +198,7 @@ class Simulation(Sensing):
             cells: integers ``[num_envs, 2]``, to the right and up, from their places in the world.
             mask: bool ``[num_envs]``, the environments to change; None means all.
         """
-        mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device) if mask is None else mask
-        mask = self._check_mask(mask)[:, None]
+        mask = self._chosen(mask)[:, None]
         cells = torch.as_tensor(cells, device=self.device)
         if tuple(cells.shape) != (self.num_envs, 2) or cells.dtype.is_floating_point:
             raise SimulationError(f"Shifts must be integers [{self.num_envs}, 2], got {list(cells.shape)}.")
@@ -243,6 +241,9 @@ class Simulation(Sensing):
 
     def _check_mask(self, mask) -> torch.Tensor:
         return check_mask(mask, self.design_index, SimulationError)
+
+    def _chosen(self, mask: torch.Tensor | None) -> torch.Tensor:
+        return torch.ones_like(self.design_index, dtype=torch.bool) if mask is None else self._check_mask(mask)
 
     def _of_environments(self, name: str) -> torch.Tensor:
         return self._views[name].view(-1).index_select(0, self.slot)
