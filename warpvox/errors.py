@@ -1,4 +1,4 @@
-"""Exception tree and the two helpers that make error sentences useful.
+"""Exception tree and the helpers that make error sentences useful.
 
 Every error that a user can cause derives from :class:`WarpvoxError`, so that the command line can turn it
 into one clear line and exit code 2, while anything else stays a traceback (a defect of ours). Each class also
@@ -96,6 +96,11 @@ def did_you_mean(name: object, options: Iterable[object]) -> str:
     by_folded = {str(option).casefold(): str(option) for option in options}
     near = difflib.get_close_matches(str(name).casefold(), by_folded, n=1, cutoff=0.6)
     return f" Did you mean '{by_folded[near[0]]}'?" if near else ""
+
+
+def first_line(error: Exception) -> str:
+    """The first line of what another library's error says, or its type if it says nothing."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
 def listing(options: Iterable[object], limit: int = 12) -> str:

@@ -20,7 +20,7 @@ from warpvox.algos.settings import Ppo
 from warpvox.code import Code, is_code
 from warpvox.envs.adapters.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import RunError
+from warpvox.errors import RunError, first_line
 from warpvox.io.writing import atomic_path
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
@@ -124,7 +124,7 @@ def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
             raise zipfile.BadZipFile(f"{damaged} is damaged")
         content = torch.load(path, map_location=device, weights_only=True)
     except Exception as error:  # whatever torch and pickle raise for what they cannot read
-        raise RunError(f"{path} is not a readable checkpoint ({_first_line(error)}).") from None
+        raise RunError(f"{path} is not a readable checkpoint ({first_line(error):.120}).") from None
     if not isinstance(content, dict):
         raise RunError(f"{path} is not a checkpoint of warpvox.")
     return content
@@ -149,14 +149,14 @@ def load_controller(path: Path, device: str = "cpu", network: str | None = None)
     try:
         spec = spec_of(content["policy"])
     except TypeError as error:
-        raise RunError(f"{path} holds a policy of another kind ({_first_line(error)}).") from None
+        raise RunError(f"{path} holds a policy of another kind ({first_line(error):.120}).") from None
     spec = with_code(spec, network)
     try:
         check_spec(spec, content["actor_state_dict"])
         actor = build_actor(spec).to(device)
         actor.load_state_dict(content["actor_state_dict"])
     except (TypeError, ValueError, RuntimeError, LookupError, AttributeError) as error:
-        raise RunError(f"{path} holds a policy of another kind ({_first_line(error)}).") from None
+        raise RunError(f"{path} holds a policy of another kind ({first_line(error):.120}).") from None
     return Controller(actor.eval(), spec)
 
 
@@ -267,8 +267,3 @@ def spec_dict(spec: PolicySpec) -> dict[str, Any]:
     if spec.voxels is not None:  # of code the name alone, as a plain text
         values["voxels"] |= {"network": str(spec.voxels["network"])}
     return values
-
-
-def _first_line(error: Exception) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0][:120] if lines else type(error).__name__

@@ -30,7 +30,7 @@ from warpvox.algos.policies.gait import GaitModel
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.envs.adapters.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
-from warpvox.errors import ConfigError, RunError
+from warpvox.errors import ConfigError, RunError, first_line
 from warpvox.io.reading import Unreadable, parse_json
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
@@ -242,8 +242,7 @@ def parse_policy(text: str, source: object, network: str | None = None) -> Polic
         policy = make_policy(spec, metadata)
         getattr(policy, "model", policy).load_state_dict(weights)
     except (Unreadable, TypeError, ValueError, RuntimeError, LookupError, AttributeError) as error:
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise RunError(f"{source} holds no policy that can be read ({reason:.200}).") from None
+        raise RunError(f"{source} holds no policy that can be read ({first_line(error):.200}).") from None
     return policy
 
 

@@ -15,7 +15,7 @@ from typing import Any, cast
 
 from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Parents
 from warpvox.algos.codesign.loop import Batch, Report
-from warpvox.errors import ConfigError, RunError, WarpvoxError
+from warpvox.errors import ConfigError, RunError, WarpvoxError, first_line
 
 POLL_SECONDS = 0.5
 """How often progress is asked for."""
@@ -222,8 +222,7 @@ def _start(address: str | None, cpus: int) -> Any:
     try:
         ray.init(**options, logging_level=logging.ERROR, log_to_driver=False)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        reason = str(error).strip().splitlines() or [type(error).__name__]
-        raise RunError(f"Ray cannot be reached {where}: {reason[0]}") from None
+        raise RunError(f"Ray cannot be reached {where}: {first_line(error)}") from None
     finally:
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, before)  # Ray's handler would end this process before anything is saved

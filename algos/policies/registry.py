@@ -14,7 +14,7 @@ from warpvox.algos.policies.transformer import TransformerNetwork
 from warpvox.algos.settings import CPG, MLP
 from warpvox.code import is_code, load_code
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.errors import ConfigError, did_you_mean, first_line, listing
 
 NETWORKS: dict[str, type[nn.Module]] = {"grid": GridNetwork, "transformer": TransformerNetwork, CPG: CpgNetwork}
 POLICIES = (MLP, *NETWORKS)
@@ -51,7 +51,7 @@ def check_network(env: VoxelVecEnv, name: str, settings: Any, key: str = "networ
             try:
                 found = list(network.eval()(*map(torch.zeros, shapes)).shape)
             except Exception as error:  # code of the user's may raise anything
-                found = str(error).partition("\n")[0] or type(error).__name__
+                found = first_line(error)
             if found != wanted:
                 takes = f"cells {shapes[0]} and rest {shapes[1]} of two bodies"
                 raise ConfigError(f"policy={name} must make {wanted} of {takes}, got: {found}.")
