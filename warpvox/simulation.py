@@ -281,28 +281,27 @@ class Simulation(Sensing):
     @property
     def worlds(self) -> list[World]:
         """The different worlds; ``design_index`` says which of them an environment has."""
-        return self._batch.worlds
+        return [entry.world for entry in self._batch.entries]
 
     @property
     def num_designs(self) -> int:
         """Number of different worlds."""
-        return len(self._batch.worlds)
+        return len(self._batch.entries)
 
     @property
     def action_mask(self) -> torch.Tensor:
         """bool [num_designs, num_actions]: which actions a design has."""
-        total = {sizes: sum(count for _, count in sizes) for sizes in set(self._batch.actuators)}
-        counts = torch.tensor([total[sizes] for sizes in self._batch.actuators], device=self.device)
-        return torch.arange(self.num_actions, device=self.device) < counts[:, None]
+        counts = [sum(count for _, count in entry.actuators) for entry in self._batch.entries]
+        return torch.arange(self.num_actions, device=self.device) < torch.tensor(counts, device=self.device)[:, None]
 
     @property
     def action_columns(self) -> list[dict[str, slice]]:
         """For each design where the actions of its robots lie, ``{name: slice}``."""
         columns = {}  # designs of one size have one entry
-        for sizes in set(self._batch.actuators):
+        for sizes in {entry.actuators for entry in self._batch.entries}:
             stops = [0, *itertools.accumulate(count for _, count in sizes)]
             columns[sizes] = {name: slice(*at) for (name, _), at in zip(sizes, itertools.pairwise(stops), strict=True)}
-        return [columns[sizes] for sizes in self._batch.actuators]
+        return [columns[entry.actuators] for entry in self._batch.entries]
 
     def robot_actions(self, name: str) -> torch.Tensor:
         """[num_envs, num_actions]: the actions of a robot in the last step, clipped, its own first.
@@ -447,7 +446,7 @@ class Simulation(Sensing):
         self._objects.refresh()
         self.designs.forget()
         self.design_index.copy_(torch.as_tensor(self._batch.index))
-        numbers = np.array([int.from_bytes(key[:8], "little", signed=True) for key in self._batch.keys])
+        numbers = np.array([int.from_bytes(entry.key[:8], "little", signed=True) for entry in self._batch.entries])
         self.world_numbers = torch.as_tensor(numbers[self._batch.index], device=self.device)
         for buffer in self.sensing_buffers:  # entries of points that there are no more
             buffer.zero_()

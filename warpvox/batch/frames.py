@@ -83,18 +83,16 @@ class Frame:
             left = np.delete(left, nearest)
         return rank
 
-    def add(self, worlds: Sequence[World]) -> np.ndarray:
-        """Add the bodies of more worlds, which fit the grid; return their numbers."""
-        count = len(self.bodies[0].height) if self.bodies else 0
-        for k, (name, bodies) in enumerate(zip(self.names, self.bodies, strict=True)):
-            self.bodies[k] = bodies.join(
-                RobotBodies.of([world.objects[name] for world in worlds], bodies.cells.shape[1:])
-            )
-        return count + np.arange(len(worlds))
+    def add(self, worlds: Sequence[World]) -> None:
+        """Add the bodies of more worlds, which fit the grid."""
+        self.bodies = [
+            bodies.join(RobotBodies.of([world.objects[name] for world in worlds], bodies.cells.shape[1:]))
+            for name, bodies in zip(self.names, self.bodies, strict=True)
+        ]
 
-    def keep(self, numbers: np.ndarray) -> None:
-        """Forget all bodies but some."""
-        self.bodies = [bodies.take(numbers) for bodies in self.bodies]
+    def keep(self, kept: np.ndarray) -> None:
+        """Forget all bodies but some, bool ``[bodies]``."""
+        self.bodies = [bodies.take(kept) for bodies in self.bodies]
 
     def tables(self, index: np.ndarray) -> dict[str, np.ndarray]:
         """Tables of packs whose lanes hold these bodies, int ``[packs, lanes]``; see :class:`_PackTables`."""

@@ -79,9 +79,9 @@ class RobotBodies:
         pairs = [(getattr(self, name), getattr(other, name)) for name in ("cells", "right", "down", "height")]
         return RobotBodies(*(np.concatenate(pair) for pair in pairs))
 
-    def take(self, numbers: np.ndarray) -> RobotBodies:
-        """Some of them."""
-        return RobotBodies(self.cells[numbers], self.right[numbers], self.down[numbers], self.height[numbers])
+    def take(self, kept: np.ndarray) -> RobotBodies:
+        """Those of them that are ``kept``, bool ``[bodies]``."""
+        return RobotBodies(self.cells[kept], self.right[kept], self.down[kept], self.height[kept])
 
 
 def most_points(rows: int, columns: int, cut: bool = False) -> int:

@@ -24,17 +24,17 @@ class CompiledWorlds(Sequence):
         self._made: dict[int, tuple[World, CompiledWorld]] = {}  # by the identity of the world, which is kept with it
 
     def __len__(self) -> int:
-        return len(self._batch.worlds)
+        return len(self._batch.entries)
 
     def __getitem__(self, number: int) -> CompiledWorld:
-        world = self._batch.worlds[number]  # IndexError ends a loop over them
+        world = self._batch.entries[number].world  # IndexError ends a loop over them
         if id(world) not in self._made:
             self._made[id(world)] = world, compile_world(world, self._batch.physics, self._batch.loose)
         return self._made[id(world)][1]
 
     def forget(self) -> None:
         """Drop those of worlds that are not in the batch any more."""
-        used = set(map(id, self._batch.worlds))
+        used = {id(entry.world) for entry in self._batch.entries}
         self._made = {key: kept for key, kept in self._made.items() if key in used}
 
 
@@ -106,7 +106,7 @@ class Objects:
         counts = points[:, 1] - points[:, 0]
         if name in self.terrain:
             still = [len(body.points) if body else 0 for body in self._still(name)]
-            counts = counts + torch.tensor(still, device=counts.device)[self._batch.group_of]
+            counts = counts + torch.tensor(still, device=counts.device)[self._batch.groups]
         return counts
 
     def _most(self, name: str) -> int:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,6 +40,21 @@ def _actuators(world: World) -> Actuators:
     return found
 
 
+class Entry(NamedTuple):
+    """One of the different worlds of a batch.
+
+    Attributes:
+        key: what :meth:`World.key` gives.
+        actuators: the name and the number of actuators of each robot, by name.
+        group: worlds of one group may share packs: equal ones in exact arithmetic, else those of one frame.
+    """
+
+    key: bytes
+    world: World
+    actuators: Actuators
+    group: int
+
+
 @dataclass
 class Batch:
     """Which world every environment has, and in which lane of which pack it lies.
@@ -50,11 +66,11 @@ class Batch:
         layout: 'lanes', or 'group', whose packs have one lane each.
 
     Attributes:
-        worlds, keys: the different worlds, and what :meth:`World.key` gives of each.
+        entries: the different worlds. Those of one frame stand in the order of its bodies.
+        compiled: of each group what its worlds have in common.
         env_pack, env_lane: int ``[num_envs]``.
         lane_world: int ``[packs, lanes]``; lanes without an environment repeat the one before them.
         object_names: of all worlds, robots first, then by name.
-        actuators: of each world, the name and the number of actuators of each robot, by name.
     """
 
     different: InitVar[Mapping[bytes, World]]
@@ -65,22 +81,26 @@ class Batch:
     pack_group: list[int] = field(default_factory=list)
 
     def __post_init__(self, different: Mapping[bytes, World]) -> None:
-        self.worlds, self.keys = list(different.values()), list(different)
-        worlds = self.worlds
         self.physics, self.arithmetic, self.device = self.options.physics, self.options.arithmetic, self.options.device
         self.grid = self.options.grid
-        self.actuators = [_actuators(world) for world in worlds]
-        if self.arithmetic == "exact":
-            self.group_of = list(range(len(worlds)))
+        exact, worlds, numbers = self.arithmetic == "exact", list(different.values()), {}
+        self.entries = [
+            Entry(key, world, _actuators(world), numbers.setdefault(key if exact else frame_key(world), len(numbers)))
+            for key, world in different.items()
+        ]
+        self.frames: list[Frame] = []
+        if exact:
+            self.compiled = [compile_world(world, self.physics, self.loose) for world in worlds]
         else:
-            keys: dict[tuple, int] = {}
-            self.group_of = [keys.setdefault(frame_key(world), len(keys)) for world in worlds]
-        self._compile()
-        groups = np.asarray(self.group_of)[np.asarray(self.index)]
+            for number in range(len(numbers)):
+                own = [entry.world for entry in self.entries if entry.group == number]
+                self.frames.append(Frame(own, self.physics, self.loose, self.grid or (1, 1)))
+            self.compiled = [frame.others for frame in self.frames]
+        groups = self.frame_of_envs()
         self.lanes = 1 if self.layout == "group" else choose_lanes(groups, self.options.lanes, self.device)
         self.env_pack, self.env_lane = (np.zeros(len(self.index), np.int32) for _ in range(2))
         lane_world = []
-        for number in range(max(self.group_of) + 1):
+        for number in range(len(numbers)):
             members = np.flatnonzero(groups == number)
             members = members[np.argsort(self._rank(number)[np.asarray(self.index)[members]], kind="stable")]
             self.env_pack[members] = len(self.pack_group) + np.arange(len(members)) // self.lanes
@@ -99,26 +119,17 @@ class Batch:
 
     def _rank(self, group: int) -> np.ndarray:
         """Which worlds of a group shall lie near each other: a pack is as slow as all of its bodies together."""
-        rank = np.arange(len(self.worlds))
+        rank = np.arange(len(self.entries))
         if self.arithmetic == "fast" and self.layout == "lanes":
-            members = [k for k, own in enumerate(self.group_of) if own == group]
-            copies = np.bincount(np.asarray(self.index), minlength=len(self.worlds))[members]
+            members = self.groups == group
+            copies = np.bincount(np.asarray(self.index), minlength=len(self.entries))[members]
             rank[members] = self.frames[group].rank(copies, self.lanes)
         return rank
 
-    def _compile(self) -> None:
-        self.frames: list[Frame] = []
-        if self.arithmetic == "exact":
-            self.compiled = [compile_world(world, self.physics, self.loose) for world in self.worlds]
-            self.local = np.arange(len(self.worlds))
-        else:
-            self.local = np.zeros(len(self.worlds), int)
-            for number in range(max(self.group_of) + 1):
-                members = [k for k, group in enumerate(self.group_of) if group == number]
-                self.local[members] = np.arange(len(members))
-                own = [self.worlds[k] for k in members]
-                self.frames.append(Frame(own, self.physics, self.loose, self.grid or (1, 1)))
-            self.compiled = [frame.others for frame in self.frames]
+    @property
+    def groups(self) -> np.ndarray:
+        """int ``[entries]``: the group of each."""
+        return np.array([entry.group for entry in self.entries])
 
     def replace(self, envs: Sequence[int], worlds: Sequence[World]) -> np.ndarray:
         """Give environments other worlds of their frames; return the packs that this concerns.
@@ -128,32 +139,29 @@ class Batch:
         """
         if self.grid is None:
             raise SimulationError("Worlds can be exchanged in a simulation made with grid=(rows, columns) only.")
-        known = {frame_key(self.worlds[self.group_of.index(k)]): k for k in range(len(self.frames))}
-        added: dict[int, list[tuple[bytes, World, Actuators]]] = {}
+        examples = {entry.group: entry.world for entry in self.entries}
+        known = {frame_key(world): group for group, world in examples.items()}
+        added: dict[int, list[Entry]] = {}
         different = {id(world): world for world in worlds}
         keys = {number: world.key() for number, world in different.items()}
-        group_of, chosen = dict(zip(self.keys, self.group_of, strict=True)), []
+        entries, chosen = {entry.key: entry for entry in self.entries}, []
         for env, world in zip(envs, worlds, strict=True):
             key = keys[id(world)]
             chosen.append(key)
-            new = key not in group_of
-            group = known.get(frame_key(world)) if new else group_of[key]
-            if group is None or group != self.group_of[self.index[env]]:
+            new = key not in entries
+            group = known.get(frame_key(world)) if new else entries[key].group
+            if group is None or group != self.entries[self.index[env]].group:
                 raise SimulationError(
                     f"Environment {env} can be given worlds that differ from its own in the bodies of robots only."
                 )
             if new:
                 self._check_bodies(world, self.grid)
-                group_of[key] = group
-                added.setdefault(group, []).append((key, world.copy(), _actuators(world)))
-        for group, new in added.items():
-            names, others, actuators = zip(*new, strict=True)
-            self.local = np.append(self.local, self.frames[group].add(others))
-            self.worlds = [*self.worlds, *others]
-            self.actuators = [*self.actuators, *actuators]
-            self.keys = [*self.keys, *names]
-            self.group_of = [*self.group_of, *[group] * len(new)]
-        place = {key: k for k, key in enumerate(self.keys)}
+                entries[key] = Entry(key, world.copy(), _actuators(world), group)
+                added.setdefault(group, []).append(entries[key])
+        for group, more in added.items():
+            self.frames[group].add([entry.world for entry in more])
+            self.entries += more
+        place = {entry.key: k for k, entry in enumerate(self.entries)}
         return self._assign(envs, [place[key] for key in chosen])
 
     def _check_bodies(self, world: World, grid: tuple[int, int]) -> None:
@@ -181,21 +189,15 @@ class Batch:
         used, inverse = np.unique(index, return_inverse=True)
         self.lane_world = np.searchsorted(used, self.lane_world)
         self.index = inverse.tolist()
-        self.worlds = [self.worlds[k] for k in used]
-        self.actuators = [self.actuators[k] for k in used]
-        self.keys = [self.keys[k] for k in used]
-        self.group_of = [self.group_of[k] for k in used]
-        groups = np.asarray(self.group_of)
-        local = self.local[used]
+        groups = self.groups
         for number, frame in enumerate(self.frames):
-            frame.keep(local[groups == number])
-            local[groups == number] = np.arange((groups == number).sum())
-        self.local = local
+            frame.keep(np.isin(np.flatnonzero(groups == number), used))
+        self.entries = [self.entries[k] for k in used]
         return packs
 
     def frame_of_envs(self) -> np.ndarray:
         """int ``[num_envs]``: the entry of ``compiled`` with what an environment's world has besides robots."""
-        return np.asarray(self.group_of)[np.asarray(self.index)]
+        return self.groups[self.index]
 
     def tables(self, packs: np.ndarray | None = None) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Tables of the different packs among ``packs`` (None: all), and which each of them has."""
@@ -213,7 +215,7 @@ class Batch:
             for number, frame in enumerate(self.frames):
                 mine = kinds[kinds[:, 0] == number, 1:]
                 if len(mine):
-                    part = frame.tables(self.local[mine])
+                    part = frame.tables((np.cumsum(self.groups == number) - 1)[mine])
                     part["frame"] = np.full(len(mine), number, np.int32)
                     parts.append(part)
                     names += [frame.object_names] * len(mine)
