@@ -143,9 +143,7 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
     """
     if config.stochastic:
         raise ConfigError("stochastic=true goes with a run; a stored robot has no exploration to sample from.")
-    if robot.policy is None:
-        why = robot.about.get("no_policy", "there is a body alone.")
-        raise ConfigError(f"The robot has no policy: {why} play agent=sine task={robot.task} design=zoo:... moves it.")
+    policy = robot.own_policy
     task = config.task if isinstance(config.task, TaskSpec) else allowed("task", robot.task, config.task, file)
     if isinstance(config.task, Code) and task not in task_ids():  # an entry for a task of the user's own has its id
         task = config.task
@@ -160,4 +158,4 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
     options |= {"device": resolve_device(config.device, count), "num_envs": count * len(parts)}
     first = SEEDS[0] if config.seed is None else config.seed
     env = robot_env(robot, list(range(first, first + count)) * len(parts), **options)
-    return env, disturbed(robot.policy, env, parts, first)
+    return env, disturbed(policy, env, parts, first)

@@ -15,7 +15,8 @@ from warpvox.design import full_connections, load_design
 from warpvox.errors import RunError
 from warpvox.robots.entry import Robot, read_robot, save_robot
 from warpvox.robots.network import HIGH, LOW, STEP, Network
-from warpvox.robots.replay import policy_of_checkpoint
+from warpvox.robots.replay import policy_of_checkpoint, torch_policy
+from warpvox.robots.returns import judge, judge_robust
 
 SIZES = (7, 5, 4, 3)
 
@@ -42,6 +43,9 @@ def test_a_file_gives_back_what_was_written(tmp_path: Path) -> None:
     bare = read_robot(save_robot(tmp_path / "bare.npz", replace(robot, policy=None)))
     assert bare.policy is None
     np.testing.assert_array_equal(bare.connections, robot.connections)
+    for play in (judge, judge_robust, torch_policy):
+        with pytest.raises(RunError, match="has no policy: there is a body alone"):
+            play(bare)
 
 
 def test_a_change_of_any_array_is_found(tmp_path: Path) -> None:

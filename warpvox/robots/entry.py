@@ -88,6 +88,14 @@ class Robot:
         return not isinstance(self.policy, Gait)
 
     @property
+    def own_policy(self) -> Network | Gait:
+        """The policy; RunError where there is a body alone."""
+        if self.policy is None:
+            why = self.about.get("no_policy", "there is a body alone.")
+            raise RunError(f"The robot has no policy: {why} play agent=sine task={self.task} design=zoo:... moves it.")
+        return self.policy
+
+    @property
     def obs(self) -> str:
         """The observations of its policy, as ``make_vec`` names them: ``timed`` for a gait, else ``task``."""
         return "task" if self.has_feedback else "timed"

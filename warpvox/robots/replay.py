@@ -76,10 +76,8 @@ def policy_of_checkpoint(checkpoint: Path) -> Network | Gait:
 
 def torch_policy(robot: Robot, device: str = "cpu") -> Policy:
     """The policy of ``robot`` as a torch module, float32 and without the rounding of its actions."""
-    network = robot.policy
+    network = robot.own_policy
     about = {"task": robot.task, "rules": "evogym", "obs": robot.obs, "design": robot.body.tolist()}
-    if network is None:
-        raise RunError(f"The robot has no policy: {robot.about.get('no_policy', 'there is a body alone.')}")
     if isinstance(network, Gait):
         return _gait_module(robot, network, about).to(device)
     hidden = [len(bias) for bias in network.biases[:-1]]

@@ -11,8 +11,9 @@ from warpvox.algos.protocols import ROBUST, parts_of
 from warpvox.algos.statistics import difference
 from warpvox.envs.adapters.gym import VoxelEnv
 from warpvox.envs.registry import get_task
-from warpvox.errors import RunError
 from warpvox.robots.entry import DIGITS, Robot
+from warpvox.robots.gait import Gait
+from warpvox.robots.network import Network
 from warpvox.robots.replay import SEEDS, check_sizes, robot_env
 
 EPISODES = 32
@@ -44,14 +45,12 @@ def judge(robot: Robot, seeds: Sequence[int] | None = None) -> Judgement:
     Raises:
         RunError: it has no policy, or one for other environments.
     """
-    if robot.policy is None:
-        why = robot.about.get("no_policy", "there is a body alone, for which one can be trained.")
-        raise RunError(f"The robot has no policy that could be evaluated: {why}")
+    policy, limit = robot.own_policy, get_task(robot.task).max_episode_steps
     seeds = list(seeds if seeds is not None else SEEDS if get_task(robot.task).is_random else (0,))
     # one at a time, as numpy steps a single environment faster than torch
     env = VoxelEnv(robot.task, robot.body, None if robot.fully_connected else robot.connections, obs=robot.obs)
     check_sizes(robot, *cast(Any, env.observation_space.shape), *cast(Any, env.action_space.shape))
-    returns, lengths = zip(*(_episode(env, robot, seed) for seed in seeds), strict=True)
+    returns, lengths = zip(*(_episode(env, policy, limit, seed) for seed in seeds), strict=True)
     return Judgement(list(returns), list(lengths), seeds)
 
 
@@ -61,23 +60,24 @@ def judge_robust(robot: Robot, protocol: str = ROBUST, episodes: int = EPISODES)
     Those of :data:`warpvox.algos.protocols.PROTOCOLS`, side by side; :func:`judge` gives the nominal ones.
 
     Raises:
-        RunError: a policy for other environments. ConfigError: no disturbance of ``protocol`` concerns its policy.
+        RunError: it has no policy, or one for other environments. ConfigError: no disturbance of ``protocol`` concerns
+            its policy.
     """
     parts = parts_of(protocol, feedback=robot.has_feedback)
     env = robot_env(robot, [SEEDS[0] + number for number in range(episodes)] * len(parts))
-    found = evaluate(env, Disturbed(cast(Any, robot.policy), env, parts, SEEDS[0])).returns
+    found = evaluate(env, Disturbed(cast(Any, robot.own_policy), env, parts, SEEDS[0])).returns
     return {
         part: [round(value, DIGITS) for value in row.tolist()]
         for part, row in zip(parts, found.view(len(parts), -1), strict=True)
     }
 
 
-def _episode(env: VoxelEnv, robot: Robot, seed: int) -> tuple[float, int]:
+def _episode(env: VoxelEnv, policy: Network | Gait, limit: int, seed: int) -> tuple[float, int]:
     obs, _ = env.reset(seed=seed)
     rewards: list[float] = []
-    terminated, limit = False, get_task(robot.task).max_episode_steps
+    terminated = False
     while not terminated and len(rewards) < limit:
-        obs, reward, terminated, _, _ = env.step(cast(Any, robot.policy)(obs))
+        obs, reward, terminated, _, _ = env.step(policy(obs))
         rewards.append(reward)
     return round(sum(rewards), DIGITS), len(rewards)
 
