@@ -189,8 +189,8 @@ class VoxelVecEnv:
         self.obs_mask = self.layout.mask[worlds]
         self.action_mask = self.sim.action_mask[worlds]
         numbers: list[int] = worlds.cpu().numpy().tolist()
-        self.obs_columns = [self.layout.columns[number] for number in numbers]
-        self.action_columns = [self.sim.action_columns[number] for number in numbers]
+        every = self.layout.columns, self.sim.action_columns
+        self.obs_columns, self.action_columns = ([columns[number] for number in numbers] for columns in every)
 
     @property
     def num_designs(self) -> int:
