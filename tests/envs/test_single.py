@@ -113,13 +113,13 @@ def costs(info: dict) -> list[list[float]]:
     return [info["reward_terms"][f"{name}_robot"].tolist() for name in ("control_cost", "action_rate")]
 
 
-def test_actions_are_clipped_and_have_no_padding() -> None:
+def test_actions_are_clipped_and_those_of_padding_do_not_count() -> None:
     env = make_pair()
     obs, _ = env.reset()
-    assert obs.eq(1).all(), "an episode begins at rest"
+    assert [row.eq(1).sum().item() for row in obs] == list(COUNTS), "an episode begins at rest"
     for value, told, change in (3.0, 0.6, 0.6), (0.0, -0.4, -1.0):
         obs, *_, info = env.step(torch.full((2, env.num_actions), value))
-        assert [row.ne(1).sum().item() for row in obs] == list(COUNTS)
+        assert all(row[:own].ne(1).all() and not row[own:].any() for row, own in zip(obs, COUNTS, strict=True))
         expected = [[-count * one**2 for count in COUNTS] for one in (told, change)]
         assert np.allclose(costs(info), expected, rtol=1e-6)
     env.reset()
