@@ -13,9 +13,9 @@ LEAST_POINTS = 4
 class ObservationLayout:
     """Concatenates observation terms; each design's real entries come first, the rest of its row is 0.
 
-    Terms with a value for every point are padded to the largest body by the simulator, x and y apart, those with as
-    many columns as ``actions(name)`` that read these by its padding. A gather closes those gaps, and is left out where
-    all designs are of one size.
+    The simulator pads to the largest body what has a value for every point (x and y apart) or every action; a term that
+    reads ``actions(name)`` and is as wide is taken for such. A gather closes those gaps, and is left out where all
+    designs are of one size.
 
     Attributes:
         num_obs: entries of a row.

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Protocol, cast
 
 from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Listener, Outcome, Parent, Parents, Search
-from warpvox.algos.codesign.archive import Archive, Finished, body_text, repair_hint
+from warpvox.algos.codesign.archive import Archive, Finished, Record, body_text, repair_hint
 from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
 from warpvox.errors import DivergenceError, RunError, SearchError
@@ -64,18 +64,12 @@ class Loop:
             while asked := self.search.ask():
                 known = self.archive.records(self.generation)
                 if known:
-                    several = asked, [record.candidate for record in known]
-                    now, before = ([(c.id, body_text(c.body), tuple(c.parents), c.origin) for c in s] for s in several)
-                    if now != before:
-                        raise RunError(
-                            f"The search now proposes other designs for generation {self.generation} than the archive"
-                            " holds: it was made by another version of warpvox or of the library that the search uses,"
-                            f" or its rows were changed.{repair_hint(self.archive.path)}"
-                        )
+                    self._check_same(asked, known)
                 else:
                     for one in asked:
-                        if one.generation != (now := self.generation):
-                            raise RunError(f"Candidate {one.id} belongs to generation {now}, not {one.generation}.")
+                        if one.generation != self.generation:
+                            right = self.generation
+                            raise RunError(f"Candidate {one.id} belongs to generation {right}, not {one.generation}.")
                     self.archive.propose(asked, self.seed)
                 self._evaluate(asked, interrupt)
                 self.search.tell([cast(float, record.fitness) for record in self.archive.records(self.generation)])
@@ -105,6 +99,17 @@ class Loop:
         for self.generation in range(len(history)):
             self._tell("told", self.generation, False)
         self.generation = len(history)
+
+    def _check_same(self, asked: Sequence[Candidate], known: Sequence[Record]) -> None:
+        """Raise RunError unless the search repeats its earlier proposals."""
+        several = asked, [record.candidate for record in known]
+        now, before = ([(c.id, body_text(c.body), tuple(c.parents), c.origin) for c in each] for each in several)
+        if now != before:
+            raise RunError(
+                f"The search now proposes other designs for generation {self.generation} than the archive holds: it was"
+                " made by another version of warpvox or of the library that the search uses, or its rows were"
+                f" changed.{repair_hint(self.archive.path)}"
+            )
 
     def _evaluate(self, asked: Sequence[Candidate], interrupt: Interrupt) -> None:
         done = {record.id for record in self.archive.records(self.generation) if record.finished}

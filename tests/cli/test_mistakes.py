@@ -94,6 +94,7 @@ MISTAKES = {
     "suite search=ga": "Did you mean 'searches'",
     "suite evaluations=9 control_steps=100000": "both a budget",
     "suite retry=true": "resume=latest",
+    "suite report=latest resume=latest": "resume cannot change a report",
     "suite report=latest seeds=9 training.envs=8": "seeds, training.envs cannot change a report",
     "suite resume=latest": "no suite",
     "tasks Walkr": "Did you mean 'Walker-v0'",

@@ -59,13 +59,13 @@ def load(
 
 
 def load_start(command: str, overrides: list[str], config_dir: Path | None) -> Any:
-    """The dataclass of a command; with ``resume`` only that key's and ``output_dir``'s overrides are looked at.
+    """The dataclass of a command; with ``resume`` only its override and those of ``report`` and ``output_dir`` count.
 
     What else is given may be about parts that only the run has which goes on.
     """
     keys = {word.partition("=")[0]: word for word in overrides}
     if "resume" in keys:
-        config = load(command, [keys[key] for key in ("resume", "output_dir") if key in keys], config_dir)
+        config = load(command, [keys[key] for key in ("resume", "report", "output_dir") if key in keys], config_dir)
         if config.resume is not None:
             return config
     return load(command, overrides, config_dir)

@@ -8,7 +8,7 @@ import dataclasses
 import itertools
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -18,7 +18,7 @@ from hydra.errors import HydraException
 from warpvox.cli.help import Key, flat_keys, preset_key
 from warpvox.configs.composition import quoted
 from warpvox.configs.schema import PRESET, schema_of
-from warpvox.errors import ConfigError
+from warpvox.errors import ConfigError, listing
 
 RENAMED = {"finalists": "evaluation.finalists", "pretrained": "evaluation.pretrained", "search.algorithm": "search"}
 """Keys of design searches as they were written before evaluations had settings of their own."""
@@ -73,6 +73,12 @@ def key_and_value(given: Override | str) -> tuple[str, str]:
     if key.startswith(f"{PRESET}/"):
         key = preset_key(key.removeprefix(f"{PRESET}/"))
     return key, value if isinstance(value, str) else override.get_value_string()
+
+
+def check_report(names: Iterable[str], known: Sequence[str]) -> None:
+    """ConfigError: keys that a report does not follow from; those of ``known`` go with it."""
+    if others := [name for name in names if name not in ("report", *known)]:
+        raise ConfigError(f"{listing(others)} cannot change a report: {listing(known)} may go with it.")
 
 
 def parse(word: str) -> Override | None:

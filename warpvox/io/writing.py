@@ -45,7 +45,7 @@ OF_FULL_DISKS = {errno.ENOSPC, errno.EDQUOT}
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str], make_folders: bool = True) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``; rename it to ``path`` when the block ends without an error.
+    """Yield an absolute temporary path beside ``path``; rename it to ``path`` when the block ends without an error.
 
     If the block raises (an interrupt included), the temporary file is removed and whatever stood at ``path`` before
     stays as it was. The temporary name keeps the suffix, by which some writers choose their format. A link stays one.

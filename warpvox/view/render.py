@@ -272,7 +272,7 @@ def write_mp4(
     frames = _frames(rollout, fps, start, stop, every)
     film = Film(rollout, envs, size, hud, voxels)
     options: dict[str, Any] = dict(fps=float(fps), quality=None, output_params=["-crf", "15"], macro_block_size=2)
-    with atomic_path(Path(path).absolute()) as temporary:  # relative, ffmpeg might take it for an option or a URL
+    with atomic_path(path) as temporary:  # absolute, or ffmpeg might take it for an option or a URL
         encoder = imageio_ffmpeg.write_frames(
             temporary, film.size, codec="libx264", ffmpeg_log_level="quiet", **options
         )

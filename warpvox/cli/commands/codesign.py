@@ -12,7 +12,7 @@ from warpvox.algos.codesign.archive_export import FORMATS
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load, load_values
-from warpvox.cli.overrides import key_and_value
+from warpvox.cli.overrides import check_report, key_and_value
 from warpvox.configs.codesign import CodesignConfig
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.console import echo, shown
@@ -43,11 +43,9 @@ def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | No
     """The job of a configuration; with ``resume`` on top of that of the search that it goes on with."""
     from warpvox.algos.codesign.run import check
 
-    job, named = Job(config), dict(map(key_and_value, overrides))
-    if named.get("report", "null") != "null":
-        known = ("report", "export", "top", "name", "output_dir")
-        if others := [key for key in named if key not in known]:
-            raise ConfigError(f"{listing(others)} cannot change a report: {listing(known[1:])} go with report.")
+    job = Job(config)
+    if config.report is not None:
+        check_report((key_and_value(word)[0] for word in overrides), ("export", "top", "name", "output_dir"))
         return job
     if config.resume is not None:
         source = find_codesign(config.resume, config.output_dir)

@@ -13,7 +13,7 @@ from warpvox.algos.suite.members import FAILED, MEMBERS, WAITING, Member, Table
 from warpvox.algos.suite.progress import results
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load, load_values
-from warpvox.cli.overrides import key_and_value
+from warpvox.cli.overrides import check_report, key_and_value
 from warpvox.cli.suite_plan import gone_on_with, merged, plan, seeds_of, task_names
 from warpvox.code import is_code
 from warpvox.configs.codesign import SuiteConfig
@@ -57,8 +57,7 @@ def _prepare(typed: list[str], config: SuiteConfig, overrides: list[str], config
     if {"evaluations", "control_steps"} <= named:
         raise ConfigError("evaluations and control_steps are both a budget: give one of them.")
     if config.report is not None:
-        if others := [*sorted(named - {"report", "output_dir"}), *(word.partition("=")[0] for word in typed)]:
-            raise ConfigError(f"{listing(others)} cannot change a report: output_dir alone goes with report.")
+        check_report((word.partition("=")[0] for word in [*overrides, *typed]), ("output_dir",))
         return Job(config)
     if config.resume is not None:
         job = _resumed(config, typed, overrides, config_dir)
