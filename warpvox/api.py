@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from warpvox.batch.options import SimOptions
     from warpvox.envs.spec import TaskSpec
 
-AUTO = "auto"
-
 
 class PlayKeywords(TypedDict, total=False):
     """Options of an evaluation as keywords."""
@@ -37,7 +35,7 @@ def train(
     task: str | TaskSpec | Training | None = None,
     design: Any = None,
     *,
-    folder: str | Path | None = AUTO,
+    folder: str | Path | None = "auto",
     progress: bool = True,
     resume: str | Path | None = None,
     sim: SimOptions | None = None,
@@ -74,7 +72,7 @@ def train(
     base = given.pop("task") if isinstance(task, Training) else None
     given = ({} if sim is None else _options(sim)) | given
     resume = base.resume if resume is None and base is not None else resume
-    if resume is not None and folder != AUTO:
+    if resume is not None and folder != "auto":
         raise ConfigError("A run that is resumed goes on in its folder: folder cannot be given with it.")
     if str(folder) == "latest":
         raise ConfigError("folder cannot be 'latest', by which everything else knows the run that began last.")
@@ -106,7 +104,7 @@ def train(
     else:
         config = with_code(config, typed(config, given), source.config, source.folder)
     job = Job(config, named, source)
-    place = None if folder in (AUTO, None) else Path(folder).expanduser()
+    place = None if folder in ("auto", None) else Path(folder).expanduser()
     job.train(listener() if progress else Listener(), write=folder is not None, place=place)
     return TrainedRun.of(job)
 

@@ -3,8 +3,7 @@
 All are our own. Each is a starting point for one kind of task, not the best body for it.
 """
 
-AUTO = "auto"
-"""The name that stands for the example made for the task."""
+from typing import Any
 
 _BODIES = {
     "walker": "14441/33333/33333/44044/44044",  # a bounding quadruped: two muscle bands over two legs
@@ -32,6 +31,7 @@ MADE_FOR: dict[str, tuple[str, ...]] = {
 """Tasks that an example is a starting point for; "mini" is for none in particular."""
 
 
-def example_for(task: str) -> str:
-    """The name of the example made for a task; ``walker`` where there is none."""
-    return next((name for name, tasks in MADE_FOR.items() if task in tasks), "walker")
+def example_for(task: Any, design: Any) -> Any:
+    """``design``; where that is ``auto``, the name of the example made for the task, ``walker`` if there is none."""
+    made = next((name for name, tasks in MADE_FOR.items() if task in tasks), "walker")
+    return made if isinstance(design, str) and design == "auto" else design

@@ -34,6 +34,12 @@ def test_an_agent_plays_any_task_and_design(warpvox: Callable, agent: str) -> No
     assert json.loads((folder / "summary.json").read_text())["source"] == f"agent {agent}"
 
 
+def test_an_agent_plays_the_example_made_for_the_task(warpvox: Callable) -> None:
+    warpvox("play", "agent=zero", "task=Jumper-v0", "design=auto", "steps=2", *QUICK[2:3], *QUICK[4:])
+    (scene,) = Rollout.load(only("play/Jumper-v0/*/rollout.npz")).scenes
+    assert scene.robots[0].grid.tolist() == [[1] * 5, [4] * 5, [4] * 5, [4] * 5, [3, 3, 0, 3, 3]]  # the hopper
+
+
 @pytest.mark.parametrize("switch", ["", "none"])
 def test_without_a_window_there_is_a_page(switch: str, warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     if switch:

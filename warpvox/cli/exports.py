@@ -64,11 +64,13 @@ def record_agent(config: Any) -> Rollout:
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.playing import SHOWN
     from warpvox.envs.vec_env import make_vec
+    from warpvox.examples import example_for
     from warpvox.view.rollout import record
 
-    bodies = load_bodies("walker" if config.design is None else config.design, config.seed or 0)
+    task = config.task or "Walker-v0"
+    bodies = load_bodies(example_for(task, "walker" if config.design is None else config.design), config.seed or 0)
     env = make_vec(
-        config.task or "Walker-v0",
+        task,
         bodies,
         config.num_envs or len(bodies) * (1 if config.agent == "zero" else SHOWN),
         device=config.device,
@@ -121,18 +123,14 @@ def write_exports(
             getattr(import_module(module), function)(rollout, folder / file, **options)
         written.append(folder / file)
     for path in written:
-        echo(console, f"{shown(path)}  ({_size(path)})")
+        large = path.stat().st_size
+        echo(console, f"{shown(path)}  ({f'{large / 1e6:.1f} MB' if large >= 1e6 else f'{large / 1e3:.0f} kB'})")
     if "html" in formats:
         echo(console, f"open in a browser: {(folder / WRITERS['html'][0]).resolve().as_uri()}")
 
 
 def _tell(status: Status, file: str, done: int, total: int) -> None:
     status.update(f"writing {file}: {done:,} of {total:,} pictures; every=N makes fewer")
-
-
-def _size(path: Path) -> str:
-    size = path.stat().st_size
-    return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"
 
 
 def print_returns(rollout: Rollout, console: Console) -> None:
