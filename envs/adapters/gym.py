@@ -183,14 +183,13 @@ class VoxelEnv(Adapter, gymnasium.Env):
 
     def _show(self) -> None:
         """In human mode: the state in the window, which is opened if need be; one that was closed stays closed."""
-        if self.render_mode != "human":
+        if self.render_mode != "human" or (self._window is not None and self._window.closed):
             return
+        picture = self._pictures()[0]  # refuses a size before there is a window of it
         if self._window is None:
             self._window = window.Window(self.render_size, f"{NAMESPACE} {self.vec.spec.id}")
-        if self._window.closed:
-            return
         time.sleep(max(0.0, self._next_frame - time.perf_counter()))  # in real time
-        self._window.show(self._pictures()[0])
+        self._window.show(picture)
         self._next_frame = time.perf_counter() + FRAME_SECONDS
 
     def close(self) -> None:

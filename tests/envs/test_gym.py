@@ -16,7 +16,7 @@ from gymnasium.utils.env_checker import check_env
 from warpvox.design import example_design
 from warpvox.envs.adapters.gym import VoxelEnv, register_task
 from warpvox.envs.registry import get_task, task_ids
-from warpvox.errors import ActionError, ConfigError, DesignError, DisplayError, WorldError
+from warpvox.errors import ActionError, ConfigError, DesignError, DisplayError, RolloutError, WorldError
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -106,6 +106,15 @@ def test_a_window_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
     env.close()
     env.step(env.action_space.sample())  # whoever closes the window may go on without it
     assert len(pictures) == 5
+
+
+def test_a_size_that_cannot_be_drawn_opens_no_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    pictures = stand_in(monkeypatch)
+    monkeypatch.setattr("warpvox.view.window.Window", lambda *_: pictures.append(np.zeros(0)))
+    env = gymnasium.make("warpvox/Walker-v0", body="walker", render_mode="human", render_size=(15, 90))
+    with pytest.raises(RolloutError, match="in 16 to 8192 pixels, got 15 x 90"):
+        env.reset()
+    assert not pictures
 
 
 def test_no_display_is_said_and_the_mode_is_not_offered(monkeypatch: pytest.MonkeyPatch) -> None:

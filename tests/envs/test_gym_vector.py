@@ -107,9 +107,9 @@ def test_pictures_of_all() -> None:
         assert silent.render() is None
 
 
-@pytest.mark.parametrize("size", [("a", 30), 30, (float("nan"), 30), (100_000, 100_000), (15, 30)])
+@pytest.mark.parametrize("size", [("a", 30), 30, (float("nan"), 30), (100_000, 100_000), (15, 30), (64.5, 30)])
 def test_pictures_of_a_size_that_cannot_be_drawn_are_refused_in_one_line(size: object) -> None:
-    with pytest.raises(RolloutError, match=r"in pixels|in 16 to 8192 pixels"):
+    with pytest.raises(RolloutError, match=r"in whole pixels|in 16 to 8192 pixels"):
         make(render_mode="rgb_array", render_size=size).render()
 
 

@@ -8,6 +8,7 @@ edges smooth.
 
 from __future__ import annotations
 
+import operator
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -298,9 +299,9 @@ def _number(image: Image.Image, rows: np.ndarray, columns: np.ndarray, scale: in
 def check_size(size: tuple[int, int]) -> tuple[int, int]:
     """``size`` of a picture as integers; RolloutError: it cannot be drawn."""
     try:
-        width, height = (int(value) for value in size)
-    except (TypeError, ValueError, OverflowError):
-        raise RolloutError(f"A size is (width, height) in pixels, got {size!r}.") from None
+        width, height = map(operator.index, size)
+    except (TypeError, ValueError):
+        raise RolloutError(f"A size is (width, height) in whole pixels, got {size!r}.") from None
     if not (16 <= width <= MAX_PIXELS and 16 <= height <= MAX_PIXELS):
         raise RolloutError(f"Width and height must lie in 16 to {MAX_PIXELS} pixels, got {width} x {height}.")
     return width, height
