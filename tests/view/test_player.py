@@ -115,6 +115,11 @@ def test_page_needs_no_network_and_is_safe(rollouts: Callable[..., Rollout], tmp
     assert json.loads(element(page, "meta"))["about"]["agent"] == "</script>{{data}}"
 
 
+def test_half_of_a_pair_in_a_title_is_written_as_html_can_say_it(rollouts, tmp_path: Path) -> None:
+    page = write_html(rollouts(3, 1), tmp_path / "page.html", title="a\udcff").read_text(encoding="utf-8")
+    assert "<title>a&#56575;</title>" in page
+
+
 PLAYING = "Boolean(globalThis.player) && document.readyState === 'complete'"
 FRAMES, ENDS = 200, (60,)
 
@@ -142,6 +147,15 @@ def test_browser_decodes_the_same(show: Callable, rollouts: Callable[..., Rollou
         shown = np.array(page.evaluate(f"[...player.envs[{env}].xy]")).reshape(FRAMES, count, 2) / 10
         np.testing.assert_allclose(shown, rollout.positions[:, env, :count], atol=2e-4)
         assert page.evaluate(f"player.envs[{env}].returns[199]") == pytest.approx(rollout.returns[-1, env], rel=1e-4)
+
+
+def test_it_counts_robots_not_environments(show: Callable, rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
+    assert show("paused").inner_text("#about") == "rules evogym · agent sine · 4 robots · 4.0 s"
+    alone = rollouts(11, 1)
+    for part in alone.scenes[0].objects:
+        part.grid[part.grid == 3] = part.grid[part.grid == 4] = 2
+    page = show("paused", write_html(alone, tmp_path / "page.html"))
+    assert page.inner_text("#about") == "rules evogym · agent sine · 0.2 s"
 
 
 def test_it_plays_and_obeys_keys(show: Callable, wait_for: Callable) -> None:

@@ -76,7 +76,7 @@ def page_of(rollout: Rollout, envs: Sequence[int] | None = None, title: str | No
     return fill_template(
         asset("player.html"),
         values={"meta": meta},
-        title=escape(meta["title"]),
+        title=escape(meta["title"]).encode(errors="xmlcharrefreplace").decode(),  # half of a surrogate pair
         style=asset("player.css"),
         script="\n".join(asset(name) for name in SCRIPTS),
         data=base64.b64encode(data).decode(),

@@ -72,8 +72,9 @@ class Player {
 
   fillIn() {
     const { about, dt, colours, names } = this.meta, count = this.envs.length;
+    const robots = this.envs.flatMap((env) => env.scene.objects).filter(({ cells }) => /[34]/.test(cells)).length;
     const said = [about.rules && `rules ${about.rules}`, about.agent && `agent ${about.agent}`];
-    said.push(`${count} robot${count > 1 ? "s" : ""}`, `${(this.last * dt).toFixed(1)} s`);
+    said.push(robots && `${robots} robot${robots > 1 ? "s" : ""}`, `${(this.last * dt).toFixed(1)} s`);
     byId("about").textContent = said.filter(Boolean).join(" · ");
     const used = new Set(this.envs.flatMap((env) => env.scene.objects.flatMap((object) => object.cells)));
     for (const cell of [...used].sort()) {
