@@ -81,6 +81,7 @@ def test_each_robot_of_a_task_is_shown_with_its_own_body(warpvox: Callable) -> N
         "TWO = replace(get_task('Walker-v0'), id='Two-v0', objects=ground, partners={'mate': (20, 1)})\n"
     )
     shown = warpvox("tasks", "mine.py:TWO", "design={robot:[[3,3]],mate:[[4],[1]]}").out
+    assert "a robot folds into itself: -3" in shown
     assert "6 points of robot: [[3, 3]], 6 points of mate: [[4], [1]]" in " ".join(shown.split())
     top, bottom = shown.splitlines()[-3:-1]
     assert (top[20], bottom[1:3], bottom[20]) == ("|", "--", "#")

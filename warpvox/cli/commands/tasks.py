@@ -86,10 +86,9 @@ def _print_task(name: str, config: TasksConfig, console: Console) -> None:
     console.print(Text.assemble(literal(task.id, "bold"), heading))
     echo(console, f"{task.summary}\n")
     echo(console, f"episode  {task.max_episode_steps} control steps at most")
-    for number, line in enumerate(_rewards(task)):
-        echo(console, ("reward   " if number == 0 else "         ") + line)
-    for number, line in enumerate(_ends(task)):
-        echo(console, ("ends     " if number == 0 else "         ") + line)
+    for word, lines in (("reward", _rewards(task)), ("ends", _ends(task))):
+        for number, line in enumerate(lines):
+            echo(console, f"{'' if number else word:9}{line}")
     if task.memory:
         moved = f"; every episode places {listing(task.randomized)} anew" if task.randomized else ""
         echo(console, f"memory   {listing(memory.name for memory in task.memory)}{moved}")
@@ -136,7 +135,7 @@ def _ends(task: Any) -> Iterator[str]:
     """Conditions of the end, with what each adds to the reward."""
     for term in task.terminations:
         yield f"{term.formula}: {term.bonus:+g}" if term.bonus else f"{term.formula}: no bonus"
-    yield f"the robot folds into itself: {task.unstable_penalty:+g}"
+    yield f"{'a' if task.partners else 'the'} robot folds into itself: {task.unstable_penalty:+g}"
 
 
 def _print_observation(task: Any, design: Any, points: dict[str, int], console: Console) -> None:
@@ -145,8 +144,7 @@ def _print_observation(task: Any, design: Any, points: dict[str, int], console: 
 
     robots = ", ".join(f"{points[name]} points of {name}: {body}" for name, body in task_team(task, design).items())
     rows = list(_layout(task, points))
-    title = literal(f"observation: {rows[-1][1]} numbers ({robots})")
-    table = Table(title=title, title_justify="left")
+    table = Table(title=literal(f"observation: {rows[-1][1]} numbers ({robots})"), title_justify="left")
     for heading in ("entries", "what", "unit", "values"):
         table.add_column(heading, justify="right" if heading == "entries" else "left", overflow="fold")
     for start, end, formula, unit, values in rows:
@@ -157,4 +155,4 @@ def _print_observation(task: Any, design: Any, points: dict[str, int], console: 
     echo(console, "; ".join(f"{unit}: {meaning}" for unit, meaning in UNITS.items() if unit in used))
     echo(console, "x, y: centre of mass; v: its velocity; θ: turn since the beginning; p: (x, y); 0:2 is [0] and [1]")
     echo(console, "obs=timed: one number more at the end: the control steps since the episode began")
-    echo(console, "obs=voxel: 25 numbers for every cell of the body instead of c, before the others\n")
+    echo(console, "obs=voxel: 25 numbers for every cell of a robot instead of its c, before the others\n")
