@@ -20,8 +20,9 @@ from warpvox.configs.composition import quoted
 from warpvox.configs.schema import PRESET, schema_of
 from warpvox.errors import ConfigError, listing
 
-RENAMED = {"finalists": "evaluation.finalists", "pretrained": "evaluation.pretrained", "search.algorithm": "search"}
-"""Keys of design searches as they were written before evaluations had settings of their own."""
+RENAMED = {"finalists": "evaluation.finalists", "pretrained": "evaluation.pretrained"}
+RENAMED |= {"search.algorithm": "search", "evaluation.name": "evaluation"}
+"""Keys of design searches as config.yaml has them, or as they were before evaluations had settings of their own."""
 FILES = {"export": "format", "format": "export"}
 """Names of one list: what a command writes beside its results, and what ``export`` itself writes."""
 SWEEP = "add --multirun to run them one after another"
