@@ -70,6 +70,13 @@ def test_labels_name_presets_designs_and_tasks() -> None:
     ]
 
 
+def test_a_label_leaves_out_what_a_robot_of_the_zoo_does_not_say() -> None:
+    known = {"task": "Walker-v0", "obs": "timed"}
+    labels = [group.label for group in group_runs(runs(config(obs="task", seed=1), known))]
+    assert all("null" not in label for label in labels)
+    assert "obs=timed" in labels[1]
+
+
 def test_a_label_begins_with_what_tells_the_most_runs_apart() -> None:
     one = config(policy="net.py:Own", network="a", obs="timed", ppo={"gamma": 0.7, "lam": 0.9})
     others = [config(policy="mlp", network=None, obs="task", ppo={"gamma": gamma, "lam": 0.9}) for gamma in (0.8, 0.9)]

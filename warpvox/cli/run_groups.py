@@ -74,15 +74,12 @@ def _presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
 def _ppo_preset(values: dict[str, Any]) -> str | None:
     """Which of the files of ``configs/ppo`` the settings are, if any."""
     own = {key.removeprefix("ppo."): value for key, value in values.items() if key.startswith("ppo.")}
-    for name in PPO:
-        if vars(load("train", [f"ppo={name}"]).ppo) == own:
-            return name
-    return None
+    return next((name for name in PPO if vars(load("train", [f"ppo={name}"]).ppo) == own), None)
 
 
 def _label(values: dict[str, Any], keys: list[str]) -> str:
     parts = []
-    for key in keys[:SHOWN]:
+    for key in [key for key in keys if key in values][:SHOWN]:  # a robot of the zoo has but a few
         value = _design(values.get(key)) if key == "design" else values.get(key)
         parts.append(str(value) if key == "task" else f"{key}={_text(value)}")
     return ", ".join(parts) + (", ..." if len(keys) > SHOWN else "")
