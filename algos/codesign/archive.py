@@ -225,7 +225,7 @@ class Archive(AbstractContextManager["Archive"]):
             "finished_at": _now(),
             "seconds": seconds,
         }
-        query = f"UPDATE candidates SET {'=?, '.join(values)}=? WHERE id=? AND finished_at IS NULL"
+        query = f"UPDATE candidates SET {'=?, '.join(values)}=? WHERE id=? AND stopped IS NULL"
         changed = db.execute(query, (*values.values(), result.id)).rowcount
         if changed != 1:
             raise RunError(f"There is no candidate {result.id} that waits for its evaluation.")
@@ -309,7 +309,7 @@ class Archive(AbstractContextManager["Archive"]):
 
     def trained(self) -> int:
         """Designs that were trained: evaluations that are not those of an equal body."""
-        return self._number("SELECT COUNT(*) FROM candidates WHERE finished_at IS NOT NULL AND reused IS NULL")
+        return self._number("SELECT COUNT(*) FROM candidates WHERE stopped IS NOT NULL AND reused IS NULL")
 
     def generations(self) -> list[dict[str, Any]]:
         """A row a generation: generation, designs, evaluated, best, mean, worst, steps."""

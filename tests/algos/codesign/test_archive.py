@@ -128,6 +128,17 @@ def test_all_or_nothing_is_written(filled: Archive) -> None:
     assert filled.digest() == before
 
 
+def test_a_result_that_was_deleted_by_hand_is_made_again(filled: Archive, path: Path) -> None:
+    db = sqlite3.connect(path)
+    db.execute("UPDATE candidates SET stopped=NULL, fitness=NULL, steps=NULL WHERE id=4")
+    db.execute("DELETE FROM curves WHERE candidate=4")
+    db.commit()
+    trained = filled.trained()
+    filled.finish([Finished(4, Outcome(7.0))])
+    assert filled.record(4).fitness == 7.0
+    assert filled.trained() == trained + 1
+
+
 def test_rows_that_others_have_left_are_damage(filled: Archive, path: Path) -> None:
     """A candidate was deleted by hand, but not its parents."""
     filled.back_up()
