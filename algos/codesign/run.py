@@ -23,7 +23,7 @@ from warpvox.algos.codesign.robots import keep_start, read_start
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.protocols import episodes_of
-from warpvox.algos.search import make_search
+from warpvox.algos.search import BaseSearch, make_search
 from warpvox.algos.search.factory import start_with
 from warpvox.algos.settings import MLP
 from warpvox.algos.training.job import own_torch, task_name
@@ -83,7 +83,9 @@ def check(
     task_world(get_task(settings.task), np.full(settings.shape, 3, np.int8))
     start = [robot.body for robot in read_start(settings, folder)]
     if search is None:
-        make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, start)
+        search = make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, start)
+        if isinstance(search, BaseSearch):
+            search.ask()  # of some shapes hardly any random body holds together
     else:
         start_with(search, start)
     settings.sim  # noqa: B018  (constants out of range are found)

@@ -84,6 +84,7 @@ MISTAKES = {
     "codesign population=3": "Did you mean 'search.population'",
     "codesign shape=[5]": "shape must be [rows,columns]",
     "codesign shape=[12,12] task=Climber-v0": "does not fit",
+    "codesign search=random shape=[1,30]": "No new 1x30 body turns up",
     "codesign export=[cvs]": "Did you mean 'csv'",
     "codesign executor=local address=auto": "executor=ray",
     "codesign report=.": "not a run",
