@@ -40,7 +40,8 @@ from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.console import shell_argument
 from warpvox.io.writing import check_writable, to_yaml
-from warpvox.runs import STATE, Run, check_unchanged, read_summary, run_folder, write_summary
+from warpvox.robots.entry import zoo_tasks
+from warpvox.runs import STATE, ZOO, Run, check_unchanged, read_summary, run_folder, write_summary
 from warpvox.system import usable_cores
 from warpvox.trust import as_stored, keep_code
 
@@ -93,6 +94,9 @@ class Job:
             if any(key.startswith("designs") for key in named):
                 raise ConfigError("design is one body, designs are many for one policy: give one of the two.")
             settings = dataclasses.replace(settings, designs=Designs())
+        robot = str(settings.design).partition(ZOO)[2]
+        if source is None and "task" not in named and settings.task == Training.task and robot in zoo_tasks():
+            settings = dataclasses.replace(settings, task=robot)
         if source is None and settings.pretrained is not None:
             settings, self.learned = adopted(settings, settings.pretrained, named)
         if settings.method == "gradients" and settings.nan_guard == "dump":

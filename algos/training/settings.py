@@ -71,8 +71,8 @@ class Training(Settings):
     task: str = key("Walker-v0", TASK, path="read")
     design: Any = key(
         "walker",
-        "body: the name of an example, auto (the example made for the task), random, random:5x7, zoo:TASK, a"
-        " .json/.npz/.npy file, or rows of cells;"
+        "body: the name of an example, auto (the example made for the task), random, random:5x7, zoo:TASK (in this"
+        " task, unless task is given), a .json/.npz/.npy file, or rows of cells;"
         " for a task with several robots {name:body}",
         path="read",
     )

@@ -61,6 +61,19 @@ def test_several_designs_train_together_and_play(train: Callable, warpvox: Calla
     assert len(read_summary(once)["returns"]) == 2
 
 
+def test_a_body_of_the_zoo_brings_its_task_unless_one_is_given() -> None:
+    from warpvox.algos.training.job import Job
+    from warpvox.cli.config import load
+
+    for words, task in (
+        (["design=zoo:Climber-v0"], "Climber-v0"),
+        (["design=zoo:Climber-v0", "task=Walker-v0"], "Walker-v0"),
+        (["design=worm"], "Walker-v0"),
+    ):
+        job = Job(load("train", words), {word.partition("=")[0] for word in words})
+        assert job.settings.task == task
+
+
 def test_play_prints_returns_and_writes_files(train: Callable, warpvox: Callable) -> None:
     train("max_iterations=2")
     outcome = warpvox("play", "num_envs=2", "steps=12", "export=[usd,gif,html]", "threads=1")
