@@ -35,6 +35,8 @@ DRAWS, ROUNDS = 500, 60
 """Bodies drawn at a time for the pool, and how often; small shapes may have fewer new bodies than are wanted."""
 
 NOBODY = -1
+LARGEST = 1e9
+"""Fitness beyond this is scaled down for the model, whose squares overflow."""
 
 
 @dataclass
@@ -74,8 +76,9 @@ class BayesianSearch(BaseSearch):
         if self.generation == 0:
             return [self.random_proposal(rng) for _ in range(count)]
         propose = self._summits if self.settings.acquisition == "pathwise" else self._improved
+        scale = max(1.0, *(abs(value) / LARGEST for value in self.fitness))
         with own_torch(int(rng.integers(2**63))):
-            proposals = propose(rng, count)
+            proposals = propose(rng, count, [value / scale for value in self.fitness])
         # a tiny shape may have no more to offer
         return proposals + [self.random_proposal(rng) for _ in range(count - len(proposals))]
 
@@ -83,13 +86,13 @@ class BayesianSearch(BaseSearch):
         """Take the candidates as given: to fit every generation again would cost minutes and change nothing."""
         self.adopt(candidates)
 
-    def _improved(self, rng: np.random.Generator, count: int) -> list[Proposal]:
+    def _improved(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
         pool = self.pool(rng, self.settings.candidates, 0)
         if not len(pool):
             return []
-        model = fit_model(np.stack(self.bodies), self.fitness, self.settings)
+        model = fit_model(np.stack(self.bodies), fitness, self.settings)
         starts = pool.bodies[thompson_starts(model, pool.bodies, min(count, len(pool)))]
-        best = max(self.fitness)
+        best = max(fitness)
         ends = improve(model, best, starts, self.settings.optimizer_iterations)
         if self.settings.acquisition == "lbfgs":
             chosen = self._ends_or_starts(starts, ends)
@@ -118,12 +121,12 @@ class BayesianSearch(BaseSearch):
             if summit is not None and self.claim(summit):
                 yield summit, not np.array_equal(summit, start)
 
-    def _summits(self, rng: np.random.Generator, count: int) -> list[Proposal]:
+    def _summits(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
         random = max(1, round(self.settings.candidates * RANDOM_SHARE))
         pool = self.pool(rng, random, self.settings.candidates - random)
         if not len(pool):
             return []
-        model = fit_model(np.stack(self.bodies), self.fitness, self.settings)
+        model = fit_model(np.stack(self.bodies), fitness, self.settings)
         climb = climb_posterior(model, pool.bodies, count)
         proposals: list[Proposal] = []
         for path, start in enumerate(climb.start):

@@ -181,6 +181,13 @@ def test_climbing_ends_where_no_valid_neighbour_is_higher() -> None:
     assert (heights <= table.max(-1).sum(-1) + TOLERANCE).all()
 
 
+@pytest.mark.parametrize("acquisition", ["paper", "lbfgs", "pathwise"])
+def test_a_fitness_whose_square_overflows_can_be_learned_from(acquisition: str) -> None:
+    search = make_search(hasty(acquisition=acquisition, population=6, max_evaluations=12), (4, 4))
+    search.tell([(-1) ** k * k * 1e300 for k, _ in enumerate(search.ask())])
+    assert len({body_key(candidate.body) for candidate in search.ask()}) == 6
+
+
 @pytest.mark.parametrize("acquisition", ["paper", "pathwise"])
 def test_proposals_do_not_depend_on_the_threads_of_torch(acquisition: str) -> None:
     settings = hasty(acquisition=acquisition, population=6, max_evaluations=12)
