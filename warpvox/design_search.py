@@ -61,6 +61,8 @@ def codesign(
     """
     own = None if isinstance(search, str | Mapping | SearchSettings) else search
     if own is not None:
+        if isinstance(own, type) or not callable(getattr(own, "ask", None)):
+            raise ConfigError(f"search must be GA(), ..., a name, or an object that asks and tells; got {own!r:.80}.")
         has = getattr(own, "settings", own)  # which a BaseSearch has
         names = "population", "max_evaluations"
         sizes: dict[str, Any] = {name: getattr(has, name) for name in names if is_integer(getattr(has, name, None))}

@@ -1,6 +1,7 @@
 """The members of a suite from its keys: tasks x searches x seeds, each with the settings of its design search."""
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -100,11 +101,7 @@ def _searches(config: SuiteConfig, config_dir: Path | None) -> dict[str, Codesig
 
 
 def _has(config: Any, key: str) -> bool:
-    for name in key.split("."):
-        if not hasattr(config, name):
-            return False
-        config = getattr(config, name)
-    return True
+    return functools.reduce(lambda part, name: getattr(part, name, ...), key.split("."), config) is not ...
 
 
 def seeds_of(value: Any) -> list[int]:

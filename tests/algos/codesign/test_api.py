@@ -104,6 +104,7 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
     for wrong, says in [
         ({"evaluation": "specialst"}, "Did you mean 'specialist'"),
         ({"evaluation": 3}, "an object with a method evaluate"),
+        ({"search": wv.GA}, "an object that asks and tells; got <class"),
         ({"search": "gaa"}, r"search must be one of auto, bo, .*Did you mean 'ga'"),
         ({"evaluation": "gait"}, r"evaluation must be one of .*two_gaits"),
         ({"search": Own(few, (3, 4))}, r"made with shape=\[3, 4\] and seed=0, asked for \[3, 3\] and 0"),
