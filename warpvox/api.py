@@ -65,12 +65,13 @@ def train(
     from warpvox.algos.training.loading import TrainedRun
     from warpvox.algos.training.progress import listener
     from warpvox.algos.training.settings import Training
+    from warpvox.batch.options import SimOptions
     from warpvox.runs import TRAINING, find_run
     from warpvox.trust import typed, with_code
 
     given = settings | {key: value for key, value in {"task": task, "design": design}.items() if value is not None}
     base = given.pop("task") if isinstance(task, Training) else None
-    given = ({} if sim is None else _options(sim)) | given
+    given = _options(SimOptions.of(sim, {}, train)) | given
     resume = base.resume if resume is None and base is not None else resume
     if resume is not None and folder != "auto":
         raise ConfigError("A run that is resumed goes on in its folder: folder cannot be given with it.")

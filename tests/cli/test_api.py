@@ -97,6 +97,7 @@ def test_values_of_python_arrive_as_they_are(tmp_path: Path, monkeypatch: pytest
         ({"folder": "latest"}, "folder cannot be 'latest'"),
         ({"ppo": 3}, r"ppo must be Ppo\(...\) or values by name, got 3"),
         ({"sim": wv.SimOptions(layout="group")}, "sim.layout cannot be given"),
+        ({"sim": {"device": "cpu"}}, r"sim must be SimOptions\(device=..., ...\), got"),
     ],
 )
 def test_mistakes_are_named_and_nothing_is_written(keys: dict, words: str, tmp_path: Path, monkeypatch) -> None:
