@@ -62,8 +62,8 @@ class Gradients:
     @staticmethod
     def check(sim: Simulation) -> None:
         """Raise SimulationError where control steps of a simulation cannot be differentiated."""
-        if sim.arithmetic != "fast":
-            raise SimulationError(f"Gradients need a simulation with arithmetic='fast', got {sim.arithmetic!r}.")
+        if (got := getattr(sim, "arithmetic", sim)) != "fast":
+            raise SimulationError(f"Gradients need a simulation (env.sim) with arithmetic='fast', got {got!r:.80}.")
         if sim.layout != "lanes":
             raise SimulationError(f"Gradients need a simulation with layout='lanes', got {sim.layout!r}.")
 

@@ -314,8 +314,10 @@ def test_actions_beyond_the_range_have_no_derivative(grads):
 
 def test_mistakes(grads):
     one = world_of(np.array([[3]]))
-    with pytest.raises(SimulationError, match="arithmetic='fast', got 'exact'"):
+    with pytest.raises(SimulationError, match=r"\(env.sim\) with arithmetic='fast', got 'exact'"):
         Gradients(Simulation([one], device="cpu", dtype="float64"))
+    with pytest.raises(SimulationError, match=r"\(env.sim\) with arithmetic='fast', got 'walker'"):
+        Gradients("walker")
     with pytest.raises(SimulationError, match="layout='lanes', got 'group'"):
         Gradients(Simulation([one], device="cpu", layout="group"))
     for smoothing in (0, -1.0, float("inf"), float("nan"), "thin", True, 1e-300):
