@@ -55,6 +55,8 @@ def test_bodies_and_worlds_are_drawings() -> None:
         assert thing._repr_html_().count("h1v1h-1z") == np.count_nonzero(cells)
     assert "Robot(Walker-v0, 5 x 5 cells, " in line(robot)
     assert wv.draw_bodies([body, body]).size[0] > wv.draw_bodies([body]).size[0]
+    with pytest.raises(wv.DesignError, match=r"two dimensions \[rows, columns\], got shape \(5,\)"):
+        wv.draw_bodies(body)  # one body, not a list of one
 
 
 @pytest.mark.parametrize("seed", range(5))

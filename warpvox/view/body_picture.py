@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from warpvox.compile import compile_world
-from warpvox.design import Design
+from warpvox.design import Design, as_grid
 from warpvox.types import Physics
 from warpvox.view.painter import BELOW, INK, Canvas, font, save_png
 from warpvox.view.palette import cell_colour
@@ -40,6 +40,7 @@ def draw_bodies(
         columns: bodies in a row at most.
     """
     gap, line = cell, 22
+    bodies = [as_grid(body) for body in bodies]
     high, wide = (max(body.shape[axis] for body in bodies) * cell for axis in (0, 1))
     captions = captions or [()] * len(bodies)
     lines = max(len(caption) for caption in captions)
