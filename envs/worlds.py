@@ -16,7 +16,7 @@ from warpvox.checks import is_list, is_mapping
 from warpvox.design import Design, load_design
 from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.errors import ConfigError, DesignError, WorldError, did_you_mean, listing
-from warpvox.examples import example_for
+from warpvox.examples import design_for
 from warpvox.types import Cell
 from warpvox.world import World, WorldObject
 
@@ -139,7 +139,7 @@ def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[De
     loaded: list[Design | dict[str, Design]] = []
     for number, body in enumerate(bodies):
         try:
-            team = {name: load_design(given) for name, given in task_team(spec, example_for(spec.id, body)).items()}
+            team = {name: load_design(given) for name, given in task_team(spec, design_for(spec.id, body)).items()}
         except DesignError as error:
             raise DesignError(f"Design {number}: {error}" if len(bodies) > 1 else str(error)) from None
         loaded.append(team if spec.partners else team[ROBOT])

@@ -31,7 +31,7 @@ MADE_FOR: dict[str, tuple[str, ...]] = {
 """Tasks that an example is a starting point for; "mini" is for none in particular."""
 
 
-def example_for(task: Any, design: Any) -> Any:
+def design_for(task: Any, design: Any) -> Any:
     """``design``; where that is ``auto``, the name of the example made for the task, ``walker`` if there is none."""
     made = next((name for name, tasks in MADE_FOR.items() if task in tasks), "walker")
     return made if isinstance(design, str) and design == "auto" else design

@@ -12,7 +12,7 @@ from typing import Any
 from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.settings import LOGGERS, PRESETS, REFRESH, PhysicsConfig, Ppo
 from warpvox.errors import ConfigError
-from warpvox.examples import example_for
+from warpvox.examples import design_for
 from warpvox.keys import Settings, check_values, convert, key, plain
 
 OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
@@ -152,7 +152,7 @@ class Training(Settings):
         self.physics = PhysicsConfig.of(self.physics)
         convert(self, without=("task",))  # or a specification of a task
         self.design, self.network = plain(self.design, "design"), plain(self.network, "network")
-        self.design = example_for(getattr(self.task, "id", self.task), self.design)
+        self.design = design_for(getattr(self.task, "id", self.task), self.design)
         for name in ("bodies", "held_out"):
             setattr(self.designs, name, plain(getattr(self.designs, name), f"designs.{name}"))
         check_values(self)

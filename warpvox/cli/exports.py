@@ -64,11 +64,11 @@ def record_agent(config: Any) -> Rollout:
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.playing import SHOWN
     from warpvox.envs.vec_env import make_vec
-    from warpvox.examples import example_for
+    from warpvox.examples import design_for
     from warpvox.view.rollout import record
 
     task = config.task or "Walker-v0"
-    bodies = load_bodies(example_for(task, "walker" if config.design is None else config.design), config.seed or 0)
+    bodies = load_bodies(design_for(task, "walker" if config.design is None else config.design), config.seed or 0)
     env = make_vec(
         task,
         bodies,

@@ -72,7 +72,8 @@ class Player {
 
   fillIn() {
     const { about, dt, colours, names } = this.meta, count = this.envs.length;
-    const robots = this.envs.flatMap((env) => env.scene.objects).filter(({ cells }) => /[34]/.test(cells)).length;
+    const moves = ({ cells }) => cells.includes(3) || cells.includes(4);
+    const robots = this.envs.flatMap((env) => env.scene.objects).filter(moves).length;
     const said = [about.rules && `rules ${about.rules}`, about.agent && `agent ${about.agent}`];
     said.push(robots && `${robots} robot${robots > 1 ? "s" : ""}`, `${(this.last * dt).toFixed(1)} s`);
     byId("about").textContent = said.filter(Boolean).join(" · ");
