@@ -68,7 +68,7 @@ class LocalPool:
         self._workers.remove(worker)
         worker.process.join()
         code = worker.process.exitcode or 0
-        # a process that is only starting dies of what asks all of a group to end, before it can save anything
+        # what asks all of a group to end ends a process that makes no member at the moment
         if self._stopping or code == -signal.SIGTERM:
             return {"status": INTERRUPTED}
         name = signal.Signals(-code).name if -code in set(signal.Signals) else ""
@@ -118,11 +118,13 @@ def _serve(pipe: Connection, make: Make) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Windows does not hand down what is ignored
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    with contextlib.suppress(KeyboardInterrupt, EOFError), terminable():
+    with contextlib.suppress(EOFError):
         while True:
             job, folder = pipe.recv()
             _print_to(folder / LOG)
-            outcome = make(job, folder)
+            outcome: Outcome = {"status": INTERRUPTED}
+            with contextlib.suppress(KeyboardInterrupt), terminable():
+                outcome = make(job, folder)
             sys.stdout.flush()
             pipe.send(outcome)
 
@@ -193,8 +195,6 @@ def _make_there(make: Make, job: Any, folder: Path) -> Outcome:
     if not folder.is_dir():
         error = f"There is no folder {folder} on {platform.node()}: a suite needs a disk that all machines share."
         return {"status": "failed", "error": error}
-    with contextlib.ExitStack() as stack:
-        log = stack.enter_context((folder / LOG).open("a", encoding="utf-8"))
-        stack.enter_context(contextlib.redirect_stdout(log))
-        stack.enter_context(contextlib.redirect_stderr(log))
+    log = folder / LOG
+    with log.open("a", encoding="utf-8") as out, contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
         return make(job, folder)

@@ -420,6 +420,12 @@ def test_a_process_that_is_asked_to_end_while_it_starts_has_not_failed(pool: Loc
     assert ended(pool, 1)[0]["status"] == "interrupted"
 
 
+@pytest.mark.parametrize("job", ["early", "late"])
+def test_a_process_that_is_asked_to_end_beside_the_work_has_not_failed(pool: LocalPool, tmp_path: Path, job) -> None:
+    pool.begin(0, job, tmp_path)
+    assert ended(pool, 1)[0] == {"status": "interrupted"}
+
+
 @pytest.mark.slow
 def test_a_suite_that_is_ended_again_and_again_comes_to_the_same_end(tmp_path: Path) -> None:
     words = tiny("suite", *SIZES, "training.iterations=30", "training.eval_interval=2", "workers=2", "name=x")
