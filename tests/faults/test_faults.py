@@ -232,6 +232,28 @@ def test_leftovers_of_killed_processes_are_swept_up_and_a_second_writer_is_refus
 
 
 @pytest.mark.parametrize(
+    ("command", "more", "writer"),
+    [
+        ("train", ["max_iterations=4", "export=[gif]"], "warpvox.cli.exports.write_exports"),
+        ("codesign", [], "warpvox.algos.codesign.results.film_designs"),
+    ],
+)
+def test_nobody_else_goes_on_with_a_run_while_its_films_are_written(
+    command: str, more: list[str], writer: str, copied: Callable, warpvox: Callable, monkeypatch
+) -> None:
+    run, refused = copied(command), []
+
+    def write(*_: Any) -> None:
+        with pytest.raises(RunError, match="Another process is writing to"), claimed(run):
+            pass
+        refused.append(True)
+
+    monkeypatch.setattr(writer, write)
+    warpvox(command, f"resume={run}", *more)
+    assert refused
+
+
+@pytest.mark.parametrize(
     ("numbers", "code", "words"),
     [
         ([signal.SIGTERM], 143, "interrupted, state saved after 64 control steps"),

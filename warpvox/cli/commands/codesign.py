@@ -16,7 +16,7 @@ from warpvox.cli.overrides import check_report, key_and_value
 from warpvox.configs.codesign import CodesignConfig
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.console import echo, shown
-from warpvox.io.writing import check_writable, to_yaml
+from warpvox.io.writing import check_writable, claimed, to_yaml
 from warpvox.runs import check_unchanged, find_codesign, find_searches, new_folder, read_summary
 from warpvox.trust import again, as_stored
 
@@ -70,13 +70,13 @@ def _make(job: Job, console: Console) -> Path:
         from warpvox.algos.codesign.progress import SearchProgress
         from warpvox.algos.codesign.results import Results, film_designs
         from warpvox.algos.codesign.run import run_codesign
-    listeners = [SearchProgress(console)]
-    found = run_codesign(job.settings, job.folder, listeners, console=console)
-    with console.status("filming the best"), Archive.read(found.folder / FILE) as archive:
-        results = Results(found.folder, archive, job.settings, found.summary.get("pretraining_steps"))
-        film_designs(found.folder, results.best(), job.settings)
-        results.report(found.summary)
-    _export(found.folder, job.config.export, console)
+    found = run_codesign(job.settings, job.folder, [SearchProgress(console)], console=console)
+    with claimed(found.folder):  # who resumes the search would remove what is half written
+        with console.status("filming the best"), Archive.read(found.folder / FILE) as archive:
+            results = Results(found.folder, archive, job.settings, found.summary.get("pretraining_steps"))
+            film_designs(found.folder, results.best(), job.settings)
+            results.report(found.summary)
+        _export(found.folder, job.config.export, console)
     return found.folder
 
 

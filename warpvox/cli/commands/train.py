@@ -11,6 +11,7 @@ from rich.console import Console
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load
 from warpvox.configs.train import TrainConfig
+from warpvox.io.writing import claimed
 from warpvox.runs import TRAINING, find_run
 
 if TYPE_CHECKING:
@@ -35,27 +36,24 @@ def make_job(config: TrainConfig, overrides: list[str], config_dir: Path | None)
 
 
 def train(job: Job, console: Console) -> Path:
-    """Make a run; returns its folder."""
+    """Make a run, and record its best policy where exports are asked for; returns its folder."""
     from warpvox.algos.training.progress import Terminal
     from warpvox.devices.startup import prepare
 
     prepare(job.settings.torch_threads, job.settings.seed)
     job.train(Terminal(console))
     folder, config = cast(Path, job.folder), cast(TrainConfig, job.settings)
-    if config.export and job.group.is_main_process:
-        _export(folder, config, console)
-    return folder
-
-
-def _export(folder: Path, config: TrainConfig, console: Console) -> None:
-    """Record the best policy of a run and write it into the run's folder."""
+    if not config.export or not job.group.is_main_process:
+        return folder
     from warpvox.algos.training.playing import load_result
     from warpvox.cli.exports import ROLLOUT, print_returns, record_run, write_exports
 
-    run = find_run(str(folder), config.output_dir)
-    env, controller = load_result(run, config, config.device)
-    with console.status("simulating"):
-        rollout = record_run(run, env, controller, None)
-    print_returns(rollout, console)
-    rollout.save(folder / ROLLOUT)
-    write_exports(rollout, folder, config.export, console)
+    with claimed(folder):  # who resumes the run would remove what is half written
+        run = find_run(str(folder), config.output_dir)
+        env, controller = load_result(run, config, config.device)
+        with console.status("simulating"):
+            rollout = record_run(run, env, controller, None)
+        print_returns(rollout, console)
+        rollout.save(folder / ROLLOUT)
+        write_exports(rollout, folder, config.export, console)
+    return folder
