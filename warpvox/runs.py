@@ -136,16 +136,17 @@ def _folder_of(path: Path) -> Path:
 
 
 def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
-    """The runs that ``texts`` name, each once: as for :func:`find_run`, patterns (``outputs/train/*/*``) or sweeps.
+    """The runs that ``texts`` name, each once: as for :func:`find_run`, patterns of folders or checkpoints, or sweeps.
 
-    Folders that a pattern matches, or a sweep has made, and that are no runs are left out.
+    What a pattern (``outputs/train/*/*``) matches, or a sweep has made, and is neither is left out.
     """
     found: dict[tuple[Path, Path | None], Run] = {}
     for text in texts:
         names = [text]
         if (paths := _matches(text)) is not None:
-            runs, keys = (path for path in paths if (path / CONFIG).is_file()), NEEDED["train"][1]
-            names = [str(path) for path in runs if keys <= _read(path).keys()]
+            homes = ((path, path.parent if path.match("model_*.pt") else path) for path in paths)
+            runs, keys = ((path, home) for path, home in homes if (home / CONFIG).is_file()), NEEDED["train"][1]
+            names = [str(path) for path, home in runs if keys <= _read(home).keys()]
             if not names:
                 raise RunError(f"No run of `warpvox train` matches {text}.")
         found |= {(run.folder.resolve(), run.checkpoint): run for run in (find_run(one, output_dir) for one in names)}

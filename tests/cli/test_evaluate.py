@@ -13,7 +13,7 @@ from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.statistics import difference, mean_interval
 from warpvox.algos.training.playing import SampledController
 from warpvox.cli.run_groups import group_runs
-from warpvox.runs import Run
+from warpvox.runs import Run, find_runs
 
 FAST = ("threads=1", "device=cpu")
 
@@ -159,6 +159,17 @@ def test_a_deterministic_policy_in_a_task_without_chance_has_one_episode(train: 
         played = warpvox("play", f"run={folder}", *words, "steps=3", "export=[]", "window=off", *FAST)
         assert "draws nothing" not in played.out
         assert f"Walker-v0, {title}" in played.out
+
+
+def test_patterns_match_checkpoints_of_runs(tmp_path: Path) -> None:
+    for name, text in {"a": "task: Walker-v0", "b": "task: Jumper-v0", "no_run": "other: 1"}.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "config.yaml").write_text(f"{text}\ndesign: walker\nppo: {{}}\n...\n")
+        for file in ("model_2.pt", "model_best.pt", "state.pt", "metrics.csv"):
+            (tmp_path / name / file).touch()
+    found = find_runs([f"{tmp_path}/*/model_best.pt", f"{tmp_path}/b/*"], "")
+    names = [(run.config["task"], run.checkpoint and run.checkpoint.name) for run in found]
+    assert names == [("Walker-v0", "model_best.pt"), ("Jumper-v0", "model_best.pt"), ("Jumper-v0", "model_2.pt")]
 
 
 def test_what_evaluate_refuses(warpvox: Callable, tmp_path: Path) -> None:
