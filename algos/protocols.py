@@ -47,7 +47,7 @@ def parts_of(protocol: str, feedback: bool) -> tuple[str, ...]:
     """
     found = tuple(name for name in PROTOCOLS[protocol] if feedback or name != "sensors")
     if not found:
-        raise ConfigError("protocol=sensors needs a policy with feedback; an open-loop gait observes the time alone.")
+        raise ConfigError("protocol=sensors needs a policy with feedback; an open-loop one acts by the time alone.")
     return found
 
 

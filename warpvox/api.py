@@ -226,7 +226,7 @@ def evaluate(
             sim = {"dtype": known.dtype, "arithmetic": known.arithmetic, "physics": physics_of(known)}
             sim |= {key: value for key, value in options.items() if value is not None}
             given: dict[str, Any] = {"rules": known.rules, "obs": obs or about.get("obs") or "task"} | sim
-            parts = parts_of(protocol, feedback=getattr(getattr(one, "spec", None), "gait", None) is None)
+            parts = parts_of(protocol, feedback=getattr(getattr(one, "spec", None), "has_feedback", True))
             if hasattr(one, "in_float64"):
                 if stochastic:
                     raise ConfigError(f"stochastic=True samples actions of runs; policy {number} acts without chance.")

@@ -16,7 +16,7 @@ from torch.func import functional_call
 from warpvox.algos.policies.gait import GaitModel
 from warpvox.algos.policies.layout import VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
-from warpvox.algos.settings import Ppo
+from warpvox.algos.settings import CPG, Ppo
 from warpvox.code import Code, is_code
 from warpvox.envs.adapters.rsl_rl import ACTION_CENTER, OBS_GROUP
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -50,6 +50,11 @@ class PolicySpec:
     voxels: dict[str, Any] | None = None
     gait: dict[str, int] | None = None
     rnn: dict[str, Any] | None = None
+
+    @property
+    def has_feedback(self) -> bool:
+        """Whether actions depend on more than the body and the time."""
+        return self.gait is None and (self.voxels or {}).get("network") != CPG
 
 
 class Controller:

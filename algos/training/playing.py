@@ -110,7 +110,7 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
     trained = dataclasses.replace(trained, threads=config.threads, memory_check=config.memory_check, **named)
     bodies = training_bodies(trained)
     controller = load_controller(path, device, trained.policy)
-    parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=controller.spec.gait is None)
+    parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=controller.spec.has_feedback)
     judged, drawn = bodies.judged, config.stochastic or parts != (NOMINAL,) or get_task(trained.task).is_random
     if trained.is_many:
         judged = judged if designs is None else read_bodies(designs, trained.seed, "designs")
