@@ -35,7 +35,7 @@ from warpvox.cli.commands import suite
 from warpvox.cli.config import load
 from warpvox.cli.suite_plan import BENCHMARK10, merged, plan, task_names
 from warpvox.envs.registry import task_ids
-from warpvox.errors import DivergenceError, StorageError, WarpvoxError
+from warpvox.errors import ConfigError, DivergenceError, StorageError, WarpvoxError
 from warpvox.runs import read_summary
 
 SIZES = "tasks=[Walker-v0,Thrower-v0]", "searches=[ga]", "seeds=2", "evaluations=8", "search.population=5"
@@ -271,6 +271,11 @@ def test_a_suite_counts_environments_as_its_members_do(monkeypatch: pytest.Monke
     found = [member.settings for member in members(*words)]
     making._pool(load("suite", ["workers=1"]), found)[0].close()
     assert asked == [32 * 8 * 4]
+
+
+def test_more_members_than_anyone_wants_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"10,000 members at most: tasks x searches x seeds are 12,000"):
+        members("tasks=[Walker-v0,Jumper-v0]", "searches=[ga,bo,random]", "seeds=2000")
 
 
 def test_more_members_join_and_none_may_leave(quick: Callable) -> None:

@@ -14,7 +14,7 @@ from warpvox.algos.training.pretrained import find_pretrained, kept_name
 from warpvox.checks import check_choice, check_integer, check_shape, is_integer
 from warpvox.cli.config import load
 from warpvox.cli.help import options_of
-from warpvox.cli.overrides import key_and_value, read_overrides
+from warpvox.cli.overrides import MOST_RUNS, key_and_value, read_overrides
 from warpvox.code import Code, is_code
 from warpvox.configs.codesign import SuiteConfig
 from warpvox.configs.composition import quoted, shape_of
@@ -44,6 +44,8 @@ def plan(config: SuiteConfig, config_dir: Path | None = None) -> list[Member]:
         config_dir: the user's folder of YAML files, which may hold searches.
     """
     tasks, seeds, searches = _tasks(config.tasks), seeds_of(config.seeds), _searches(config, config_dir)
+    if (count := len(tasks) * len(seeds) * len(searches)) > MOST_RUNS:
+        raise ConfigError(f"A suite has {MOST_RUNS:,} members at most: tasks x searches x seeds are {count:,}.")
     members = []
     for seed, (task, spec), (search, settings) in itertools.product(seeds, tasks.items(), searches.items()):
         shape = _of_task("shape", config.shape, spec)

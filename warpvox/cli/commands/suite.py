@@ -111,7 +111,7 @@ def _place(config: SuiteConfig) -> Path:
 
 
 def suite(job: Job, console: Console) -> Path:
-    """Make a suite, or go on with one; returns its folder.
+    """Make a suite, go on with one, or write its report again, also while it is running; returns its folder.
 
     Raises:
         WarpvoxError: something cannot be made; RunError: members have failed, the others are made all the same.
@@ -120,7 +120,9 @@ def suite(job: Job, console: Console) -> Path:
     from warpvox.algos.suite.run import make_members
 
     if job.config.report is not None:
-        return _write_again(job.config, console)
+        source = find_suite(str(job.config.report), job.config.output_dir)
+        _write_report(Table.stored(source.folder), load_values("suite", source.config), console)
+        return source.folder
     config = dataclasses.replace(job.config, retry=False)
     place = job.folder or _place(config)
     folder = job.folder or make_folder(place.parent, place.name)
@@ -152,14 +154,6 @@ def _write_report(table: Table, config: SuiteConfig, console: Console) -> None:
         states = ", ".join(f"{count} {state}" for state, count in table.counts.items())
         page = write_benchmark(table.folder, archives, {"suite": config.suite or "", "members": states})
         echo(console, f"report: {page.resolve().as_uri()}")
-
-
-def _write_again(config: SuiteConfig, console: Console) -> Path:
-    """Make ``curves.csv`` and the report of a suite again, also while it is running."""
-    source = find_suite(str(config.report), config.output_dir)
-    table = Table.stored(source.folder)
-    _write_report(table, load_values("suite", source.config), console)
-    return source.folder
 
 
 def _advise(table: Table, config: SuiteConfig, console: Console, more: str = "") -> None:
