@@ -19,7 +19,7 @@ from warpvox.envs.observations import ObservationLayout
 from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.spec import Observation, TaskSpec, Term
-from warpvox.errors import SimulationError, TaskError, listing
+from warpvox.errors import SimulationError, TaskError, counted, listing
 from warpvox.simulation import Simulation
 
 
@@ -221,7 +221,7 @@ class FiniteGuard:
         for name in [name for name in found if name not in self._named]:
             self._named.add(name)
             kind, _, term = name.partition(" ")
-            environments = "1 environment" if found[name] == 1 else f"{found[name]} environments"
+            environments = counted(found[name], "environments")
             warnings.warn(
                 f"The {kind} '{term}' of the task '{self._task}' was NaN or infinite in {environments}, which ended as"
                 " diverged; this is said once, info['diverged'] says where it happens again.",

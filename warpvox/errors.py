@@ -109,8 +109,10 @@ def listing(options: Iterable[object], limit: int = 12) -> str:
     An empty collection gives ``"(none)"``, so that a sentence built from it stays a sentence.
     """
     names = [str(option) for option in options]
-    if not names:
-        return "(none)"
-    shown = ", ".join(names[:limit])
     left = len(names) - limit
-    return f"{shown}, ... ({left} more)" if left > 0 else shown
+    return ", ".join(names[:limit] or ["(none)"]) + (f", ... ({left} more)" if left > 0 else "")
+
+
+def counted(number: int, things: str) -> str:
+    """``3 designs``, or ``1 design``: a number and what there is of it, a word whose plural adds an s."""
+    return f"{number:,} {things.removesuffix('s') if number == 1 else things}"

@@ -18,7 +18,7 @@ from warpvox.algos.candidate import FINALIST, Candidate, Listener
 from warpvox.algos.codesign.archive import Record
 from warpvox.algos.codesign.results import fresh_text
 from warpvox.algos.report import FILE as REPORT
-from warpvox.errors import RunError
+from warpvox.errors import RunError, counted
 from warpvox.io.console import duration, echo, figure, shell_argument, shown
 from warpvox.runs import find_run
 from warpvox.trust import again
@@ -79,7 +79,8 @@ class SearchProgress(Listener):
             return
         folder, best, status = self.run.results.folder, summary["best_design"], summary["status"]
         words, under_way = (f"{status}, state saved", self.under_way) if status == "interrupted" else (status, "")
-        text = f"{words} after {summary['evaluations']} designs and {summary['steps']:,} control steps{under_way}"
+        designs = counted(summary["evaluations"], "designs")
+        text = f"{words} after {designs} and {summary['steps']:,} control steps{under_way}"
         if best is not None:
             text += f"; best fitness {summary['best_fitness']:.3f} (design {best})"
         echo(self.console, text)
@@ -97,11 +98,10 @@ class SearchProgress(Listener):
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
         self._generation, self._work = generation, {}
         last = any(candidate.origin == FINALIST for candidate in waiting)
-        self._first = self._first if last == self._last else None
-        self._last = last
+        self._first, self._last = self._first if last == self._last else None, last
         if self._live is None:
             reused = f", {total - len(waiting)} known" if total > len(waiting) else ""
-            echo(self.console, f"generation {generation}: {len(waiting)} designs to evaluate{reused}")
+            echo(self.console, f"generation {generation}: {counted(len(waiting), 'designs')} to evaluate{reused}")
         self._show()
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:

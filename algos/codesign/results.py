@@ -22,7 +22,7 @@ from warpvox.algos.report import FILE as REPORT, FILM, write_report
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.algos.training.playing import Playing, load_result, load_trained, own_code
 from warpvox.envs.registry import get_task
-from warpvox.errors import WarpvoxError
+from warpvox.errors import WarpvoxError, counted
 from warpvox.io.console import duration
 from warpvox.io.writing import atomic_path
 from warpvox.runs import find_run, read_summary, write_summary
@@ -251,7 +251,7 @@ class Found:
     def __repr__(self) -> str:
         best = f"best {self.summary['best_fitness']:.3f}" if self.summary["best_fitness"] is not None else "no result"
         where = repr(str(self.folder)) if self.kept is None else "in a temporary folder"
-        return f"Found({self.settings.task}, {self.summary['evaluations']} designs, {best}, {where})"
+        return f"Found({self.settings.task}, {counted(self.summary['evaluations'], 'designs')}, {best}, {where})"
 
     def _repr_html_(self) -> str:
         """The best bodies with their returns, and the curve, for notebooks."""

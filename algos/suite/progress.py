@@ -15,6 +15,7 @@ from rich.table import Table as Grid
 from rich.text import Text
 
 from warpvox.algos.suite.members import DONE, FAILED, RUNNING, WAITING, Row, Table
+from warpvox.errors import counted
 from warpvox.io.console import duration, echo, figure, literal
 
 REFRESH_SECONDS = 2.0
@@ -48,9 +49,9 @@ class SuiteProgress:
         if row.state != WAITING:
             self._ended.append(row)
         figures = row.figures()
-        best, designs = _number(figures["best_fitness"]), figures["evaluations"] or 0
+        best, designs = _number(figures["best_fitness"]), counted(figures["evaluations"] or 0, "designs")
         state = "interrupted" if row.state == WAITING else row.state
-        end = f": {row.error}" if row.error else f", best {figure(best)} of {designs} designs"
+        end = f": {row.error}" if row.error else f", best {figure(best)} of {designs}"
         done, (task, search, seed) = f"{len(self.table.of(DONE, FAILED))}/{len(self.table.rows)}", row.key
         echo(self.console, f"[{done}] {task} {search} seed {seed} {state}{end}  left {self._left()}")
 
@@ -92,12 +93,11 @@ def _cells(row: Row) -> Iterator[Any]:
     figures = row.figures()
     yield from (*row.key, row.state, f"{figures['evaluations'] or 0}/{row.total}")
     yield from (f"{figures['control_steps'] or 0:,}", figure(_number(figures["best_fitness"])))
-    spent = _number(figures["wall_s"], 0.0)
-    yield duration(time.monotonic() - row.began if row.state == RUNNING and row.began else spent)
+    yield duration(time.monotonic() - row.began if row.state == RUNNING and row.began else figures["wall_s"] or 0.0)
 
 
-def _number(value: Any, default: float = math.nan) -> float:
-    return float(value) if isinstance(value, int | float) else default
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
 
 
 def results(rows: Sequence[Row]) -> Grid:

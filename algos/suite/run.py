@@ -17,7 +17,7 @@ from warpvox.algos.suite.members import DONE, FAILED, RUNNING, WAITING, Member, 
 from warpvox.algos.suite.pool import INTERRUPTED, LocalPool, RayPool
 from warpvox.algos.suite.progress import SuiteProgress
 from warpvox.devices.names import resolve_device
-from warpvox.errors import StorageError, WarpvoxError
+from warpvox.errors import StorageError, WarpvoxError, counted
 from warpvox.io.console import echo
 from warpvox.io.writing import OF_FULL_DISKS
 from warpvox.system import available_memory, usable_cores
@@ -40,7 +40,7 @@ def make_members(table: Table, members: list[Member], config: Any, console: Cons
     """
     waiting, running = deque(number for number, row in enumerate(table.rows) if row.state == WAITING), {}
     pool, threads = _pool(config, [members[number].settings for number in waiting])
-    echo(console, f"{pool.size} at a time, each with {threads} thread{'s' * (threads > 1)}")
+    echo(console, f"{pool.size} at a time, each with {counted(threads, 'threads')}")
     try:
         with deferred_interrupts() as interrupt, SuiteProgress(table, console) as progress:
             stopping, full = False, ""
@@ -79,12 +79,10 @@ def make_members(table: Table, members: list[Member], config: Any, console: Cons
 def _pool(config: Any, members: list[Codesign]) -> tuple[LocalPool | RayPool, int]:
     """The processes that make the members, and the threads of each."""
     if config.executor == "ray":
-        threads = config.threads or 1
-        gpus = 0 if config.device == "cpu" else None
+        threads, gpus = config.threads or 1, 0 if config.device == "cpu" else None
         return RayPool(make_member, config.workers, config.address, threads, gpus), threads
-    cores, envs = usable_cores(), max(map(environments, members))
-    room = cores if resolve_device(config.device, envs) == "cpu" else 1
-    free = available_memory()
+    cores, free = usable_cores(), available_memory()
+    room = cores if resolve_device(config.device, max(map(environments, members))) == "cpu" else 1
     room = room if free is None else max(1, min(room, free // PROCESS_BYTES))
     workers = min(config.workers or room, len(members))
     return LocalPool(make_member, workers), config.threads or max(1, cores // workers)

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from warpvox.algos.training.held_out import HeldOut
 from warpvox.algos.training.job import Job, Listener
+from warpvox.errors import counted
 from warpvox.io.console import duration, echo, figure, shell_argument, shown
 from warpvox.runs import STATE
 from warpvox.trust import again
@@ -127,7 +128,7 @@ def _announcement(job: Job) -> str:
     done = runner.current_learning_iteration
     verb = f"resuming after iteration {done}" if done else "training"
     where = config.device if runner.group.size == 1 else f"{runner.group.size} processes, {config.device}"
-    lines = [f"{verb}: {config.task}, {config.num_envs} environments on {where}, rules {config.rules}"]
+    lines = [f"{verb}: {config.task}, {counted(config.num_envs, 'environments')} on {where}, rules {config.rules}"]
     if isinstance(job.judge, HeldOut):
         lines.append(f"evaluated on {job.judge.about}")
     if config.pretrained is not None and not done:

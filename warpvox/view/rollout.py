@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.checks import check_choice, check_integer, is_integer
-from warpvox.errors import ActionError, ConfigError, RolloutError
+from warpvox.errors import ActionError, ConfigError, RolloutError, counted
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
 from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, VOXEL
@@ -74,7 +74,7 @@ class Rollout:
 
     def __repr__(self) -> str:
         low, high = self.returns[-1].min(), self.returns[-1].max()
-        size = f"{self.num_envs} environment{'s' * (self.num_envs > 1)}, {self.num_steps} steps"
+        size = f"{counted(self.num_envs, 'environments')}, {counted(self.num_steps, 'steps')}"
         return f"Rollout({self.title}, {size}, returns {low:.3f} to {high:.3f})"
 
     def _repr_html_(self) -> str:

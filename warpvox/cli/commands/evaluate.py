@@ -16,7 +16,7 @@ from warpvox.cli.application import run_command
 from warpvox.cli.run_groups import group_runs
 from warpvox.code import Code, is_code
 from warpvox.configs.show import EvaluateConfig
-from warpvox.errors import ConfigError
+from warpvox.errors import ConfigError, counted
 from warpvox.io.console import echo, literal, shown
 from warpvox.io.writing import to_yaml, write_table
 from warpvox.robots.entry import zoo_tasks
@@ -83,7 +83,7 @@ def _evaluate(found: Run, config: EvaluateConfig) -> list[EvaluatedPolicy]:
 def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> None:
     percent = f"{100 * config.level:g} %"
     kind = "sampled actions" if config.stochastic else "deterministic"
-    title = f"mean return, {kind}, {config.episodes} episodes of each run"
+    title = f"mean return, {kind}, {counted(config.episodes, 'episodes')} of each run"
     headings = "settings", "run", "episodes", "mean", f"{percent} interval", "10 % quantile", "n", "over"
     sections, before = [], None
     for entry in judged:

@@ -17,7 +17,7 @@ from warpvox.cli.overrides import check_report, key_and_value
 from warpvox.cli.suite_plan import gone_on_with, merged, plan, seeds_of, task_names
 from warpvox.code import is_code
 from warpvox.configs.codesign import SuiteConfig
-from warpvox.errors import ConfigError, RunError, listing
+from warpvox.errors import ConfigError, RunError, counted, listing
 from warpvox.io.console import echo, shell_argument, shown
 from warpvox.io.writing import check_writable, to_yaml
 from warpvox.runs import STAMP, check_unchanged, find_suite, going_on, make_folder
@@ -132,7 +132,7 @@ def suite(job: Job, console: Console) -> Path:
         table = Table.of_members(folder, job.members, job.config.retry)
         table.write()
         done = ", ".join(f"{count} {state}" for state, count in table.counts.items() if state != WAITING)
-        echo(console, f"{len(table.rows)} members{f', {done} already' if done else ''}")
+        echo(console, f"{counted(len(table.rows), 'members')}{f', {done} already' if done else ''}")
         echo(console, f"folder: {shown(folder)}")
         try:
             if table.of(WAITING):

@@ -10,7 +10,7 @@ from rich.table import Table
 from warpvox.cli.application import run_command
 from warpvox.configs.tools import ZooConfig
 from warpvox.envs.registry import get_task, task_ids
-from warpvox.errors import RunError, WarpvoxError, did_you_mean, listing
+from warpvox.errors import RunError, WarpvoxError, counted, did_you_mean, listing
 from warpvox.io.console import duration, echo, figure, literal
 from warpvox.robots.entry import FOLDER, read_robot
 from warpvox.robots.gait import Gait
@@ -64,7 +64,7 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
         table.add_row(*map(literal, (name, *returns, "" if robot.has_feedback else "○", mean, trained, body)))
     console.print(table)
     total = sum(path.stat().st_size for path in entries.values())
-    echo(console, f"{len(entries)} robot{'s' * (len(entries) != 1)} in {folder}, {total / 1e6:.2f} MB")
+    echo(console, f"{counted(len(entries), 'robots')} in {folder}, {total / 1e6:.2f} MB")
     echo(console, "under noise: mean of 32 episodes with noise of 0.01 on every action; nominal: as EvoGym gives it")
     echo(console, "steps: control steps of the nominal episode; both in exact arithmetic")
     echo(console, "trained: control steps of the whole search; body: cell types, rows from the top")
@@ -103,8 +103,7 @@ def _policy(policy: Network | Gait | None) -> str:
     if policy is None:
         return "none"
     if isinstance(policy, Gait):
-        stages = "1 stage" if policy.num_stages == 1 else f"{policy.num_stages} stages"
-        return f"gait, open loop: {policy.num_parameters} parameters, {stages}"
+        return f"gait, open loop: {policy.num_parameters} parameters, {counted(policy.num_stages, 'stages')}"
     sizes = [policy.num_obs, *(len(bias) for bias in policy.biases)]
     return f"{'-'.join(map(str, sizes))}, {policy.activation}"
 
