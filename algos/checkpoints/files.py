@@ -53,7 +53,7 @@ class PolicySpec:
 
     @property
     def has_feedback(self) -> bool:
-        """Whether actions depend on more than the body and the time."""
+        """True where actions depend on more than the body and the time."""
         return self.gait is None and (self.voxels or {}).get("network") != CPG
 
 

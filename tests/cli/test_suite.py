@@ -138,6 +138,7 @@ def test_budgets_by_task() -> None:
     [
         ({"tasks": []}, "got \\[\\]"),
         ({"seeds": []}, "seeds must be how many"),
+        ({"seeds": 10**12}, "seeds must be an integer from 1 to 10000"),
         ({"evaluations": {"esay": 3}}, "Did you mean 'easy'"),
         ({"evaluations": {"hard": 3}}, "says nothing of Walker-v0"),
         ({"control_steps": 10}, "must be at least"),

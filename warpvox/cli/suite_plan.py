@@ -109,7 +109,7 @@ def _has(config: Any, key: str) -> bool:
 def seeds_of(value: Any) -> list[int]:
     """The seeds that ``seeds`` stands for, each once: a list, or how many there are."""
     if is_integer(value):
-        return list(range(check_integer("seeds", value, 1)))
+        return list(range(check_integer("seeds", value, 1, MOST_RUNS)))
     if not isinstance(value, list) or not value:
         raise ConfigError(f"seeds must be how many there are, or a list such as [0,1,2]; got {value!r}.")
     return list(dict.fromkeys(check_integer("seeds", seed, 0) for seed in value))
