@@ -1,22 +1,19 @@
 """Climbing (paper section B.4)."""
 
+from functools import partial
+
 from warpvox.envs.spec import Function, Observation, TaskSpec, observes, rewards, terminates
 from warpvox.envs.terms.observations import ceiling, orientation, overhang, shape, velocity
 from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.terms.terminations import beyond
 from warpvox.envs.worlds import columns
 
-CLIMBER_0 = TaskSpec(
-    id="Climber-v0",
-    section="B.4.1",
-    summary="Climb as high as possible through a flat, vertical channel.",
-    difficulty="medium",
-    objects=(columns("pipe", "90F", *5 * ["F 88. F"], "90F"),),  # a shaft 5 wide, closed at both ends
+# As high as possible.
+_climb = partial(
+    TaskSpec,
     robot_cell=(1, 1),
-    max_episode_steps=400,
     observations=(observes(velocity), observes(shape)),
     rewards=(rewards(displacement, axis="y"),),
-    terminations=(terminates(beyond, axis="y", limit=8.6, bonus=1.0),),
 )
 
 MIXED_PIPE = columns(
@@ -24,19 +21,6 @@ MIXED_PIPE = columns(
     "11F 2S 8F 2S 4F 2S 2F 2S 2F S 3F 3S 3F 2S 4F 3S 6F 5S 5F",
     *5 * ["F 68. F"],
     "8F S 6F 3S 5F 2S 3F 2S 5F 3S 7F 2S 4F 3S 2F 4S 10F",
-)
-
-CLIMBER_1 = TaskSpec(
-    id="Climber-v1",
-    section="B.4.2",
-    summary="Climb as high as possible through a vertical channel of rigid and soft walls.",
-    difficulty="medium",
-    objects=(MIXED_PIPE,),
-    robot_cell=(1, 1),
-    max_episode_steps=600,
-    observations=(observes(velocity), observes(shape)),
-    rewards=(rewards(displacement, axis="y"),),
-    terminations=(terminates(beyond, axis="y", limit=6.5, bonus=1.0),),
 )
 
 BENT_PIPE = columns(
@@ -53,17 +37,26 @@ def _sees(terrain: Function) -> tuple[Observation, ...]:
     return (observes(velocity), observes(orientation), observes(shape), above)
 
 
-CLIMBER_2 = TaskSpec(
-    id="Climber-v2",
-    section="B.4.3",
-    summary="Climb as high as possible through a narrow stepwise channel.",
-    difficulty="hard",
-    objects=(BENT_PIPE,),
-    robot_cell=(1, 1),
-    max_episode_steps=1000,
-    observations=_sees(ceiling),
-    rewards=(rewards(displacement, axis="y"), rewards(displacement, weight=0.2, axis="x")),
-    paper={"observations": _sees(overhang)},
+TASKS = (
+    _climb(
+        *("Climber-v0", "B.4.1", "Climb as high as possible through a flat, vertical channel.", "medium"),
+        objects=(columns("pipe", "90F", *5 * ["F 88. F"], "90F"),),  # a shaft 5 wide, closed at both ends
+        max_episode_steps=400,
+        terminations=(terminates(beyond, axis="y", limit=8.6, bonus=1.0),),
+    ),
+    _climb(
+        *("Climber-v1", "B.4.2"),
+        *("Climb as high as possible through a vertical channel of rigid and soft walls.", "medium"),
+        objects=(MIXED_PIPE,),
+        max_episode_steps=600,
+        terminations=(terminates(beyond, axis="y", limit=6.5, bonus=1.0),),
+    ),
+    _climb(
+        *("Climber-v2", "B.4.3", "Climb as high as possible through a narrow stepwise channel.", "hard"),
+        objects=(BENT_PIPE,),
+        max_episode_steps=1000,
+        observations=_sees(ceiling),
+        rewards=(rewards(displacement, axis="y"), rewards(displacement, weight=0.2, axis="x")),
+        paper={"observations": _sees(overhang)},
+    ),
 )
-
-TASKS = (CLIMBER_0, CLIMBER_1, CLIMBER_2)

@@ -9,34 +9,10 @@ from warpvox.envs.terms.rewards import displacement
 from warpvox.envs.terms.terminations import beyond
 from warpvox.envs.worlds import block, rows
 
-WALKER = TaskSpec(
-    id="Walker-v0",
-    section="B.2.1",
-    summary="Walk as far as possible on flat terrain.",
-    difficulty="easy",
-    objects=(block("ground", 100, 1),),
-    robot_cell=(1, 1),
-    max_episode_steps=500,
-    observations=(observes(velocity), observes(shape)),
-    rewards=(rewards(displacement, axis="x"),),
-    terminations=(terminates(beyond, axis="x", limit=9.9, bonus=1.0),),
-)
+# As far as possible to the right.
+_walk = partial(TaskSpec, max_episode_steps=500, rewards=(rewards(displacement, axis="x"),))
 
 _POSTS, _ROPE = "F 4. F 4. F 7. F 10. F 16. F 11. 2F", "F 4S F 4S F 7S F 10S F 16S F 11S 2F"
-
-BRIDGE_WALKER = TaskSpec(
-    id="BridgeWalker-v0",
-    section="B.2.2",
-    summary="Walk as far as possible on a soft rope-bridge.",
-    difficulty="easy",
-    objects=(rows("new_object_2", "60F", _POSTS, _POSTS, _ROPE, _ROPE),),
-    robot_cell=(2, 5),
-    max_episode_steps=500,
-    observations=(observes(velocity), observes(orientation), observes(shape)),
-    rewards=(rewards(displacement, axis="x"),),
-    # As released: the line is the very edge of the bridge, so the centre of mass has to leave it.
-    terminations=(terminates(beyond, axis="x", limit=6.0, bonus=1.0),),
-)
 
 
 def _goals(way: int | None) -> tuple[Memory, ...]:
@@ -46,27 +22,33 @@ def _goals(way: int | None) -> tuple[Memory, ...]:
     return (Memory("goals", start), Memory("goal", first_goal, partial(next_goal, name="robot", within=0.2)))
 
 
-BIDIRECTIONAL_WALKER = TaskSpec(
-    id="BidirectionalWalker-v0",
-    section="B.2.3",
-    summary="Walk to goals on either side, one after the other.",
-    difficulty="medium",
-    objects=(block("new_object_1", 70, 1),),
-    robot_cell=(33, 1),
-    max_episode_steps=1000,
-    observations=(
-        observes(velocity),
-        observes(shape),
-        observes(goal_number),
-        observes(goal_place),
-        observes(goal_offset),
+TASKS = (
+    _walk(
+        *("Walker-v0", "B.2.1", "Walk as far as possible on flat terrain.", "easy"),
+        objects=(block("ground", 100, 1),),
+        robot_cell=(1, 1),
+        observations=(observes(velocity), observes(shape)),
+        terminations=(terminates(beyond, axis="x", limit=9.9, bonus=1.0),),
     ),
-    # As released: in the step that reaches a goal, the approach to the next one counts instead.
-    rewards=(rewards(approach_goal),),
-    terminations=(terminates(all_goals_reached, bonus=1.0),),
-    memory=_goals(way=100),
-    # The paper names no end of the list and no bonus for it.
-    paper={"terminations": (), "memory": _goals(way=None)},
+    _walk(
+        *("BridgeWalker-v0", "B.2.2", "Walk as far as possible on a soft rope-bridge.", "easy"),
+        objects=(rows("new_object_2", "60F", _POSTS, _POSTS, _ROPE, _ROPE),),
+        robot_cell=(2, 5),
+        observations=(observes(velocity), observes(orientation), observes(shape)),
+        # As released: the line is the very edge of the bridge, so the centre of mass has to leave it.
+        terminations=(terminates(beyond, axis="x", limit=6.0, bonus=1.0),),
+    ),
+    TaskSpec(
+        *("BidirectionalWalker-v0", "B.2.3", "Walk to goals on either side, one after the other.", "medium"),
+        objects=(block("new_object_1", 70, 1),),
+        robot_cell=(33, 1),
+        max_episode_steps=1000,
+        observations=tuple(map(observes, (velocity, shape, goal_number, goal_place, goal_offset))),
+        # As released: in the step that reaches a goal, the approach to the next one counts instead.
+        rewards=(rewards(approach_goal),),
+        terminations=(terminates(all_goals_reached, bonus=1.0),),
+        memory=_goals(way=100),
+        # The paper names no end of the list and no bonus for it.
+        paper={"terminations": (), "memory": _goals(way=None)},
+    ),
 )
-
-TASKS = (WALKER, BRIDGE_WALKER, BIDIRECTIONAL_WALKER)
