@@ -138,12 +138,12 @@ auto find_springs = [&](int start) {
 auto reverse_stages = [&]() {
     for (int n = 0; n < actives; ++n) {
         const int r = active[n];
-        const Value free = weights(free_lanes[r / 2]) * per_mass;
+        const Value moves = weights(free_lanes[r / 2]), free = moves * per_mass;
         const Value early = by_pos[r] * free * (h * h / Real(6)), late = by_vel[r] * free * (h / Real(6));
         by_force[r] = early + late;
         by_force[rows + r] = by_force[2 * rows + r] = early + late * Real(2);
         by_force[3 * rows + r] = late;
-        by_vel[r] = by_vel[r] + by_pos[r] * h;
+        by_vel[r] = by_vel[r] + by_pos[r] * moves * h;  // a fixed point stays where it is, whatever its velocity
     }
     for (int stage = 3; stage >= 0; --stage) {
         const int at = stage * rows;

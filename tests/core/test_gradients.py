@@ -96,6 +96,12 @@ def test_at_rest_in_the_air_derivatives_are_those_of_the_physics(physics):
     assert max(errors(grads, lifted(grads), actions)) < 1e-5
 
 
+def test_velocities_of_points_that_never_move_count_in_what_hangs_on_them():
+    hanging, physics = world(6, 4, robot=([[5, 3, 2]], 1, 2)), Physics(gravity=0.0)
+    grads = Gradients(Simulation([hanging], physics=physics, **FIELDS | {"lanes": 1}))
+    assert max(errors(grads, grads.state(), torch.ones(1, 1, dtype=torch.float64))) < 1e-5
+
+
 @pytest.mark.parametrize("amplitude", [0.1, 0.4])
 def test_in_motion_they_are_near(grads, amplitude):
     state, turns = lifted(grads), noise(grads.sim.actions)
