@@ -32,6 +32,8 @@ DT = 1.0e-4
 nominal 1500 Hz."""
 ACTION_LOW, ACTION_HIGH = 0.6, 1.6
 """Bounds of an action: the target length of an actuator's sides in units of their rest length."""
+ACTION_CENTER, ACTION_SCALE = 1.1, 0.5
+"""The middle of this range, which a policy's output of 0 means, and half of it: outputs of -1 and 1 are its ends."""
 
 
 class Cell(IntEnum):

@@ -14,11 +14,8 @@ from warpvox.envs.checks import check_fields
 from warpvox.envs.episodes import state_rows
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
+from warpvox.types import ACTION_CENTER, ACTION_SCALE
 
-ACTION_CENTER = 1.1
-"""The middle of the range of actions: what a policy's output of 0 means."""
-ACTION_SCALE = 0.5
-"""Half of that range: outputs of -1 and 1 are its ends."""
 STOP_CAUSES = ("unstable", "diverged")
 """Causes of a termination that are logged: a stopped step, and divergence among those."""
 OBS_GROUP = "policy"

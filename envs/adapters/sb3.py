@@ -11,15 +11,13 @@ from warpvox.checks import check_choice
 from warpvox.envs.adapters.base import Adapter, spaces_of
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, listing
-from warpvox.types import ACTION_HIGH, ACTION_LOW
+from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW, ACTION_SCALE
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 except ImportError as error:
     raise ConfigError("This needs the package stable-baselines3: pip install 'warpvox[sb3]'") from error
-
-CENTER, HALF = (ACTION_LOW + ACTION_HIGH) / 2, (ACTION_HIGH - ACTION_LOW) / 2
 
 
 class VoxelSB3VecEnv(Adapter, VecEnv):
@@ -80,7 +78,7 @@ class VoxelSB3VecEnv(Adapter, VecEnv):
         Raises:
             ActionError: wrong shape, or entries that are not finite.
         """
-        actions = CENTER + HALF * self._actions if self.normalize_actions else self._actions
+        actions = ACTION_CENTER + ACTION_SCALE * self._actions if self.normalize_actions else self._actions
         obs, reward, terminated, truncated, info = self.vec.step(actions)
         done = (terminated | truncated).cpu().numpy()
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]

@@ -7,11 +7,10 @@ import numpy as np
 
 from warpvox.errors import RunError
 from warpvox.robots.network import WIDEST, as_observations
+from warpvox.types import ACTION_CENTER, ACTION_SCALE
 
 ARRAYS = ("begin", "period", "amplitude", "phase", "rest")
 """The arrays of a gait, by their names in files."""
-CENTER, SCALE = np.float32(1.1), np.float32(0.5)
-"""The middle of the range of actions, and half its width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,4 +84,6 @@ class Gait:
         period = self.period[stage]
         angle = (2 * np.pi * np.remainder(time, period) / period)[..., None] + self.phase[stage]
         outputs = self.rest[stage] + self.amplitude[stage] * np.sin(angle)
-        return (CENTER + SCALE * np.clip(outputs, -1.0, 1.0).astype(np.float32)).astype(np.float64)
+        return (
+            np.float32(ACTION_CENTER) + np.float32(ACTION_SCALE) * np.clip(outputs, -1.0, 1.0).astype(np.float32)
+        ).astype(np.float64)

@@ -24,7 +24,7 @@ from warpvox.checks import check_choice, check_integer, is_integer
 from warpvox.errors import ActionError, ConfigError, RolloutError, counted
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
-from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, VOXEL
+from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW, ACTION_SCALE, FRAME_SECONDS, VOXEL
 from warpvox.view.scene import Scene, check_scene, scene_from_json, scene_of, scene_to_json, stretch
 
 FORMAT, VERSION = "warpvox-rollout", 1
@@ -338,8 +338,7 @@ def _agent(name: str, env: Any) -> Callable[[Any], Any]:
         return lambda obs: ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * draw()
     # One second a cycle, each actuator with a phase of its own: enough for most bodies to get somewhere.
     phase, steps = 2 * torch.pi * draw(), count()
-    middle, swing = (ACTION_LOW + ACTION_HIGH) / 2, (ACTION_HIGH - ACTION_LOW) / 2
-    return lambda obs: middle + swing * torch.sin(2 * torch.pi * FRAME_SECONDS * next(steps) + phase)
+    return lambda obs: ACTION_CENTER + ACTION_SCALE * torch.sin(2 * torch.pi * FRAME_SECONDS * next(steps) + phase)
 
 
 def _draws(env: Any) -> Callable[[], Any]:
