@@ -31,8 +31,6 @@ from warpvox.kernels.lanes import REALS
 REAL = "real"  # the precision of the springs, float32 or float64
 STATE = wp.float64
 
-# The sides of a voxel in clockwise order: side k runs from corner k to corner k + 1.
-TOP, RIGHT, BOTTOM, LEFT = (1 << k for k in range(4))
 # How a control step of an environment ended (bits).
 UNSTABLE, DIVERGED, OVERFLOW = 1, 2, 4
 DISTANT = 16  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
