@@ -147,12 +147,10 @@ class FiniteGuard:
 
     On the CPU :func:`all_finite` decides whether there is anything to do. Elsewhere reading it would wait for the
     device: masks are applied in every step, and counts stay on the device until :meth:`report` reads them.
-
-    Methods take ``on_cpu``: whether results can be read without waiting for a device.
     """
 
     def __init__(self, spec: TaskSpec, sim: Simulation, layout: ObservationLayout) -> None:
-        self._task = spec.id
+        self._task, self.on_cpu = spec.id, sim.device == "cpu"
         self._rewards = [term.name for term in spec.rewards]
         self._layout, self._columns, self._design = layout, layout.columns, sim.design_index
         rows = sim.num_designs if sim.grid is None else sim.num_envs  # as many designs as there may be
@@ -176,17 +174,17 @@ class FiniteGuard:
             self._of_columns.index_add_(0, self._design, counted.int())
         return obs.masked_fill(odd, 0.0), counted.any(1)
 
-    def first(self, obs: torch.Tensor, where: torch.Tensor | None, on_cpu: bool) -> torch.Tensor:
+    def first(self, obs: torch.Tensor, where: torch.Tensor | None) -> torch.Tensor:
         """The observation of a beginning, with 0 for what is not finite; ``where`` as for :meth:`observation`."""
-        if on_cpu and all_finite(obs):
+        if self.on_cpu and all_finite(obs):
             return obs
         obs, _ = self.observation(obs, where)
-        if on_cpu:
+        if self.on_cpu:
             self.report()
         return obs
 
     def step(
-        self, obs: torch.Tensor, terms: dict[str, torch.Tensor], where: torch.Tensor, on_cpu: bool
+        self, obs: torch.Tensor, terms: dict[str, torch.Tensor], where: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """As :meth:`observation` of a step with these parts of the reward, ``[num_envs]`` each, also not finite."""
         obs, odd = self.observation(obs, where)
@@ -194,7 +192,7 @@ class FiniteGuard:
             bad = torch.stack([~torch.isfinite(terms[name]) for name in self._rewards]) & where
             self._of_rewards += bad.sum(1)
             odd = odd | bad.any(0)
-        if on_cpu and bool(odd.any()):
+        if self.on_cpu and bool(odd.any()):
             self.report()
         return obs, odd
 

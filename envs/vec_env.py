@@ -167,7 +167,7 @@ class VoxelVecEnv:
         self._describe(sim.design_index[::block])  # equal designs share one entry of the simulation
         self.voxels = voxel_layouts(spec.observations, self.obs_columns[0])
         # On the CPU a mask can be read to skip work; elsewhere reading it would wait for the device.
-        self._on_cpu = torch.device(sim.device).type == "cpu"
+        self._on_cpu = sim.device == "cpu"
         self._finite = FiniteGuard(spec, sim, self.layout)
         self.dump: DivergenceDump | None = None
         self._graph: StepGraph | None = None
@@ -270,7 +270,7 @@ class VoxelVecEnv:
         self.episodes.set_before(now)
         if self.dump is not None:
             self.dump.clear(mask)
-        return self._finite.first(self.layout.observe(now), mask, self._on_cpu), {}
+        return self._finite.first(self.layout.observe(now), mask), {}
 
     def draw_as(self, numbers: torch.Tensor) -> None:
         """From the next reset on, draw the random numbers of these environments, long ``[num_envs]``; equal ones draw
@@ -380,11 +380,8 @@ class VoxelVecEnv:
                 then. On CUDA an environment with such entries becomes unstable.
             DeviceError: memory has run out; says what to lower.
         """
-        before = None if self.auto_reset else self.sim.actions
-        self.sim.take(actions)
-        if before is not None:  # an ended environment keeps the actions that its last observation may show
-            going = ~(self.episodes.terminated | self.episodes.truncated)
-            self.sim.action_buffer.copy_(torch.where(going[:, None], self.sim.action_buffer, before))
+        # An ended environment keeps the actions that its last observation may show.
+        self.sim.take(actions, self._going())
         self.episodes.drawn = False
         if self.dump is not None:
             self.dump.before(self.sim.actions)
@@ -398,10 +395,14 @@ class VoxelVecEnv:
             self.dump.after(result[1], result[4])
         return result
 
+    def _going(self) -> torch.Tensor | None:
+        """bool ``[num_envs]``: environments whose episode has not ended; None: all, as they are reset at once."""
+        return None if self.auto_reset else ~(self.episodes.terminated | self.episodes.truncated)
+
     def _whole_step(self) -> StepResult:
         """The part of :meth:`step` that runs on the device, without waiting for it."""
         episodes = self.episodes
-        going = None if self.auto_reset else ~(episodes.terminated | episodes.truncated)
+        going = self._going()
         obs, after, memory_values, unstable, terms, terminated = self._advance(going)
         obs, reward, unstable, diverged = self._sound(obs, terms, unstable, going)
         terminated, truncated = terminated | unstable, episodes.length >= episodes.limit
@@ -438,7 +439,7 @@ class VoxelVecEnv:
         idle = diverged if going is None else diverged | ~going
         if self._on_cpu and all_finite(obs, reward) and not idle.any():
             return obs, reward, unstable, diverged
-        obs, odd = self._finite.step(obs, terms, ~idle, self._on_cpu)
+        obs, odd = self._finite.step(obs, terms, ~idle)
         unstable, idle = unstable | odd, idle | odd
         terms["unstable"] = unstable.double() * self.spec.unstable_penalty
         for term in self.spec.rewards:  # the state before the step may be non-finite: no reward follows from it
@@ -471,7 +472,7 @@ class VoxelVecEnv:
         values: dict[str, float] = {name: value.item() for name, value in terms.items()}
         diverged = stopped and bool(self.sim.diverged.item())
         if not (math.isfinite(sum(values.values())) and all_finite(obs)):
-            obs, odd = self._finite.step(obs, terms, ~(unstable & diverged), self._on_cpu)
+            obs, odd = self._finite.step(obs, terms, ~(unstable & diverged))
             if odd.item():
                 stopped = ended = diverged = True
                 values["unstable"] = self.spec.unstable_penalty
@@ -528,7 +529,7 @@ class VoxelVecEnv:
         now = self._snapshot()
         self.episodes.set_before(now)
         # A running episode keeps its observation, which was made before the memory was updated.
-        fresh = self._finite.first(self.layout.observe(now), done, self._on_cpu)
+        fresh = self._finite.first(self.layout.observe(now), done)
         return torch.where(done[:, None], fresh, obs)
 
     def state(self) -> dict[str, Any]:

@@ -107,7 +107,7 @@ class Simulation(Sensing):
         self._launches: list[Recorded] = []
         self._take: Recorded | None = None
         self._views = {name: wp.to_torch(self._state.arrays[name]) for name in (*STATE_FIELDS, "drift")}
-        self._env = (_torch(self._state.env_pack), _torch(self._state.env_lane))
+        self._env = tuple(wp.to_torch(array).long() for array in (self._state.env_pack, self._state.env_lane))
         self.slot = self._env[0] * self._state.lanes + self._env[1]
         self.action_range = low, high
         self.action_buffer = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
@@ -135,13 +135,19 @@ class Simulation(Sensing):
         self.take(actions)
         self.advance()
 
-    def take(self, actions: object) -> None:
-        """The first half of :meth:`step`: check the actions and keep them for :meth:`advance`."""
+    def take(self, actions: object, mask: torch.Tensor | None = None) -> None:
+        """The first half of :meth:`step`: check the actions and keep them for :meth:`advance`.
+
+        Where ``mask`` (bool ``[num_envs]``) is False, those taken before remain; None means nowhere.
+        """
         actions = checked_actions(actions, (self.num_envs, self.num_actions))
         if actions.dtype == torch.float64 and self.dtype != torch.float64:
             most = torch.finfo(self.dtype).max
             actions = actions.clamp(-most, most)  # beyond it a finite number would become infinite
-        self.action_buffer.copy_(actions.detach())  # or it would remember all that they were computed from
+        actions = actions.detach()  # or the buffer would remember all that they were computed from
+        if mask is not None:
+            actions = torch.where(mask[:, None], actions.to(self.action_buffer), self.action_buffer)
+        self.action_buffer.copy_(actions)
 
     @property
     def actions(self) -> torch.Tensor:
@@ -488,10 +494,6 @@ def checked_actions(
             bad = int((~fine).nonzero()[0, 0])
             raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")
     return actions
-
-
-def _torch(array: wp.array) -> torch.Tensor:
-    return wp.to_torch(array).long()
 
 
 def _check_range(action_range: tuple[float, float]) -> tuple[float, float]:

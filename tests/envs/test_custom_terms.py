@@ -230,7 +230,7 @@ def test_a_term_that_is_not_finite_ends_its_environments(kind: str, auto_reset: 
     value = float("nan") if auto_reset else float("-inf")
     env = make(blinking(kind, value, [1]), auto_reset=auto_reset)
     calm = make(blinking(kind, value, []), auto_reset=auto_reset)
-    env._on_cpu = looks
+    env._on_cpu = env._finite.on_cpu = looks
     obs, _ = env.reset()
     assert torch.equal(obs, calm.reset()[0])
     with warnings.catch_warnings(record=True) as heard:
