@@ -138,7 +138,7 @@ class Simulation(Sensing):
     def take(self, actions: object, mask: torch.Tensor | None = None) -> None:
         """The first half of :meth:`step`: check the actions and keep them for :meth:`advance`.
 
-        Where ``mask`` (bool ``[num_envs]``) is False, those taken before remain; None means nowhere.
+        Where ``mask`` (bool ``[num_envs]``) is False, those taken before remain; None: all are taken.
         """
         actions = checked_actions(actions, (self.num_envs, self.num_actions))
         if actions.dtype == torch.float64 and self.dtype != torch.float64:
