@@ -90,11 +90,11 @@ class SimulationError(WarpvoxError, RuntimeError):
 def did_you_mean(name: object, options: Iterable[object]) -> str:
     """Return ``" Did you mean 'X'?"`` for the option nearest to ``name``, or ``""`` if none is near.
 
-    The leading blank lets a caller append the result to a finished sentence. Letter case is ignored, because
-    a wrong capital is the most common slip and must not hide the nearest name.
+    The leading blank lets a caller append the result to a finished sentence. Letter case, the most common slip, is
+    ignored, and so is the ending ``-v0``, by which all tasks are alike.
     """
-    by_folded = {str(option).casefold(): str(option) for option in options}
-    near = difflib.get_close_matches(str(name).casefold(), by_folded, n=1, cutoff=0.6)
+    by_folded = {str(option).casefold().removesuffix("-v0"): str(option) for option in options}
+    near = difflib.get_close_matches(str(name).casefold().removesuffix("-v0"), by_folded, n=1, cutoff=0.6)
     return f" Did you mean '{by_folded[near[0]]}'?" if near else ""
 
 

@@ -104,6 +104,7 @@ def test_every_error_has_a_public_name() -> None:
         ("Walker-v1", " Did you mean 'Walker-v0'?"),
         ("walker-V0", " Did you mean 'Walker-v0'?"),
         ("climber", " Did you mean 'Climber-v0'?"),
+        ("Dual-v0", ""),
         ("zzz", ""),
         (17, ""),
     ],
