@@ -197,7 +197,11 @@ class BaseSearch(ABC):
         """
         if self._asked is None:
             raise SearchError("tell() was called without ask(): there are no candidates that wait for their fitness.")
-        asked, values = self._asked, [float(value) for value in fitness]
+        asked = self._asked
+        try:
+            values = [float(value) for value in fitness]
+        except (TypeError, ValueError):
+            raise SearchError(f"tell() needs a list of {len(asked)} numbers, got {fitness!r:.80}.") from None
         if len(values) != len(asked):
             raise SearchError(f"tell() needs one fitness per candidate: expected {len(asked)}, got {len(values)}.")
         for candidate, value in zip(asked, values, strict=True):

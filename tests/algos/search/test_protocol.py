@@ -172,6 +172,8 @@ def test_asking_twice_and_telling_without_asking_are_errors(algorithm: str) -> N
 
 BAD_FITNESS = {
     "expected 8, got 7": [1.0] * 7,
+    r"list of 8 numbers, got \['a'": ["a"] * 8,
+    "list of 8 numbers, got 3": 3,
     "candidate 3 must be a finite number, got nan": [1.0] * 3 + [float("nan")] + [1.0] * 4,
     "candidate 0 must be a finite number, got -inf": [float("-inf")] * 8,
 }
