@@ -72,9 +72,10 @@ def test_mistakes_are_told_in_words(given: dict[str, Any], words: str) -> None:
         settings_from(given)
 
 
-def test_settings_of_no_search_are_refused() -> None:
-    with pytest.raises(ConfigError, match="no search for settings of type dict"):
-        make_search({"algorithm": "ga"})  # type: ignore[arg-type]
+@pytest.mark.parametrize(("settings", "kind"), [({"algorithm": "ga"}, "dict"), (GA, "type")])
+def test_settings_of_no_search_are_refused(settings: Any, kind: str) -> None:
+    with pytest.raises(ConfigError, match=f"no search for settings of type {kind}"):
+        make_search(settings)
 
 
 def test_without_pyribs_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
