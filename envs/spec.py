@@ -22,7 +22,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
-from warpvox.checks import check_choice, check_integer
+from warpvox.checks import check_choice, check_integer, is_integer, is_list, is_mapping
 from warpvox.devices.out_of_memory import shortage
 from warpvox.envs.about import About, about_of
 from warpvox.errors import TaskError, WarpvoxError, did_you_mean, listing
@@ -231,8 +231,10 @@ class TaskSpec:
     paper: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "paper", MappingProxyType(dict(self.paper)))
-        object.__setattr__(self, "partners", MappingProxyType(dict(self.partners)))
+        for name in ("paper", "partners"):
+            if not is_mapping(given := getattr(self, name)):
+                raise TaskError(f"{name} of the task {self.id!r} must be a dictionary, got {given!r:.60}.")
+            object.__setattr__(self, name, MappingProxyType(dict(given)))
         if not isinstance(self.id, str) or not ID.fullmatch(self.id):
             raise TaskError(f"The id of a task may hold letters, digits and . _ + - only, got {self.id!r}.")
         check_choice(f"difficulty of the task '{self.id}'", self.difficulty, DIFFICULTIES, TaskError)
@@ -274,6 +276,9 @@ class TaskSpec:
                     raise TaskError(
                         f"{name}[{number}] of the task '{self.id}' must be {article} {kind.__name__}{hint}."
                     )
+        for name, cell in self.robots.items():
+            if not is_list(cell) or len(cell) != 2 or not all(map(is_integer, cell)):
+                raise TaskError(f"The cell of {name!r} in the task '{self.id}' must be (x, y), got {cell!r:.60}.")
         objects = [obj.name for obj in self.objects] + list(self.robots)
         for name in self.randomized:
             if name not in objects:

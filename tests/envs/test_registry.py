@@ -61,6 +61,13 @@ def test_a_specification_can_be_copied_and_sent(task: str) -> None:
         ({"randomized": ("ground",)}, "no memory named 'offset'"),
         ({"paper": {"reward": ()}}, "'reward'. Did you mean 'rewards'"),
         ({"paper": {"paper": {}}}, "paper of the task 'Mine-v0'"),
+        ({"paper": 3}, "paper of the task 'Mine-v0' must be a dictionary, got 3"),
+        ({"partners": [1]}, "partners of the task 'Mine-v0' must be a dictionary"),
+        ({"partners": {"other": (1,)}}, r"'other' in the task 'Mine-v0' must be \(x, y\), got \(1,\)"),
+        ({"robot_cell": (1,)}, r"'robot' in the task 'Mine-v0' must be \(x, y\), got \(1,\)"),
+        ({"robot_cell": 1}, r"'robot' in the task 'Mine-v0' must be \(x, y\), got 1"),
+        ({"robot_cell": (1, 2, 3)}, r"must be \(x, y\)"),
+        ({"robot_cell": (1, 2.5)}, r"must be \(x, y\)"),
     ],
 )
 def test_specifications_that_make_no_sense_are_refused(changes: dict, words: str) -> None:
