@@ -192,6 +192,8 @@ class Job:
         made = run_folder(self.folder, self.written, "train", to_yaml(self.written), place)
         with made if group.is_main_process else nullcontext() as folder:
             self.folder = runner.folder = folder = Path(str(group.broadcast(folder and str(folder))))
+            if self.checkpoint is not None:  # again: before the folder was ours another process may have gone on
+                runner.resume(self.checkpoint)
             if settings.nan_guard == "dump":
                 env = runner.env.env
                 env.dump = DivergenceDump(env, folder / ("dumps" if group.is_main_process else f"dumps_{group.rank}"))

@@ -34,6 +34,7 @@ from warpvox.algos.codesign.archive import BACKUP, FILE, Archive
 from warpvox.errors import RolloutError, RunError, StorageError
 from warpvox.io import writing
 from warpvox.io.writing import MARK, claimed, write_text
+from warpvox.runs import run_folder
 
 resource = pytest.importorskip("resource", reason="signals and limits are those of POSIX")
 
@@ -251,6 +252,21 @@ def test_nobody_else_goes_on_with_a_run_while_its_films_are_written(
     monkeypatch.setattr(writer, write)
     warpvox(command, f"resume={run}", *more)
     assert refused
+
+
+def test_a_run_that_another_process_continued_meanwhile_goes_on_from_there(copied: Callable, monkeypatch) -> None:
+    run, told = copied("train"), []
+
+    def late(*words: Any) -> Any:
+        with monkeypatch.context() as patch:
+            patch.setattr("warpvox.algos.training.job.run_folder", run_folder)
+            wv.train(resume=run, max_iterations=5, progress=False)
+        return run_folder(*words)
+
+    monkeypatch.setattr("warpvox.algos.training.job.run_folder", late)
+    monkeypatch.setattr("warpvox.algos.training.job.Listener.__call__", lambda _, row: told.append(row["iteration"]))
+    wv.train(resume=run, max_iterations=6, progress=False)
+    assert told == [4, 5, 6]  # 4 and 5 by the other
 
 
 @pytest.mark.parametrize(
