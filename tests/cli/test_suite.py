@@ -36,6 +36,7 @@ from warpvox.cli.config import load
 from warpvox.cli.suite_plan import BENCHMARK10, merged, plan, task_names
 from warpvox.envs.registry import task_ids
 from warpvox.errors import ConfigError, DivergenceError, StorageError, WarpvoxError
+from warpvox.io.writing import claimed
 from warpvox.runs import read_summary
 
 SIZES = "tasks=[Walker-v0,Thrower-v0]", "searches=[ga]", "seeds=2", "evaluations=8", "search.population=5"
@@ -372,6 +373,13 @@ def test_report_again(quick: Callable) -> None:
     quick(f"report={folder}")
     assert (folder / CURVES).read_text() == before
     assert "1 done" in (folder / "report.html").read_text()
+    members = folder / MEMBERS
+    members.write_text(members.read_text().replace(",done,", ",running,"))
+    with claimed(folder):
+        quick(f"report={folder}")
+        assert "1 running" in (folder / "report.html").read_text()
+    quick(f"report={folder}")  # nobody is making it any more: it was killed
+    assert "1 waiting" in (folder / "report.html").read_text()
 
 
 def test_the_command_that_goes_on_names_the_code_of_the_suite(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
@@ -9,7 +10,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from warpvox.algos.suite.members import FAILED, MEMBERS, WAITING, Member, Table
+from warpvox.algos.suite.members import FAILED, MEMBERS, RUNNING, WAITING, Member, Table
 from warpvox.algos.suite.progress import results
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load, load_values
@@ -19,7 +20,7 @@ from warpvox.code import is_code
 from warpvox.configs.codesign import SuiteConfig
 from warpvox.errors import ConfigError, RunError, counted, listing
 from warpvox.io.console import echo, shell_argument, shown
-from warpvox.io.writing import check_writable, to_yaml
+from warpvox.io.writing import check_writable, claimed, to_yaml
 from warpvox.runs import STAMP, check_unchanged, find_suite, going_on, make_folder
 from warpvox.trust import COPIES, STORED, again, keep_code
 
@@ -121,7 +122,11 @@ def suite(job: Job, console: Console) -> Path:
 
     if job.config.report is not None:
         source = find_suite(str(job.config.report), job.config.output_dir)
-        _write_report(Table.stored(source.folder), load_values("suite", source.config), console)
+        table = Table.stored(source.folder)
+        with suppress(RunError), claimed(source.folder):  # nobody is making it: what was running was killed
+            for row in table.of(RUNNING):
+                row.state = WAITING
+        _write_report(table, load_values("suite", source.config), console)
         return source.folder
     config = dataclasses.replace(job.config, retry=False)
     place = job.folder or _place(config)
