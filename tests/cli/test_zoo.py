@@ -16,6 +16,7 @@ from warpvox.algos.training.loading import load_policy
 from warpvox.cli.config import load
 from warpvox.cli.robot_entries import command_of
 from warpvox.design import full_connections, load_design
+from warpvox.io.writing import claimed
 from warpvox.robots.entry import Robot, read_robot, save_robot, zoo, zoo_tasks
 from warpvox.robots.gait import Gait
 from warpvox.robots.returns import recorded
@@ -76,6 +77,9 @@ def test_a_run_becomes_an_entry_and_only_a_better_one_replaces_it(warpvox: Calla
     save_robot(
         "mine/Walker-v0.npz", type(robot)(**{**vars(robot), "about": {**robot.about, "noise": {"return": -100.0}}})
     )
+    with claimed(Path("mine")):  # as of another process that compares and writes
+        warpvox("zoo", f"add={run}", "folder=mine", fails="Another process is writing to mine")
+    assert read_robot("mine/Walker-v0.npz").robust_return == -100
     assert "the entry has -100.000000; written" in warpvox("zoo", f"add=[{run}/model_best.pt]", "folder=mine").out
     Path("empty").mkdir()
     warpvox("zoo", f"add=[empty,{run}]", "folder=other", fails="1 of 2 could not be added")

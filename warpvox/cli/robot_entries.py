@@ -14,6 +14,7 @@ from warpvox.cli.help import flat_values, options_of
 from warpvox.configs.schema import PRESET
 from warpvox.envs.registry import get_task
 from warpvox.errors import RunError
+from warpvox.io.writing import claimed, writing
 from warpvox.robots.entry import Robot, read_robot, save_robot
 from warpvox.robots.returns import is_better, recorded
 from warpvox.runs import as_name
@@ -65,8 +66,11 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[
     )
     best = dataclasses.replace(best, task=get_task(best.task).id)
     path = folder / f"{as_name(best.task)}.npz"
-    before = read_robot(path) if path.is_file() else None
-    return best, before, None if before is not None and not is_better(best, before) else save_robot(path, best)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    with claimed(folder):  # from the comparison on: another process may have a better one
+        before = read_robot(path) if path.is_file() else None
+        return best, before, None if before is not None and not is_better(best, before) else save_robot(path, best)
 
 
 def _command(about: Mapping[str, Any]) -> str:
