@@ -34,7 +34,7 @@ def make_search(
         seed: of all random numbers; the same seed and fitness give the same proposals.
         start: different bodies, int8 ``[rows, columns]``, that the first generation begins with.
     """
-    if not isinstance(settings, SearchSettings) or settings.algorithm not in SEARCHES:  # the class of some has one, too
+    if isinstance(settings, type) or getattr(settings, "algorithm", None) not in SEARCHES:
         raise ConfigError(f"There is no search for settings of type {type(settings).__name__}.")
     module, name = SEARCHES[settings.algorithm]
     search = getattr(import_module(f"warpvox.algos.search.{module}"), name)(settings, shape, seed)
