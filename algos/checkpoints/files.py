@@ -18,11 +18,11 @@ from warpvox.algos.policies.layout import VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.settings import CPG, Ppo
 from warpvox.code import Code, is_code
-from warpvox.envs.adapters.rsl_rl import ACTION_CENTER, OBS_GROUP
+from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError, first_line
 from warpvox.io.writing import atomic_path
-from warpvox.types import ACTION_HIGH, ACTION_LOW
+from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
 
 RNN = {"rnn_type": "lstm", "rnn_hidden_dim": 256, "rnn_num_layers": 1}
 """Settings of rsl-rl's ``RNNModel``, with its defaults."""

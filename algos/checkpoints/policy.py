@@ -28,11 +28,11 @@ from warpvox.algos.checkpoints.files import (
 )
 from warpvox.algos.policies.gait import GaitModel
 from warpvox.algos.policies.model import VoxelModel
-from warpvox.envs.adapters.rsl_rl import ACTION_CENTER, OBS_GROUP
+from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
 from warpvox.errors import ConfigError, RunError, first_line
 from warpvox.io.reading import Unreadable, parse_json
-from warpvox.types import ACTION_HIGH, ACTION_LOW
+from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
 
 FORMAT, VERSION = "warpvox policy", 1
 LARGEST = 1 << 28

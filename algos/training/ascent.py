@@ -13,11 +13,11 @@ from warpvox.algos.policies.layout import MOVING
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.training.ppo import PPO
 from warpvox.algos.training.runner import Runner
-from warpvox.envs.adapters.rsl_rl import ACTION_CENTER
 from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, SimulationError
 from warpvox.gradients import Gradients
+from warpvox.types import ACTION_CENTER
 
 DERIVED = ("com", "velocity")
 """What of a state is differentiated: quantities that rewards may be made of."""

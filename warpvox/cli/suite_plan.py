@@ -1,7 +1,6 @@
 """The members of a suite from its keys: tasks x searches x seeds, each with the settings of its design search."""
 
 import dataclasses
-import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -13,7 +12,7 @@ from warpvox.algos.suite.members import Member
 from warpvox.algos.training.pretrained import find_pretrained, kept_name
 from warpvox.checks import check_choice, check_integer, check_shape, is_integer
 from warpvox.cli.config import load
-from warpvox.cli.help import options_of
+from warpvox.cli.help import flat_values, options_of
 from warpvox.cli.overrides import MOST_RUNS, key_and_value, read_overrides
 from warpvox.code import Code, is_code
 from warpvox.configs.codesign import SuiteConfig
@@ -78,11 +77,11 @@ def _tasks(names: list[str]) -> dict[str, TaskSpec]:
 
 def _searches(config: SuiteConfig, config_dir: Path | None) -> dict[str, Codesign]:
     """The settings of each search, by its name: those of its file with what the suite says instead."""
-    known = options_of("codesign", "search", config_dir)
+    named = options_of("codesign", "search", config_dir)
     if not config.searches:
-        raise ConfigError(f"searches must name one search or more of {listing(known)}, got [].")
+        raise ConfigError(f"searches must name one search or more of {listing(named)}, got [].")
     for name in config.searches:
-        check_choice("each of searches", name, known)
+        check_choice("each of searches", name, named)
     words = by_key(config.codesign)
     for key in words:
         if key.split("/")[0] in OF_SUITES:
@@ -92,18 +91,14 @@ def _searches(config: SuiteConfig, config_dir: Path | None) -> dict[str, Codesig
     found, taken = {}, set()
     for name in dict.fromkeys(config.searches):
         base = [f"search={name}", f"device={config.device}", f"output_dir={quoted(config.output_dir)}"]
-        plain = load("codesign", [*base, *groups], config_dir)
-        own = [key for key in words if "." in key and _has(plain, key)]
+        known = flat_values("codesign", dataclasses.asdict(load("codesign", [*base, *groups], config_dir)))
+        own = [key for key in words if "." in key and key in known]
         taken |= {*own}
         found[name] = Codesign.of(vars(load("codesign", [*base, *groups, *(words[key] for key in own)], config_dir)))
     for key in words:
         if "." in key and key not in taken:
             load("codesign", [f"search={name}", *groups, words[key]], config_dir)  # which says what is wrong
     return found
-
-
-def _has(config: Any, key: str) -> bool:
-    return functools.reduce(lambda part, name: getattr(part, name, ...), key.split("."), config) is not ...
 
 
 def seeds_of(value: Any) -> list[int]:

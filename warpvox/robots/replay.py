@@ -11,13 +11,12 @@ from warpvox.algos.checkpoints.files import PolicySpec, load_controller
 from warpvox.algos.checkpoints.policy import Policy, make_policy, policy_of
 from warpvox.algos.policies.gait import AMPLITUDE
 from warpvox.design import Design
-from warpvox.envs.adapters.rsl_rl import ACTION_CENTER
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import RunError
 from warpvox.robots.entry import Robot
 from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
-from warpvox.types import Cell
+from warpvox.types import ACTION_CENTER, Cell
 
 BY_CELL = ("amplitude", "phase", "rest")
 """Fields that a gait has for each actuator, and a checkpoint of it for each cell of a grid."""
