@@ -249,19 +249,8 @@ def collect_near(kit: Kit):
     span, content = lattice_range(kit), lattice_content(kit)
 
     @kit.func
-    def near_terrain(model, data, mesh, pack, k, v):
-        """1 if a surface cell of the terrain is in reach of voxel v in lane k, else 0."""
-        frame = model.frame[mesh]
-        x0, x1, y0, y1 = span(model, data, mesh, pack, k, v, model.margin)
-        for y in range(y0, y1 + 1):
-            for x in range(x0, x1 + 1):
-                if model.terrain_side[frame, y * model.terrain[frame][0] + x] != 0:
-                    return 1
-        return 0
-
-    @kit.func
     def store_near_box(model, data, mesh, pack, k, v):
-        """Bounds of the surface cells in reach, inside out where there are none."""
+        """Store bounds of the surface cells in reach, inside out where there are none; 1 if there are some, else 0."""
         x0, x1, y0, y1 = span(model, data, mesh, pack, k, v, model.margin)
         frame = model.frame[mesh]
         left, bottom = wp.float64(FARTHEST), wp.float64(FARTHEST)
@@ -278,24 +267,22 @@ def collect_near(kit: Kit):
         data.near_box[pack, 4 * v + 1, k] = right
         data.near_box[pack, 4 * v + 2, k] = bottom
         data.near_box[pack, 4 * v + 3, k] = top
+        return wp.where(left <= right, 1, 0)
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
+        lanes = int(width)
         n = int(0)
         for m in range(model.movables[mesh]):
+            if (content(model, data, mesh, unit, m) & 1) == 0:
+                continue
             v = model.movable[mesh, m]
             found = int(0)
-            k = int(lane)
-            if (content(model, data, mesh, unit, m) & 1) == 0:
-                k = lane + int(width)
-            while found == 0 and k < lane + int(width):
-                found = near_terrain(model, data, mesh, pack, k, v)
-                k += 1
+            for k in range(lane, lane + lanes):
+                found = found | store_near_box(model, data, mesh, pack, k, v)
             if found == 1:
                 data.near[unit, n] = v
                 n += 1
-                for e in range(lane, lane + int(width)):
-                    store_near_box(model, data, mesh, pack, e, v)
         data.near_count[unit] = n
 
     return stage

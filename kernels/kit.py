@@ -33,7 +33,7 @@ class Kit:
         """Decorator: a Warp function, inlined (structs are passed by value, so that a call would copy them)."""
         return inline(self._typed(source))
 
-    def func_native(self, *files: str, precision: str | None = None, code: str = "", **values: float):
+    def func_native(self, *files: str, precision: str | None = None, **values: float):
         """Decorator: a Warp function whose body is C++ in files of this folder, for values of the kit's precision.
 
         Warp looks for this name to find out what the function returns.
@@ -41,8 +41,8 @@ class Kit:
         Args:
             values: constants of that body, by name.
         """
-        parts = constants(**CPP_CONSTANTS, **values), native(files, precision or self.precision, self.width), code
-        body = "\n".join(parts)
+        code = native(files, precision or self.precision, self.width)
+        body = f"{constants(**CPP_CONSTANTS, **values)}\n{code}"
         return lambda source: wp.func_native(body)(self._typed(source))
 
     def stage(self, *files: str, precision: str | None = None, **values: float):
@@ -51,7 +51,7 @@ class Kit:
         def stage(model, data, mesh, pack, lane, unit, dt): ...
 
         stage.__qualname__ = "_".join([Path(files[-1]).stem, *map(str, values.values())])  # Warp's name for it
-        return self.func_native(*files, precision=precision, code="", **values)(stage)
+        return self.func_native(*files, precision=precision, **values)(stage)
 
     def _typed(self, source):
         given = source.__annotations__
