@@ -10,7 +10,7 @@ import numpy as np
 
 from warpvox.batch.options import SimOptions
 from warpvox.envs.adapters.single import Sensors
-from warpvox.errors import listing
+from warpvox.errors import did_you_mean, listing
 from warpvox.evogym.errors import ArgumentError, ArgumentTypeError
 from warpvox.kernels.state import DIVERGED, UNSTABLE
 from warpvox.simulation import Simulation
@@ -101,7 +101,7 @@ class Engine:
 
     def translate(self, name: str, dx: float, dy: float) -> None:
         """Move all points of an object, in simulator units; overlaps are not checked."""
-        self._span(name)
+        self._check(name)
         if name not in self._loose and (self._bodies[name].source.grid == Cell.FIXED).any():
             # Rebuilt, the simulation can move an object of fixed cells.
             actions, before, self._loose = self._actions.copy(), self._rows, (*self._loose, name)
@@ -122,10 +122,16 @@ class Engine:
             raise ArgumentError(f"time must lie between 0 and {self.time}, got {time}.")
         return self._past[time]
 
+    def _check(self, name: object, kind: str = "object") -> None:
+        names = self.goals if kind == "robot" else self._spans
+        if not isinstance(name, str) or name not in names:
+            why = " It has no actuator (cells 3, 4)." if str(name) in self._spans else did_you_mean(name, names)
+            raise ArgumentError(f"{name!r:.80} is not a valid {kind} name; {kind}s are {listing(sorted(names))}.{why}")
+
     def _span(self, name: str | None) -> slice | np.ndarray:
         """Where the points of an object (None: of all) lie in a record."""
-        if name is not None and name not in self._spans:
-            raise ArgumentError(f"{name} is not a valid object name; objects are {listing(sorted(self._spans))}.")
+        if name is not None:
+            self._check(name)
         return self._rows if name is None else self._spans[name]
 
     def positions(self, time: int, name: str | None = None) -> np.ndarray:
@@ -138,7 +144,7 @@ class Engine:
 
     def orientation(self, time: int, name: str) -> float:
         """How far an object has turned since time 0, counter-clockwise in [0, 2 pi]."""
-        self._span(name)
+        self._check(name)
         then, _ = self._at(time)
         if self._spans[name].start >= self._moving:
             # Alone in its world an object can be moved; one that has not moved has the same orientation at any time.
@@ -155,8 +161,7 @@ class Engine:
 
     def goals_of(self, robot: str) -> np.ndarray:
         """The :attr:`goals` of a robot. ArgumentError: there is no such robot."""
-        if robot not in self.goals:
-            raise ArgumentError(f"{robot} is not a valid robot name; robots are {listing(self.goals)}.")
+        self._check(robot, "robot")
         return self.goals[robot]
 
     def actuators(self, robot: str) -> np.ndarray:
