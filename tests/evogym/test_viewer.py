@@ -142,8 +142,15 @@ def test_the_lower_layer_renders(sim: EvoSim) -> None:
 @pytest.mark.parametrize(
     ("ask", "kind", "words"),
     [
-        (lambda viewer: viewer.render("image"), ValueError, "no mode 'image'"),
+        (
+            lambda viewer: viewer.render("image"),
+            ValueError,
+            "one of screen, human, img, rgb_array, got 'image'",
+        ),
         (lambda viewer: viewer.set_pos([1, 2]), TypeError, "tuple of two numbers"),
+        (lambda viewer: viewer.set_pos(("left", 2)), ValueError, "pos must hold two finite numbers, got"),
+        (lambda viewer: viewer.set_view_size((0, 0)), ValueError, "view_size must hold two finite numbers >= 0.001"),
+        (lambda viewer: viewer.set_resolution((600, -1)), ValueError, "resolution must hold two finite numbers >= 1"),
         (lambda viewer: viewer.set_target_rps(1), AssertionError, "lowest target rps is 2"),
         (lambda viewer: viewer.set_tracking_settings(paddin=1), ValueError, "Did you mean 'padding'"),
         (lambda viewer: viewer.set_tracking_settings(padding=3), TypeError, "padding must be a tuple"),

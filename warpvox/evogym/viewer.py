@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 
-from warpvox.errors import did_you_mean, listing
+from warpvox.checks import check_choice
 from warpvox.evogym.errors import ArgumentError, ArgumentTypeError, RangeError
 from warpvox.evogym.sim import EvoSim
 from warpvox.evogym.simulator_cpp import Camera, Viewer
@@ -62,16 +62,16 @@ class EvoViewer:
         self._viewer.sim = sim
 
     def set_pos(self, pos: tuple[float, float]) -> None:
-        """Set the middle of the picture; ArgumentTypeError if it is no tuple."""
+        """Set the middle of the picture; ArgumentTypeError if it is no tuple, ArgumentError for other than numbers."""
         self.pos = _checked("pos", pos)
 
     def set_view_size(self, view_size: tuple[float, float]) -> None:
-        """Set the width and height of what is seen; ArgumentTypeError if it is no tuple."""
-        self.view_size = _checked("view_size", view_size)
+        """Set the width and height of what is seen, 0.001 or more; errors as of :meth:`set_pos`."""
+        self.view_size = _checked("view_size", view_size, least=1e-3)
 
     def set_resolution(self, resolution: tuple[int, int]) -> None:
-        """Set the width and height of the picture in pixels; ArgumentTypeError if it is no tuple."""
-        self.resolution = _checked("resolution", resolution)
+        """Set the width and height of the picture in pixels, 1 or more; errors as of :meth:`set_pos`."""
+        self.resolution = _checked("resolution", resolution, least=1)
 
     def set_target_rps(self, target_rps: int | None) -> None:
         """Set how many pictures a second are made at most, two or more (else RangeError); None: all that can be."""
@@ -96,9 +96,7 @@ class EvoViewer:
         """
         valid = (*self._tracking, *_LOCKS)
         for name, value in settings.items():
-            if name not in valid:
-                hint = did_you_mean(name, valid)
-                raise ArgumentError(f"There is no tracking setting '{name}'; there are {listing(valid)}.{hint}")
+            check_choice("A tracking setting", name, valid, ArgumentError)
             if name in _LOCKS:
                 if value is True or not isinstance(value, bool | int | float):
                     raise ArgumentError(f"{name} must be a number or False, got {value!r}.")
@@ -122,8 +120,7 @@ class EvoViewer:
         """Move the camera by one step of its filter."""
         target = self._box()
         if self._target is None:
-            self.set_pos(tuple(target[:2].tolist()))
-            self.set_view_size(tuple(target[2:].tolist()))
+            self.pos, self.view_size = tuple(target[:2].tolist()), tuple(target[2:].tolist())
             self._target, self._aims = target, [target, target]
         moved, grown = np.abs(self._target[:2] - target[:2]), np.abs(1 - self._target[2:] / target[2:])
         still = np.concatenate([moved < _DEAD_PLACE, grown < _DEAD_SIZE])
@@ -137,8 +134,7 @@ class EvoViewer:
         self._aims = [last, aim]
         x, y, width, height = aim.tolist()
         aspect = self.resolution[0] / self.resolution[1]
-        self.set_pos((x, y))
-        self.set_view_size((max(width, height * aspect), max(height, width / aspect)))
+        self.pos, self.view_size = (x, y), (max(width, height * aspect), max(height, width / aspect))
 
     def render(
         self,
@@ -161,9 +157,7 @@ class EvoViewer:
         Raises:
             ArgumentError: unknown mode. DisplayError: there is no display for a window.
         """
-        if mode not in (*_SCREEN, *_IMAGE):
-            modes = (*_SCREEN, *_IMAGE)
-            raise ArgumentError(f"There is no mode {mode!r}; there are {listing(modes)}.{did_you_mean(mode, modes)}")
+        check_choice("mode", mode, (*_SCREEN, *_IMAGE), ArgumentError)
         if mode in _SCREEN and not self._viewer.shown:
             self.show_debug_window()
         self._catch_up()
@@ -202,7 +196,10 @@ class EvoViewer:
         self._viewer.close()
 
 
-def _checked(name: str, value: object) -> tuple:
+def _checked(name: str, value: object, least: float = -np.inf) -> tuple:
     if not isinstance(value, tuple) or len(value) != 2:
         raise ArgumentTypeError(f"{name} must be a tuple of two numbers, got {value!r} of type {type(value).__name__}.")
+    if not all(isinstance(each, int | float | np.number) and abs(each) < np.inf and each >= least for each in value):
+        limit = f" >= {least:g}" if least > -np.inf else ""
+        raise ArgumentError(f"{name} must hold two finite numbers{limit}, got {value!r:.80}.")
     return value
