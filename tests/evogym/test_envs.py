@@ -265,6 +265,15 @@ def test_bodies_that_do_not_work_are_refused() -> None:
         gymnasium.make("Walker-v0", body=BODY).unwrapped.step(np.ones(3))
 
 
+def test_actions_of_another_kind_are_refused() -> None:
+    world = EvoWorld()
+    world.add_from_array("robot", BODY, 1, 1)
+    with pytest.raises(TypeError, match="arrays by the name of the robot, got array"):
+        envs.EvoGymBase(world).step(np.ones(3))
+    with pytest.raises(TypeError, match="The action of 'robot' must be numbers, got"):
+        gymnasium.make("Walker-v0", body=BODY).unwrapped.step({"robot": np.ones(3)})
+
+
 def test_loose_bodies_are_allowed_as_released() -> None:
     env = gymnasium.make("Walker-v0", body=np.array([[3, 0, 4], [3, 0, 4]])).unwrapped
     assert env.reset()[0].shape == (2 + 2 * 12,)

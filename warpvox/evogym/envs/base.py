@@ -15,11 +15,12 @@ import numpy as np
 from gymnasium import error, spaces
 from gymnasium.utils import seeding
 
-from warpvox.checks import check_choice
+from warpvox.checks import check_choice, is_mapping
 from warpvox.envs.adapters.base import WINDOWED, metadata_here
 from warpvox.errors import did_you_mean, listing
 from warpvox.evogym import sim, simulator_cpp, utils, viewer, world
 from warpvox.evogym.envs.files import world_files
+from warpvox.evogym.errors import ArgumentTypeError
 from warpvox.evogym.sim import EvoSim
 from warpvox.evogym.utils import *  # noqa: F403
 from warpvox.evogym.viewer import EvoViewer
@@ -103,10 +104,16 @@ class EvoGymBase(gym.Env):
                 named keeps its targets.
 
         Raises:
-            ArgumentError (a ValueError): no such robot, or another number of values.
+            ArgumentError (a ValueError): no such robot, or another number of values. ArgumentTypeError: no numbers.
         """
+        if not is_mapping(action):
+            raise ArgumentTypeError(f"An action must be arrays by the name of the robot, got {action!r:.80}.")
         for name, goals in action.items():
-            self._sim.set_action(name, np.minimum(np.maximum(goals, ACTION_LOW), ACTION_HIGH))  # faster than clip
+            try:
+                clipped = np.minimum(np.maximum(goals, ACTION_LOW), ACTION_HIGH)  # faster than clip
+            except TypeError:
+                raise ArgumentTypeError(f"The action of '{name}' must be numbers, got {goals!r:.80}.") from None
+            self._sim.set_action(name, clipped)
         stopped = self._sim.step()
         if self._render_mode in WINDOWED:
             self.render()
