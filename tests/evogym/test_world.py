@@ -86,6 +86,12 @@ def test_what_cannot_be_done_changes_nothing(world: EvoWorld) -> None:
         assert world.objects["robot"].get_pos() == (2, 1)
 
 
+def test_places_are_whole_numbers(world: EvoWorld) -> None:
+    for place in (None, "3", 3.0):
+        with pytest.raises(TypeError, match="A Pair holds integers, got"):
+            world.move_object("robot", place, 1)
+
+
 def test_copies_are_independent(world: EvoWorld) -> None:
     other = world.objects["robot"].copy()
     other.rename("twin")
@@ -169,6 +175,9 @@ def test_distributions_are_checked(kind: type[Exception]) -> None:
         evogym.get_uniform(0)
     with pytest.raises(kind, match="five weights"):
         evogym.sample_robot((3, 3), np.ones(4))
+    for shape in (5, (5.0, 5), (0, 5), "55"):
+        with pytest.raises(kind, match="robot_shape must be two integers >= 1"):
+            evogym.sample_robot(shape)
 
 
 def naive_draw(weights: np.ndarray) -> int:

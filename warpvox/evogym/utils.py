@@ -13,6 +13,7 @@ from typing import Optional, Tuple  # noqa: UP035  # scripts take these from her
 import numpy as np
 
 from warpvox import design
+from warpvox.checks import check_shape
 from warpvox.errors import DesignError
 from warpvox.evogym.errors import ArgumentTypeError, RangeError
 from warpvox.types import Cell
@@ -74,7 +75,7 @@ def sample_robot(robot_shape: tuple[int, int], pd: np.ndarray | None = None) -> 
         Cells float64 ``[rows, columns]``, row 0 on top, and their connections ``[2, k]``.
 
     Raises:
-        RangeError: other than five weights. DesignError: weights that cannot give an actuator.
+        RangeError: other than two sizes, or five weights. DesignError: weights that cannot give an actuator.
     """
     if pd is None:
         pd = np.array([0.6, 0.2, 0.2, 0.2, 0.2])
@@ -83,9 +84,9 @@ def sample_robot(robot_shape: tuple[int, int], pd: np.ndarray | None = None) -> 
         raise RangeError(f"pd must hold five weights (empty, rigid, soft, h_act, v_act), got shape {weights.shape}.")
     if weights[Cell.H_ACT] + weights[Cell.V_ACT] == 0:
         raise DesignError(f"A robot needs an actuator, but pd gives both kinds the weight 0: {pd!r}.")
-    pick, count = _drawer(weights), int(np.prod(robot_shape))
+    (rows, columns), pick = check_shape("robot_shape", robot_shape, RangeError), _drawer(weights)
     while True:
-        robot = np.array([pick() for _ in range(count)], float).reshape(robot_shape)
+        robot = np.array([pick() for _ in range(rows * columns)], float).reshape(rows, columns)
         if has_actuator(robot) and is_connected(robot):
             return robot, get_full_connectivity(robot)
 

@@ -224,9 +224,10 @@ class WorldObject:
 
     def set_pos(self, x: int, y: int) -> None:
         """Move so that (x, y) is the cell of the lower left corner; WorldError if one is negative."""
-        if min(x, y) < 0:
-            raise WorldError(f"The position of '{self.name}' must not be negative, got {(x, y)}.")
-        self.pos = Pair(x, y)
+        pos = Pair(x, y)
+        if min(pos.x, pos.y) < 0:
+            raise WorldError(f"The position of '{self.name}' must not be negative, got {pos}.")
+        self.pos = pos
 
     def get_structure(self) -> np.ndarray:
         """Cells ``[rows, columns]``, row 0 on top, of the type of ``grid``."""
