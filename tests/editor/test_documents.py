@@ -91,9 +91,10 @@ def test_terrain_may_reach_around_a_robot() -> None:
 
 
 def test_what_is_valid_is_described() -> None:
-    assert check(body_document([[3, 3], [4, 0]])) == "A valid robot: 2 x 2, 3 cells, 3 actuators."
+    assert check(body_document([[1, 3], [4, 0]])) == "A valid robot: 2 x 2, 3 cells, 2 actuators."
+    assert check(body_document([[4]])) == "A valid robot: 1 x 1, 1 cell, 1 actuator."
     words = check(world_document([[3, 0, 2, 0, 2], [5] * 5], [[0, 0, 1, 1, 1], [2] * 5], ["robot", "balls", "floor"]))
-    assert "robot (robot, 1 cells)" in words
+    assert "robot (robot, 1 cell)" in words
     assert "balls (object, 2 cells, 2 pieces)" in words
     assert "floor (terrain, 5 cells)" in words
 
@@ -129,12 +130,13 @@ def test_what_is_not_valid_is_named(document: dict, words: str) -> None:
 
 @pytest.mark.parametrize("name", ["../x", "a/b", "", ".hidden", "a\\b", "x" * 65, "a\0b", 5, None, "C:", "-x"])
 def test_names_lead_nowhere_else(name: object) -> None:
-    with pytest.raises(WarpvoxError, match="name may hold"):
+    with pytest.raises(WarpvoxError, match="up to 64 letters"):
         check_file_name(name)
 
 
 def test_names_fit_the_file_system() -> None:
     assert check_file_name("a" * 64) == "a" * 64 + ".json"
+    assert check_file_name("über") == "über.json"
     with pytest.raises(WarpvoxError):
         check_file_name("a" + "𠀀" * 63)
 
@@ -149,6 +151,10 @@ def test_files_are_not_replaced_unasked(tmp_path: Path) -> None:
     assert read_file(path)["kind"] == "world"
     assert file_names(tmp_path) == ["robot.json"]
     assert file_names(tmp_path / "nothing") == []
+    with pytest.raises(WarpvoxError, match="Did you mean 'robot'"):
+        read_file(tmp_path / "robt.json")
+    with pytest.raises(WarpvoxError, match=r"no file 'best.json' in .*[^?]$"):  # all names end alike
+        read_file(tmp_path / "best.json")
 
 
 @pytest.mark.parametrize(

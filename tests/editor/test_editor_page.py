@@ -140,7 +140,7 @@ def test_a_world_of_several_objects(page: Any, wait_for: Callable, server: Edito
     page.click("#material-1")
     height = len(cells(page))
     page.mouse.click(*place(page, 10, height - 2))  # beside the ground, which it touches without being part of it
-    verdict(page, wait_for, "box (object, 1 cells)")
+    verdict(page, wait_for, "box (object, 1 cell)")
     page.fill("#name", "my_world")
     page.click("#save")
     wait_for(page, "document.getElementById('outcome').textContent.startsWith('Saved')")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.design import Design, as_grid, check_design, count_pieces, full_connections
-from warpvox.errors import DesignError, WarpvoxError, WorldError, did_you_mean, listing
+from warpvox.errors import DesignError, WarpvoxError, WorldError, counted, did_you_mean, listing
 from warpvox.io.reading import Unreadable, parse_json, read_text
 from warpvox.io.writing import write_text
 from warpvox.types import Cell
@@ -28,7 +28,7 @@ OBJECTS = 64
 LONGEST_FILE = 4_000_000
 LONGEST_NAME = 200
 """Bytes of a file's name, so that the file system takes it with its suffix and a temporary one beside it."""
-FILE_NAME = re.compile(r"[A-Za-z0-9][\w.-]{0,63}")
+FILE_NAME = re.compile(r"[^\W_][\w.-]{0,63}")
 ROBOT = "robot"
 
 
@@ -41,7 +41,7 @@ def design_of(document: Mapping[str, Any]) -> Design:
 def world_of(document: Mapping[str, Any]) -> World:
     """The world that a document draws.
 
-    Objects are added from the widest to the smallest: the bounding box of an object must lie on cells that are
+    Objects are added from the largest to the smallest: the bounding box of an object must lie on cells that are
     free of those before it, and terrain may well reach around a robot.
     """
     types = _cells(document, WORLD_SIZE[1], WORLD_SIZE[0], WorldError)
@@ -88,15 +88,15 @@ def check(document: Mapping[str, Any]) -> str:
     """A sentence that describes a valid document."""
     if _kind(document) == "body":
         body = design_of(document)
-        cells, actuators = (np.count_nonzero(body >= least) for least in (Cell.RIGID, Cell.H_ACT))
-        return f"A valid robot: {body.shape[0]} x {body.shape[1]}, {cells} cells, {actuators} actuators."
+        cells, actuators = counted((body > 0).sum(), "cells"), counted((body >= Cell.H_ACT).sum(), "actuators")
+        return f"A valid robot: {body.shape[0]} x {body.shape[1]}, {cells}, {actuators}."
     world = world_of(document)
     parts = []
     for obj in world.objects.values():
         kind = "robot" if obj.is_robot else "terrain" if obj.is_static else "object"
         pieces = count_pieces(obj.grid)
         apart = f", {pieces} pieces" if pieces > 1 and not obj.is_static else ""
-        parts.append(f"{obj.name} ({kind}, {np.count_nonzero(obj.grid)} cells{apart})")
+        parts.append(f"{obj.name} ({kind}, {counted(np.count_nonzero(obj.grid), 'cells')}{apart})")
     return f"A valid world of {world.width} x {world.height}: {', '.join(parts)}."
 
 
@@ -105,15 +105,14 @@ def check_file_name(name: object) -> str:
     stem = name.removesuffix(".json") if isinstance(name, str) else ""
     if not FILE_NAME.fullmatch(stem) or len(stem.encode()) > LONGEST_NAME:
         raise WorldError(
-            f"A name may hold letters, digits and . _ - and begins with one of the former; got {name!r:.80}."
+            "A name may hold up to 64 letters, digits and . _ - (no folder) and begins with a letter or digit; got"
+            f" {name!r:.80}."
         )
     return f"{stem}.json"
 
 
 def file_names(folder: Path) -> list[str]:
     """Names of the JSON files in a folder that the editor may open."""
-    if not folder.is_dir():
-        return []
     return sorted(path.name for path in folder.glob("*.json") if FILE_NAME.fullmatch(path.stem) and path.is_file())
 
 
@@ -140,7 +139,7 @@ def save_file(document: Mapping[str, Any], folder: Path, name: object, overwrite
 def read_file(path: Path) -> dict[str, Any]:
     """The document of a file: a body (``{"body": rows}``) or a world of EvoGym's format."""
     if not path.is_file():
-        near = did_you_mean(path.name, file_names(path.parent))
+        near = did_you_mean(path.stem, (name.removesuffix(".json") for name in file_names(path.parent)))
         raise WorldError(f"There is no file '{path.name}' in {path.parent}.{near}")
     try:
         content = parse_json(read_text(path, LONGEST_FILE))
