@@ -44,13 +44,24 @@ def with_tables(text: str) -> str:
 
 
 def table_of(command: str) -> str:
-    """The keys of a command as a table."""
-    values = flat_values(command, dataclasses.asdict(load(command, [])))
+    """The keys of a command as a table; parts of its groups that are those of ``train`` are left out, which is said."""
+    rows, known = rows_of(command), rows_of("train") if command != "train" else {}
+    same = [name for name in rows if "." in name and rows[name] == known.get(name.removeprefix("training."))]
     lines = [f"`usage: warpvox {command} [KEY=VALUE ...]`"]
-    for name, value, meaning in help_rows(command, values):
+    for name, (value, meaning) in rows.items():
         lines += ["", "| key | default | meaning |", "|---|---|---|"] if len(lines) == 1 else []
-        lines.append(f"| {_code(name)} | {_code(value or '')} | {_prose(meaning)} |")
-    return "\n".join(lines)
+        lines += [] if name in same else [f"| {_code(name)} | {_code(value)} | {_prose(meaning)} |"]
+    groups = list(dict.fromkeys(f"`{name.rpartition('.')[0]}.*`" for name in same))
+    theirs = ", ".join(groups).replace("training.", "")
+    return "\n".join(
+        lines + ["", f"All others of {', '.join(groups)} are as {theirs} of [train](#train)."] * bool(same)
+    )
+
+
+def rows_of(command: str) -> dict[str, tuple[str, str]]:
+    """Default and meaning of the keys of a command."""
+    values = flat_values(command, dataclasses.asdict(load(command, [])))
+    return {name: (value or "", meaning) for name, value, meaning in help_rows(command, values)}
 
 
 def _code(text: str) -> str:
