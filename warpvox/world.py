@@ -155,9 +155,8 @@ class World:
         return self.add_object(WorldObject.from_array(name, structure, x, y, connections))
 
     def remove_object(self, name: str) -> WorldObject:
-        """Remove the object ``name`` and return it; the grid keeps its size."""
-        self._find(name)
-        return self.objects.pop(name)
+        """Remove the object ``name`` and return it; the grid keeps its size. WorldError: there is none."""
+        return self.objects.pop(self._find(name).name)
 
     def move_object(self, name: str, x: int, y: int) -> WorldObject:
         """Move the object ``name`` so that its lower left corner is cell (x, y); return the moved object.

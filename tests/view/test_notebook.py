@@ -57,6 +57,11 @@ def test_bodies_and_worlds_are_drawings() -> None:
     assert wv.draw_bodies([body, body]).size[0] > wv.draw_bodies([body]).size[0]
     with pytest.raises(wv.DesignError, match=r"two dimensions \[rows, columns\], got shape \(5,\)"):
         wv.draw_bodies(body)  # one body, not a list of one
+    for bodies, captions in (([], ()), ([body], [["a"], ["b"]])):
+        with pytest.raises(wv.DesignError, match="a body or more, and a caption for each"):
+            wv.draw_bodies(bodies, captions)
+    with pytest.raises(wv.ConfigError, match="columns must be an integer >= 1"):
+        wv.draw_bodies([body], columns=0)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw
 
+from warpvox.checks import check_integer
 from warpvox.compile import compile_world
 from warpvox.design import Design, as_grid
+from warpvox.errors import DesignError
 from warpvox.types import Physics
 from warpvox.view.painter import BELOW, INK, Canvas, font, save_png
 from warpvox.view.palette import cell_colour
@@ -30,9 +32,10 @@ def draw_bodies(
     shades: Sequence[float] | None = None,
     columns: int = COLUMNS,
 ) -> Image.Image:
-    """A sheet with bodies in rows, each above its caption.
+    """A sheet with bodies in rows, each above its caption. DesignError: no body, one that is none, missing captions.
 
     Args:
+        bodies: int8 ``[rows, columns]`` each.
         captions: lines of text for each body; none: no text at all.
         title: a line on top.
         cell: pixels of a cell.
@@ -41,10 +44,12 @@ def draw_bodies(
     """
     gap, line = cell, 22
     bodies = [as_grid(body) for body in bodies]
+    if not bodies or len(captions or bodies) != len(bodies):
+        raise DesignError(f"It takes a body or more, and a caption for each, not {len(bodies)} and {len(captions)}.")
     high, wide = (max(body.shape[axis] for body in bodies) * cell for axis in (0, 1))
     captions = captions or [()] * len(bodies)
     lines = max(len(caption) for caption in captions)
-    columns = min(len(bodies), columns)
+    columns = min(len(bodies), check_integer("columns", columns, 1))
     step = (wide + gap, high + lines * line + gap)
     top = gap + (line + gap // 2 if title else 0)
     size = (gap + columns * step[0], top + -(-len(bodies) // columns) * step[1])
