@@ -114,7 +114,8 @@ class CpgNetwork(nn.Module):
         swing = wave[..., 1:].unflatten(2, (2, -1)).permute(0, 3, 1, 2) * driven
         tokens = (self.token(bodies) + self.place) * present
         for k, block in enumerate(self.blocks):
-            tokens = tokens + self.seen[k](_by_cell(_moved(response, swing), present.shape[1])) * present
+            moved = _moved(response, swing).unflatten(2, (present.shape[1], 2))  # [rows, periods, cells, 2, 2]
+            tokens = tokens + self.seen[k](moved.transpose(1, 2).flatten(2)) * present
             grid = (self.norms[2 * k](tokens) * present).transpose(1, 2).unflatten(2, self.shape)
             tokens = tokens + functional.silu(self.local[k](grid)).flatten(2).transpose(1, 2) * present
             tokens = block(tokens, distance, present[..., 0] > 0)
@@ -152,8 +153,3 @@ def _driving(response: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
     real, imaginary = response.mT.unbind(2)
     quarter = torch.stack([wanted[..., 1], -wanted[..., 0]], dim=-1)
     return real @ wanted + imaginary @ quarter
-
-
-def _by_cell(motion: torch.Tensor, cells: int) -> torch.Tensor:
-    """``[rows, periods, 2 * cells, 2]`` as ``[rows, cells, 4 * periods]``."""
-    return motion.unflatten(2, (cells, 2)).transpose(1, 2).flatten(2)

@@ -159,12 +159,9 @@ def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
     row: dict[int, int] = {}
     for number in reversed(range(len(order))):
         nodes = [record.id for record in line if column[record.id] == number]
-
-        def wish(node: int) -> tuple[float, int]:
-            known = [row[child] for child in children[node] if child in row]
-            return (sum(known) / len(known) if known else 0.0, node)
-
-        for place, node in enumerate(sorted(nodes, key=wish)):
+        known = {node: [row[child] for child in children[node] if child in row] for node in nodes}
+        wish = {node: sum(rows) / max(1, len(rows)) for node, rows in known.items()}
+        for place, node in enumerate(sorted(nodes, key=lambda node: (wish[node], node))):
             row[node] = place
     return {record.id: (column[record.id], row[record.id]) for record in line}
 

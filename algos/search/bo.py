@@ -151,16 +151,13 @@ class BayesianSearch(BaseSearch):
         best = np.array(sorted(range(len(self.bodies)), key=lambda number: (-self.fitness[number], number))[:TOP])
         stack = np.stack(self.bodies)
 
-        def draw_random() -> tuple[np.ndarray, np.ndarray]:
-            return draw_bodies(rng, DRAWS, self.shape), np.full(DRAWS, NOBODY)
-
         def draw_mutants() -> tuple[np.ndarray, np.ndarray]:
             parents = rng.choice(best, DRAWS)
             rates = rng.choice(RATES, DRAWS, p=(2 / 3, 1 / 3))
             return mutate(rng, stack[parents], rates[:, None, None]), parents
 
         found: dict[bytes, tuple[np.ndarray, int]] = {}
-        self._gather(found, draw_random, random)
+        self._gather(found, lambda: (draw_bodies(rng, DRAWS, self.shape), np.full(DRAWS, NOBODY)), random)
         self._gather(found, draw_mutants, len(found) + mutants)
         bodies = [body for body, _ in found.values()]
         parents = [parent for _, parent in found.values()]

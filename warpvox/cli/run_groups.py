@@ -64,17 +64,12 @@ def _presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
         if values.get("physics.preset") != values.get("rules"):
             result["physics"] = values.get("physics.preset")
     if sum(key.startswith("ppo.") for key in keys) > SHOWN:
-        name = _ppo_preset(values)
+        own = {key.removeprefix("ppo."): value for key, value in values.items() if key.startswith("ppo.")}
+        name = next((name for name in PPO if vars(load("train", [f"ppo={name}"]).ppo) == own), None)
         if name is not None:
             result = {key: value for key, value in result.items() if not key.startswith("ppo.")}
             result = {"ppo": name} | result
     return result
-
-
-def _ppo_preset(values: dict[str, Any]) -> str | None:
-    """Which of the files of ``configs/ppo`` the settings are, if any."""
-    own = {key.removeprefix("ppo."): value for key, value in values.items() if key.startswith("ppo.")}
-    return next((name for name in PPO if vars(load("train", [f"ppo={name}"]).ppo) == own), None)
 
 
 def _label(values: dict[str, Any], keys: list[str]) -> str:

@@ -77,9 +77,7 @@ def sample_robot(robot_shape: tuple[int, int], pd: np.ndarray | None = None) -> 
     Raises:
         RangeError: other than two sizes, or five weights. DesignError: weights that cannot give an actuator.
     """
-    if pd is None:
-        pd = np.array([0.6, 0.2, 0.2, 0.2, 0.2])
-    weights = np.asarray(pd)
+    weights = np.asarray(design.SAMPLING_WEIGHTS if pd is None else pd)
     if weights.shape != (5,):
         raise RangeError(f"pd must hold five weights (empty, rigid, soft, h_act, v_act), got shape {weights.shape}.")
     if weights[Cell.H_ACT] + weights[Cell.V_ACT] == 0:
