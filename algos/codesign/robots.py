@@ -69,6 +69,15 @@ def _copies(folder: Path) -> list[Robot]:
     return [read_robot(path) for path in sorted((folder / COPIES).glob("*.npz"), key=lambda path: int(path.stem))]
 
 
+def _history(folder: Path) -> list[dict[str, Any]]:
+    """The zoo's notes on the robots that a search began with."""
+    names = ("return", "control_steps", "wall_s", "processor")
+    return [
+        {"task": robot.task, "sha256": robot.sha256} | {name: robot.about.get(name) for name in names}
+        for robot in _copies(folder)
+    ]
+
+
 def robots_of(source: Path, top: int) -> Iterator[Robot]:
     """The robots that a search or training has left, with what its files say of them.
 
@@ -90,10 +99,8 @@ def _of_search(folder: Path, choose: Callable[[Archive], list[Record]]) -> Itera
         records = choose(archive)
         steps = sum(row["steps"] or 0 for row in archive.generations())
     about = _about(run) | {"control_steps": steps}
-    notes = ("return", "control_steps", "wall_s", "processor")
-    began = ((one, {name: one.about.get(name) for name in notes}) for one in _copies(folder))
-    if start := [{"task": one.task, "sha256": one.sha256} | known for one, known in began]:
-        about["start"] = start  # what a robot has cost includes those that it was made from
+    if start := _history(folder):  # what a robot has cost includes those that it was made from
+        about["start"] = start
         for name in "control_steps", "wall_s":
             about[name] = (about[name] or 0) + sum(known[name] or 0 for known in start)
     for record in records:

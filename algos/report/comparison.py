@@ -66,10 +66,11 @@ def compare(groups: Mapping[str, Mapping[str, Sequence[SearchResult]]]) -> Compa
     published = {task for task, returns in known.items() if returns.best is not None}
     tasks = [task for task, named in groups.items() if len(named) == len(names) and task in published]
     steps = {task: min(int(one.steps[-1]) for runs in groups[task].values() for one in runs) for task in tasks}
-    scores: dict[str, dict[str, np.ndarray]] = {name: {} for name in names if tasks}
-    for name, of_task in scores.items():
-        for task in tasks:
-            of_task[task] = np.array([known[task].score(one.best_at(steps[task])) for one in groups[task][name]])
+
+    def scored(task: str, name: str) -> np.ndarray:
+        return np.array([known[task].score(one.best_at(steps[task])) for one in groups[task][name]])
+
+    scores = {name: {task: scored(task, name) for task in tasks} for name in names if tasks}
     return Comparison(scores, steps, [task for task in groups if task not in tasks])
 
 

@@ -96,7 +96,7 @@ def check(document: Mapping[str, Any]) -> str:
         kind = "robot" if obj.is_robot else "terrain" if obj.is_static else "object"
         pieces = count_pieces(obj.grid)
         apart = f", {pieces} pieces" if pieces > 1 and not obj.is_static else ""
-        parts.append(f"{obj.name} ({kind}, {counted(np.count_nonzero(obj.grid), 'cells')}{apart})")
+        parts.append(f"{obj.name} ({kind}, {counted(int((obj.grid > 0).sum()), 'cells')}{apart})")
     return f"A valid world of {world.width} x {world.height}: {', '.join(parts)}."
 
 
