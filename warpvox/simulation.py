@@ -18,7 +18,7 @@ from warpvox.batch.arrays import Buffers, allocate_buffers, put_tables
 from warpvox.batch.objects import CompiledWorlds, Objects
 from warpvox.batch.options import SimKeywords, SimOptions
 from warpvox.batch.packs import Batch, group
-from warpvox.checks import check_mask
+from warpvox.checks import check_choice, check_mask
 from warpvox.compile import mesh
 from warpvox.errors import ActionError, SimulationError
 from warpvox.kernels import reset as reset_stage, step as step_stage
@@ -235,6 +235,7 @@ class Simulation(Sensing):
 
     def array(self, name: str) -> torch.Tensor:
         """An array of :mod:`warpvox.kernels.state`, not a copy; call :meth:`invalidate` after writing to it."""
+        check_choice("The name of an array", name, self._state.arrays, SimulationError)
         return wp.to_torch(self._state.arrays[name])
 
     def set_frozen(self, mask: torch.Tensor) -> None:

@@ -71,8 +71,11 @@ def test_bad_worlds_and_names_are_refused():
     with pytest.raises(SimulationError, match="nothing that can move"):
         Simulation([world(3, 1, ground=ground(3))], device="cpu")
     sim = Simulation(worlds(1), device="cpu")
-    with pytest.raises(SimulationError, match="Did you mean 'robot'"):
-        sim.com("robto")
+    for ask in (sim.com, sim.point_mask):
+        with pytest.raises(SimulationError, match="Did you mean 'robot'"):
+            ask("robto")
+    with pytest.raises(SimulationError, match="Did you mean 'pos'"):
+        sim.array("poss")
     with pytest.raises(SimulationError, match="never moves"):
         sim.com("ground")
 

@@ -118,7 +118,8 @@ class Objects:
 
     def point_mask(self, name: str) -> torch.Tensor:
         """bool ``[worlds, points]``: which points a world's object has."""
-        return (torch.arange(self.num_points[name], device=self.device) < self.counts(name)[:, None]).cpu()
+        counts = self.counts(name)[:, None]
+        return (torch.arange(self.num_points[name], device=self.device) < counts).cpu()
 
     def still_points(self, name: str, dtype: torch.dtype, relative: bool) -> tuple[torch.Tensor, torch.Tensor]:
         """Points of an object where it never moves, ``[num_envs, points, 2]``, and bool: where that is."""
