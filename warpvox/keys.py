@@ -123,7 +123,7 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
     for item in dataclasses.fields(config):
         if item.name not in without:
             value = getattr(config, item.name)
-            if isinstance(value, Mapping) and item.default_factory is not dataclasses.MISSING:
+            if isinstance(value, Mapping) and callable(item.default_factory) and not get_args(hints[item.name]):
                 value = changed(item.default_factory(), value, prefix + item.name)
             setattr(config, item.name, converted(value, hints[item.name], prefix + item.name))
 

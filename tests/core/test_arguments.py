@@ -80,6 +80,7 @@ def test_settings_are_checked_when_they_are_made() -> None:
         (lambda: warpvox.GA(popultion=3), "Did you mean 'population'"),
         (lambda: warpvox.Ppo(steps=-4), "steps must be at least 1"),
         (lambda: warpvox.Ppo(hidden="64"), "hidden must be a list"),
+        (lambda: warpvox.Ppo(hidden={"a": 64}), "hidden must be a list, got {'a': 64}"),
     ):
         with pytest.raises(ConfigError, match=words):
             make()
