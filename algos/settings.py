@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.errors import ConfigError
 from warpvox.keys import Settings, key, plain
+from warpvox.robots.network import WIDEST
 from warpvox.types import Physics
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ class Ppo(Settings):
     minibatches: int = key(4, "minibatches of a pass", low=1)
     gamma: float = key(0.99, "discount factor per control step", low=0, high=1)
     lam: float = key(0.95, "lambda of generalised advantage estimation", low=0, high=1)
-    clip: float = key(0.2, "clip range of the probability ratio (and of value changes)", above=0)
+    clip: float = key(0.2, "clip range of the probability ratio (and of value changes)", above=0, high=1e30)
     clip_values: bool = key(False, "clip changes of the value function")
     value_coef: float = key(1.0, "weight of the value loss", low=0)
     entropy_coef: float = key(0.002, "weight of the entropy bonus", low=0)
@@ -54,10 +55,10 @@ class Ppo(Settings):
     )
     desired_kl: float = key(0.02, "schedule=adaptive: target KL divergence of an update", above=0)
     adam_eps: float = key(1e-8, "epsilon of Adam", above=0)
-    hidden: list[int] = key([64, 64], "units of the hidden layers of both networks", low=1)
+    hidden: list[int] = key([64, 64], "units of the hidden layers of both networks", low=1, high=WIDEST)
     activation: str = key("tanh", "activation function of the hidden layers", choices=ACTIVATIONS)
     init_std: float = key(1.0, "initial standard deviation of the policy's output a", above=0)
-    action_scale: float = key(0.5, "an action is 1.1 + action_scale * a for the policy's output a", above=0)
+    action_scale: float = key(0.5, "an action is 1.1 + action_scale * a for the policy's output a", above=0, high=1e4)
     normalize_obs: bool = key(True, "normalise observations by their running mean and standard deviation")
     reward_scale: float = key(10.0, "factor by which rewards are multiplied for PPO", above=0)
     normalize_reward: bool = key(False, "divide rewards by the running standard deviation of the discounted return")

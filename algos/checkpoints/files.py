@@ -22,12 +22,11 @@ from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError, first_line
 from warpvox.io.writing import atomic_path
+from warpvox.robots.network import WIDEST
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
 
 RNN = {"rnn_type": "lstm", "rnn_hidden_dim": 256, "rnn_num_layers": 1}
 """Settings of rsl-rl's ``RNNModel``, with its defaults."""
-WIDEST = 1 << 16
-"""Observations, actions or units of a layer that a policy may have."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from rsl_rl.modules import EmpiricalDiscountedVariationNormalization
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
-from warpvox.algos.checkpoints.files import RNN, WIDEST
+from warpvox.algos.checkpoints.files import RNN
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.policies.network import LATENT, Gaussian, Network
 from warpvox.algos.settings import Ppo
@@ -20,6 +20,7 @@ from warpvox.checks import check_choice, check_integer
 from warpvox.code import load_code
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.robots.network import WIDEST
 
 SYMMETRY = "data_augmentation_func"
 """The setting of ``symmetry_cfg`` that names code."""

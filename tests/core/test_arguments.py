@@ -81,6 +81,9 @@ def test_settings_are_checked_when_they_are_made() -> None:
         (lambda: warpvox.Ppo(steps=-4), "steps must be at least 1"),
         (lambda: warpvox.Ppo(hidden="64"), "hidden must be a list"),
         (lambda: warpvox.Ppo(hidden={"a": 64}), "hidden must be a list, got {'a': 64}"),
+        (lambda: warpvox.Ppo(clip=1e300), r"clip must be at most 1e\+30, got 1e\+300"),
+        (lambda: warpvox.Ppo(hidden=[65537]), "hidden must be at most 65536, got 65537"),
+        (lambda: warpvox.Ppo(action_scale=1e6), "action_scale must be at most 10000.0, got 1000000.0"),
     ):
         with pytest.raises(ConfigError, match=words):
             make()
