@@ -176,9 +176,9 @@ def rsl_rl_config(
             check_integer(f"ppo.rnn.{name}", size, 1, WIDEST)
     network["obs_normalization"] = ppo.normalize_obs
     settings = {theirs: getattr(ppo, ours) for theirs, ours in SETTINGS.items()}
-    extra = _checked("extra", ppo.extra or {}, RslRlPPO, [*settings, *GIVEN])
+    extra = _checked("extra", {} if ppo.extra is None else ppo.extra, RslRlPPO, [*settings, *GIVEN])
     symmetry = extra.get("symmetry_cfg")
-    if symmetry is not None:
+    if isinstance(symmetry, Mapping):
         extra["symmetry_cfg"] = {**symmetry, SYMMETRY: load_code(symmetry.get(SYMMETRY))}
     own = {"class_name": algorithm, "total_iterations": total_iterations, "adam_eps": ppo.adam_eps}
     noise = {"class_name": Gaussian, "init_std": ppo.init_std, "std_type": "log"}

@@ -278,6 +278,7 @@ RNN = "training.method=sequential training.ppo.rnn={rnn_type:gru}"
         ("policy=grid", "policy=grid needs training.method=sequential"),
         ("network={width:8}", "mlp has training.ppo.hidden"),
         ("training.ppo.rnn={rnn_type:gru}", "training.ppo.rnn and training.ppo.extra need training.method=sequential"),
+        ("training.ppo.rnn={}", "training.ppo.rnn and training.ppo.extra need training.method=sequential"),
         (f"{RNN} training.inherit=true", "recurrent layers are not inherited"),
         (f"{RNN} policy=grid", "ppo.rnn goes with policy=mlp"),
         (f"{RNN} training.ppo.extra={{gama:1}}", "ppo.extra has the settings .*got 'gama'"),

@@ -41,9 +41,9 @@ class Specialist(Evaluation):
                 f"policy={search.policy} needs training.method=sequential: designs that are trained side by side have"
                 " fully connected layers (policy=mlp)."
             )
-        if training.method != "sequential" and (training.ppo.rnn or training.ppo.extra):
+        if training.method != "sequential" and (training.ppo.rnn is not None or training.ppo.extra):
             raise ConfigError("training.ppo.rnn and training.ppo.extra need training.method=sequential.")
-        if training.inherit and training.ppo.rnn:
+        if training.inherit and training.ppo.rnn is not None:
             raise ConfigError("training.inherit does not go with training.ppo.rnn: recurrent layers are not inherited.")
         rsl_rl_config(training.ppo, 1, None if search.policy == MLP else {})  # whose settings it knows
 

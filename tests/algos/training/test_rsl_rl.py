@@ -154,6 +154,8 @@ def test_symmetric_samples_are_learned_from(tmp_path: Path) -> None:
             "ppo.rnn.rnn_num_layers must be an integer from 1 to 65536, got True",
         ),
         ({"rnn": 3}, "ppo.rnn must be settings by name"),
+        ({"extra": []}, "ppo.extra must be settings by name"),
+        ({"extra": {"symmetry_cfg": 1}}, "not what rsl-rl takes"),
         ({"extra": {"rnd_confg": {}}}, "Did you mean 'rnd_cfg'"),
         ({"extra": {"gamma": 0.9}}, "ppo.extra has the settings"),
         ({"extra": {"rnd_cfg": {"weight": 1.0, "outputs": 3}}}, "not what rsl-rl takes: .*outputs"),
