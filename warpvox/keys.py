@@ -122,9 +122,9 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
     hints = get_type_hints(type(config))
     for item in dataclasses.fields(config):
         if item.name not in without:
-            value = getattr(config, item.name)
-            if isinstance(value, Mapping) and callable(item.default_factory) and not get_args(hints[item.name]):
-                value = changed(item.default_factory(), value, prefix + item.name)
+            value, usual = getattr(config, item.name), item.default_factory
+            if isinstance(value, Mapping) and callable(usual) and dataclasses.is_dataclass(hints[item.name]):
+                value = changed(usual(), value, prefix + item.name)
             setattr(config, item.name, converted(value, hints[item.name], prefix + item.name))
 
 
