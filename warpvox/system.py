@@ -1,6 +1,6 @@
 """Everything that depends on the operating system: signals, locks, pipes, flushing, memory, processors.
 
-Tests run on Linux. Elsewhere commands are meant to run without what only Linux has: locks of folders need ``fcntl``,
+Tests run on Linux. Elsewhere commands are meant to run without what only Linux has: locks need ``fcntl``,
 and the free memory is not known. No other module of warpvox asks which system it runs on.
 """
 
@@ -41,18 +41,18 @@ def stop_signals() -> tuple[int, ...]:
 
 
 @contextmanager
-def folder_lock(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder within the block; the system releases it when the process ends.
+def path_lock(path: Path) -> Iterator[None]:
+    """Hold the lock of a file or folder within the block; the system releases it when the process ends.
 
     Where a lock cannot be had at all (a network disk without locks, Windows) the block runs without.
 
     Raises:
-        BlockingIOError: another process holds it. OSError: the folder cannot be opened.
+        BlockingIOError: another process holds it. OSError: it cannot be opened.
     """
     if fcntl is None:
         yield
         return
-    handle = os.open(folder, os.O_RDONLY)
+    handle = os.open(path, os.O_RDONLY)
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

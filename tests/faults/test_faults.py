@@ -33,7 +33,7 @@ from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.codesign.archive import BACKUP, FILE, Archive
 from warpvox.errors import RolloutError, RunError, StorageError
 from warpvox.io import writing
-from warpvox.io.writing import MARK, claimed, write_text
+from warpvox.io.writing import MARK, atomic_path, claimed, write_text
 from warpvox.runs import run_folder
 
 resource = pytest.importorskip("resource", reason="signals and limits are those of POSIX")
@@ -230,6 +230,14 @@ def test_leftovers_of_killed_processes_are_swept_up_and_a_second_writer_is_refus
     assert leftover.is_file()  # it may be the other's
     warpvox(command, f"resume={run}", *more)
     assert not leftover.exists()
+
+
+def test_what_another_process_is_writing_is_no_leftover(copied: Callable, warpvox: Callable) -> None:
+    run = copied("codesign")
+    with atomic_path(run / "report.html") as temporary:  # as `report=` does without a claim, also of a running search
+        temporary.write_text("of another process")
+        warpvox("codesign", f"resume={run}")
+    assert (run / "report.html").read_text() == "of another process"
 
 
 @pytest.mark.parametrize(

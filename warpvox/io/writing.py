@@ -20,7 +20,7 @@ import yaml
 
 from warpvox.code import Code
 from warpvox.errors import RunError, StorageError
-from warpvox.system import flush_to_disk, folder_lock
+from warpvox.system import flush_to_disk, path_lock
 
 MARK = ".part-"
 """Beginning of the names of files that are being written."""
@@ -64,10 +64,11 @@ def atomic_path(path: str | os.PathLike[str], make_folders: bool = True) -> Iter
         temporary = target.with_name(f"{MARK}{target.stem}-{secrets.token_hex(4)}{target.suffix}")
         try:
             temporary.touch(exist_ok=False)
-            yield temporary
-            # Without this a power failure may keep the new name and lose what was written under it.
-            flush_to_disk(temporary)
-            os.replace(temporary, target)
+            with path_lock(temporary):  # until it has its name: sweep() leaves it alone
+                yield temporary
+                # Without this a power failure may keep the new name and lose what was written under it.
+                flush_to_disk(temporary)
+                os.replace(temporary, target)
             flush_to_disk(target.parent)
         except BaseException:
             with suppress(OSError):
@@ -135,7 +136,7 @@ def claimed(folder: Path) -> Iterator[None]:
     with ExitStack() as stack:
         try:
             with writing(folder):
-                stack.enter_context(folder_lock(folder))
+                stack.enter_context(path_lock(folder))
         except StorageError as error:
             if not isinstance(error.__cause__, BlockingIOError):
                 raise
@@ -144,9 +145,9 @@ def claimed(folder: Path) -> Iterator[None]:
 
 
 def sweep(folder: Path) -> None:
-    """Remove what killed processes have left half written in ``folder`` and below, where no other process may write."""
+    """Remove what killed processes have left half written in ``folder`` and below; what is being written stays."""
     for file in folder.rglob(f"{MARK}*"):
-        with suppress(OSError):
+        with suppress(OSError), path_lock(file):
             file.unlink()
 
 
