@@ -41,13 +41,13 @@ def stop_signals() -> tuple[int, ...]:
 
 
 @contextmanager
-def path_lock(path: Path) -> Iterator[None]:
+def path_lock(path: Path, wait: bool = False) -> Iterator[None]:
     """Hold the lock of a file or folder within the block; the system releases it when the process ends.
 
     Where a lock cannot be had at all (a network disk without locks, Windows) the block runs without.
 
     Raises:
-        BlockingIOError: another process holds it. OSError: it cannot be opened.
+        BlockingIOError: another process holds it, and it should not ``wait``. OSError: it cannot be opened.
     """
     if fcntl is None:
         yield
@@ -55,7 +55,7 @@ def path_lock(path: Path) -> Iterator[None]:
     handle = os.open(path, os.O_RDONLY)
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError:
             raise
         except OSError:

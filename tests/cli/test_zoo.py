@@ -2,8 +2,10 @@
 
 import dataclasses
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
+from threading import Event, Thread
 
 import numpy as np
 import pytest
@@ -77,9 +79,6 @@ def test_a_run_becomes_an_entry_and_only_a_better_one_replaces_it(warpvox: Calla
     save_robot(
         "mine/Walker-v0.npz", type(robot)(**{**vars(robot), "about": {**robot.about, "noise": {"return": -100.0}}})
     )
-    with claimed(Path("mine")):  # as of another process that compares and writes
-        warpvox("zoo", f"add={run}", "folder=mine", fails="Another process is writing to mine")
-    assert read_robot("mine/Walker-v0.npz").robust_return == -100
     assert "the entry has -100.000000; written" in warpvox("zoo", f"add=[{run}/model_best.pt]", "folder=mine").out
     Path("empty").mkdir()
     warpvox("zoo", f"add=[empty,{run}]", "folder=other", fails="1 of 2 could not be added")
@@ -91,6 +90,34 @@ def test_a_run_becomes_an_entry_and_only_a_better_one_replaces_it(warpvox: Calla
     warpvox("zoo", f"add={run}", "folder=other", fails="the zoo has single robots")
     warpvox("evaluate", "zoo=[mine/Walker-v0.npz]")
     assert summary("evaluate/*/*/summary.json")["mean_return"] == pytest.approx(robot.mean_return, abs=1e-9)
+
+
+def test_an_entry_waits_until_another_process_has_written_its_own(
+    warpvox: Callable, train: Callable, monkeypatch
+) -> None:
+    run, waits = train("task=Walker-v0", "max_iterations=1"), Event()
+    warpvox("zoo", f"add={run}", "folder=mine")
+    robot = read_robot("mine/Walker-v0.npz")
+    better = dataclasses.replace(robot, about={**robot.about, "noise": {"return": 100.0}})
+
+    def evaluated(*_: object) -> object:
+        waits.set()
+        return robot
+
+    def another() -> None:
+        with claimed(Path("mine")):
+            begun.set()
+            waits.wait()
+            time.sleep(0.2)
+            save_robot("mine/Walker-v0.npz", better)
+
+    begun, other = Event(), Thread(target=another)
+    monkeypatch.setattr("warpvox.cli.robot_entries.recorded", evaluated)
+    other.start()
+    begun.wait()
+    assert "the entry has 100.000000; kept" in warpvox("zoo", f"add={run}", "folder=mine").out
+    other.join()
+    assert read_robot("mine/Walker-v0.npz").robust_return == 100
 
 
 def test_an_entry_has_cost_what_its_pretrained_policy_has(warpvox: Callable, train: Callable) -> None:

@@ -68,7 +68,7 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[
     path = folder / f"{as_name(best.task)}.npz"
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    with claimed(folder):  # from the comparison on: another process may have a better one
+    with claimed(folder, wait=True):  # from the comparison on: another process may have a better one
         before = read_robot(path) if path.is_file() else None
         return best, before, None if before is not None and not is_better(best, before) else save_robot(path, best)
 

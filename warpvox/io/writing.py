@@ -128,15 +128,15 @@ def check_writable(folder: str | os.PathLike[str]) -> None:
 
 
 @contextmanager
-def claimed(folder: Path) -> Iterator[None]:
+def claimed(folder: Path, wait: bool = False) -> Iterator[None]:
     """No other process holds the same claim on ``folder`` within the block; the system ends it with the process.
 
-    RunError: another process does.
+    RunError: another process does, and this one should not ``wait`` until it has ended.
     """
     with ExitStack() as stack:
         try:
             with writing(folder):
-                stack.enter_context(path_lock(folder))
+                stack.enter_context(path_lock(folder, wait))
         except StorageError as error:
             if not isinstance(error.__cause__, BlockingIOError):
                 raise
