@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
@@ -118,15 +117,12 @@ def store(folder: Path, member: Member, place: Path) -> None:
     values = {name: summary.get(facts.get(name, name)) for name in FACTS}
     values |= {"return": about["return"], "noise": about["noise"]["return"]}
     curves = [[*member.key, axis, *(f"{value:.6g}" for value in places[axis])] for axis in AXES]
-    while True:
-        with suppress(RunError), claimed(folder):
-            for name, columns, rows in (
-                (CURVES, CURVE_COLUMNS, curves),  # first: a member with a row is done
-                (MEMBERS, COLUMNS, [[*member.key, *values.values()]]),
-            ):
-                write_table(folder / name, columns, [*(row.values() for row in read_rows(name, folder)), *rows])
-            return
-        time.sleep(0.1)
+    with claimed(folder, wait=True):
+        for name, columns, rows in (
+            (CURVES, CURVE_COLUMNS, curves),  # first: a member with a row is done
+            (MEMBERS, COLUMNS, [[*member.key, *values.values()]]),
+        ):
+            write_table(folder / name, columns, [*(row.values() for row in read_rows(name, folder)), *rows])
 
 
 HEAD = """# The paper's experiments in numbers
