@@ -10,7 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -343,9 +343,13 @@ def run_folder(
 
 
 @contextmanager
-def going_on(folder: Path, config: str) -> Iterator[Path]:
-    """The folder of a run that is resumed: ours alone, rid of what a killed process has left half written."""
+def going_on(folder: Path, config: str, check: Callable[[], object] = lambda: None) -> Iterator[Path]:
+    """The folder of a run that is resumed: ours alone, rid of what a killed process has left half written.
+
+    ``check``: called before anything is written; until then another process may have gone on with the run.
+    """
     with claimed(folder):
+        check()
         sweep(folder)
         try:
             write_text(folder / CONFIG, config + END, make_folders=False)

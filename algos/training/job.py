@@ -6,6 +6,7 @@ import dataclasses
 import time
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.console import shell_argument
 from warpvox.io.writing import check_writable, to_yaml
 from warpvox.robots.entry import zoo_tasks
-from warpvox.runs import STATE, ZOO, Run, check_unchanged, read_summary, run_folder, write_summary
+from warpvox.runs import STATE, ZOO, Run, check_unchanged, going_on, read_summary, run_folder, write_summary
 from warpvox.system import usable_cores
 from warpvox.trust import as_stored, keep_code
 
@@ -161,8 +162,7 @@ class Job:
                 logger=settings.logger,
             )
             if self.checkpoint is not None:
-                self.runner.resume(self.checkpoint)
-                check_left(self.checkpoint.parent, self.runner)
+                go_on(self.checkpoint, self.runner)
             elif self.learned is not None:
                 self.runner.begin_with(self.learned)
         if group.size > 1:  # what the run was asked for, not the share of this process
@@ -189,11 +189,15 @@ class Job:
     def _folder(self, place: Path | None, listener: Listener) -> Iterator[None]:
         """The folder of a new run, or that of the one which goes on; made by the first process."""
         settings, group, runner = self.settings, self.group, self.runner
-        made = run_folder(self.folder, self.written, "train", to_yaml(self.written), place)
+        text = to_yaml(self.written)
+        if self.checkpoint is None or self.folder is None:
+            made = run_folder(None, self.written, "train", text, place)
+        else:
+            made = going_on(self.folder, text, partial(go_on, self.checkpoint, runner))
         with made if group.is_main_process else nullcontext() as folder:
             self.folder = runner.folder = folder = Path(str(group.broadcast(folder and str(folder))))
-            if self.checkpoint is not None:  # again: before the folder was ours another process may have gone on
-                runner.resume(self.checkpoint)
+            if self.checkpoint is not None and not group.is_main_process:
+                go_on(self.checkpoint, runner)
             if settings.nan_guard == "dump":
                 env = runner.env.env
                 env.dump = DivergenceDump(env, folder / ("dumps" if group.is_main_process else f"dumps_{group.rank}"))
@@ -387,14 +391,17 @@ def continued(settings: Training, source: Run) -> tuple[Training, Path]:
     return dataclasses.replace(settings, resume=None), checkpoint
 
 
-def check_left(folder: Path, runner: Runner) -> None:
-    """Raise RunError, with what to type instead, if a resumed run has nothing left to do.
+def go_on(checkpoint: Path, runner: Runner) -> None:
+    """Have a runner go on from a checkpoint; RunError, with what to type instead, if it has nothing left to do.
 
     One that was killed between its last iteration and its summary is let through: the summary is left.
     """
+    runner.resume(checkpoint)
+    folder = checkpoint.parent
     done, total, goal = runner.current_learning_iteration, runner.schedule.total, runner.schedule.stop_return
     again = f"go on with: warpvox train {shell_argument('resume', folder)}"
-    ended = read_summary(folder).get("status") == "done"  # a run that was killed in its last moment has no summary
+    about = read_summary(folder)
+    ended = about.get("status") == "done" and about.get("iterations") == done  # else it was killed in its last moment
     if done > total or (ended and done == total):
         raise RunError(
             f"The run has already made {done} iterations, and max_iterations={total} asks for no more;"

@@ -19,6 +19,7 @@ from unittest.mock import Mock
 import parallel
 import pytest
 import yaml
+from rich.console import Console
 from suite_jobs import act
 from tiny import tiny
 
@@ -380,6 +381,23 @@ def test_report_again(quick: Callable) -> None:
         assert "1 running" in (folder / "report.html").read_text()
     quick(f"report={folder}")  # nobody is making it any more: it was killed
     assert "1 waiting" in (folder / "report.html").read_text()
+
+
+def test_a_suite_that_another_process_extended_meanwhile_loses_nothing(tmp_path: Path) -> None:
+    words = tiny("suite", *SIZES)[1:]
+    own, typed = suite.split(words)
+    config = load("suite", own)
+    stored = {**vars(config), "codesign": merged([], typed, "outputs")}
+    known = [yaml.safe_dump({**stored, "seeds": seeds}) + "...\n" for seeds in (2, 3)]
+    file = tmp_path / "config.yaml"
+    file.write_text(known[0])
+    resume = f"resume={tmp_path}"
+    job = suite._prepare([], load("suite", [resume]), [resume], None)
+    file.write_text(known[1])
+    with pytest.raises(ConfigError, match="seeds may only grow when a suite is resumed; 2 would be left out"):
+        suite.suite(job, Console())
+    assert [path.name for path in tmp_path.iterdir()] == ["config.yaml"]
+    assert file.read_text() == known[1]
 
 
 def test_the_command_that_goes_on_names_the_code_of_the_suite(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:

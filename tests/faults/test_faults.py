@@ -10,11 +10,12 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from codesign_toys import Judge, ToySearch
 from fault_cases import (
     CODESIGN,
@@ -34,7 +35,7 @@ from warpvox.algos.codesign.archive import BACKUP, FILE, Archive
 from warpvox.errors import RolloutError, RunError, StorageError
 from warpvox.io import writing
 from warpvox.io.writing import MARK, atomic_path, claimed, write_text
-from warpvox.runs import run_folder
+from warpvox.runs import going_on
 
 resource = pytest.importorskip("resource", reason="signals and limits are those of POSIX")
 
@@ -262,19 +263,25 @@ def test_nobody_else_goes_on_with_a_run_while_its_films_are_written(
     assert refused
 
 
-def test_a_run_that_another_process_continued_meanwhile_goes_on_from_there(copied: Callable, monkeypatch) -> None:
+@pytest.mark.parametrize("asked", [6, 4])
+def test_a_run_that_another_process_continued_meanwhile_goes_on_from_there(
+    asked, copied: Callable, monkeypatch
+) -> None:
     run, told = copied("train"), []
 
     def late(*words: Any) -> Any:
         with monkeypatch.context() as patch:
-            patch.setattr("warpvox.algos.training.job.run_folder", run_folder)
+            patch.setattr("warpvox.algos.training.job.going_on", going_on)
             wv.train(resume=run, max_iterations=5, progress=False)
-        return run_folder(*words)
+        return going_on(*words)
 
-    monkeypatch.setattr("warpvox.algos.training.job.run_folder", late)
+    monkeypatch.setattr("warpvox.algos.training.job.going_on", late)
     monkeypatch.setattr("warpvox.algos.training.job.Listener.__call__", lambda _, row: told.append(row["iteration"]))
-    wv.train(resume=run, max_iterations=6, progress=False)
-    assert told == [4, 5, 6]  # 4 and 5 by the other
+    refused = pytest.raises(RunError, match="already made 5 iterations, and max_iterations=4 asks for no more")
+    with refused if asked == 4 else nullcontext():
+        wv.train(resume=run, max_iterations=asked, progress=False)
+    assert told == ([4, 5] if asked == 4 else [4, 5, 6])  # 4 and 5 by the other
+    assert yaml.safe_load((run / "config.yaml").read_text().partition("...")[0])["max_iterations"] == max(asked, 5)
 
 
 @pytest.mark.parametrize(

@@ -80,15 +80,19 @@ def _prepare(typed: list[str], config: SuiteConfig, overrides: list[str], config
 def _resumed(config: SuiteConfig, typed: list[str], overrides: list[str], config_dir: Path | None) -> Job:
     source = find_suite(str(config.resume), config.output_dir)
     check_writable(source.folder)
-    before = load_values("suite", source.config)
     config = load("suite", overrides, config_dir, base=source.config, home=source.folder)
     check_unchanged(source.config, config, CHANGEABLE)
-    words, trusted = gone_on_with(before.codesign, typed, source.folder)
+    words, trusted = gone_on_with(load_values("suite", source.config).codesign, typed, source.folder)
+    _check_growth(config, source.folder)
+    return Job(dataclasses.replace(config, resume=None, codesign=trusted), folder=source.folder, words=words)
+
+
+def _check_growth(config: SuiteConfig, folder: Path) -> None:
+    before = load_values("suite", find_suite(str(folder), "").config)
     for key, old, new in zip(GROWING, _parts(before), _parts(config), strict=True):
         lost = [entry for entry in old if entry not in new]
         if lost:
             raise ConfigError(f"{key} may only grow when a suite is resumed; {listing(lost)} would be left out.")
-    return Job(dataclasses.replace(config, resume=None, codesign=trusted), folder=source.folder, words=words)
 
 
 def _parts(config: SuiteConfig) -> tuple[list[str], list[str], list[int]]:
@@ -131,7 +135,8 @@ def suite(job: Job, console: Console) -> Path:
     config = dataclasses.replace(job.config, retry=False)
     place = job.folder or _place(config)
     folder = job.folder or make_folder(place.parent, place.name)
-    with going_on(folder, to_yaml(dataclasses.replace(config, codesign=job.words or config.codesign))):
+    stored = to_yaml(dataclasses.replace(config, codesign=job.words or config.codesign))
+    with going_on(folder, stored, lambda: job.folder and _check_growth(config, folder)):
         for member in {member.search: member for member in job.members}.values():
             keep_code(member.settings, folder, console)
         table = Table.of_members(folder, job.members, job.config.retry)
