@@ -249,9 +249,9 @@ class Job:
                 with suppress(StorageError) if status == "failed" else nullcontext():
                     if self.folder is not None:
                         write_summary(self.folder, self.summary)
-            listener.end(self)
             if tracker is not None:
                 tracker.end(self.summary, self.settings)
+            listener.end(self)  # last: it may make films, and fail
 
     @property
     def policy(self) -> Policy:

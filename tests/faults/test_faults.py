@@ -233,6 +233,18 @@ def test_leftovers_of_killed_processes_are_swept_up_and_a_second_writer_is_refus
     assert not leftover.exists()
 
 
+def test_a_run_whose_films_were_interrupted_is_done(copied: Callable, warpvox, monkeypatch) -> None:
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    run = copied("train")
+    monkeypatch.setattr("warpvox.cli.exports.write_exports", interrupt)
+    warpvox("train", f"resume={run}", "max_iterations=4", "export=[png]", code=130)
+    about = json.loads((run / "summary.json").read_text())
+    assert (about["status"], about["iterations"]) == ("done", 4)
+    warpvox("train", f"resume={run}", fails="already made 4 iterations")
+
+
 def test_what_another_process_is_writing_is_no_leftover(copied: Callable, warpvox: Callable) -> None:
     run = copied("codesign")
     with atomic_path(run / "report.html") as temporary:  # as `report=` does without a claim, also of a running search
@@ -251,16 +263,24 @@ def test_what_another_process_is_writing_is_no_leftover(copied: Callable, warpvo
 def test_nobody_else_goes_on_with_a_run_while_its_films_are_written(
     command: str, more: list[str], writer: str, copied: Callable, warpvox: Callable, monkeypatch
 ) -> None:
-    run, refused = copied(command), []
+    run, held, refused = copied(command), [], []
+
+    @contextmanager
+    def lock(path: Path, *words: Any) -> Iterator[None]:
+        with system.path_lock(path, *words):
+            held.append(path)
+            yield
 
     def write(*_: Any) -> None:
         with pytest.raises(RunError, match="Another process is writing to"), claimed(run):
             pass
         refused.append(True)
 
+    monkeypatch.setattr(writing, "path_lock", lock)
     monkeypatch.setattr(writer, write)
     warpvox(command, f"resume={run}", *more)
     assert refused
+    assert held.count(run) == 1  # not let go between the last iteration and the films
 
 
 @pytest.mark.parametrize("asked", [6, 4])

@@ -1,9 +1,10 @@
 """``warpvox codesign``: from a configuration to a folder with the designs that were tried, the best of them trained."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -16,7 +17,7 @@ from warpvox.cli.overrides import check_report, key_and_value
 from warpvox.configs.codesign import CodesignConfig
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.console import echo, shown
-from warpvox.io.writing import check_writable, claimed, to_yaml
+from warpvox.io.writing import check_writable, to_yaml
 from warpvox.runs import check_unchanged, find_codesign, find_searches, new_folder, read_summary
 from warpvox.trust import again, as_stored
 
@@ -68,22 +69,25 @@ def _make(job: Job, console: Console) -> Path:
         return _report(job.config, console)
     with console.status("loading"):
         from warpvox.algos.codesign.progress import SearchProgress
-        from warpvox.algos.codesign.results import Results, film_designs
+        from warpvox.algos.codesign.results import film_designs
         from warpvox.algos.codesign.run import run_codesign
-    found = run_codesign(job.settings, job.folder, [SearchProgress(console)], console=console)
-    with claimed(found.folder):  # who resumes the search would remove what is half written
-        with console.status("filming the best"), Archive.read(found.folder / FILE) as archive:
-            results = Results(found.folder, archive, job.settings, found.summary.get("pretraining_steps"))
-            film_designs(found.folder, results.best(), job.settings)
-            results.report(found.summary)
-        _export(found.folder, job.config.export, console)
-    return found.folder
+
+    class Films(SearchProgress):
+        def ended(self, summary: Mapping[str, Any]) -> None:  # before another process may write to the folder
+            super().ended(summary)
+            if summary.get("status") == "done":
+                results = self.run.results
+                with console.status("filming the best"):
+                    film_designs(results.folder, results.best(), job.settings)
+                    results.report(summary)
+                _export(results.archive, results.folder, job.config.export, console)
+
+    return run_codesign(job.settings, job.folder, [Films(console)], console=console).folder
 
 
-def _export(folder: Path, formats: Sequence[str], console: Console) -> None:
-    with Archive.read(folder / FILE) as archive:
-        for name in dict.fromkeys(formats):
-            echo(console, shown(FORMATS[name](archive, folder)))
+def _export(archive: Archive, folder: Path, formats: Sequence[str], console: Console) -> None:
+    for name in dict.fromkeys(formats):
+        echo(console, shown(FORMATS[name](archive, folder)))
 
 
 def _report(config: CodesignConfig, console: Console) -> Path:
@@ -107,7 +111,7 @@ def _report(config: CodesignConfig, console: Console) -> Path:
         if not again(stored):  # code of the user's own, which a file does not bring
             film_designs(source.folder, results.best(), stored)
         echo(console, shown(results.report(summary)))
-    _export(source.folder, config.export, console)
+        _export(archive, source.folder, config.export, console)
     return source.folder
 
 

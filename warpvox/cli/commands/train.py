@@ -11,7 +11,6 @@ from rich.console import Console
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load
 from warpvox.configs.train import TrainConfig
-from warpvox.io.writing import claimed
 from warpvox.runs import TRAINING, find_run
 
 if TYPE_CHECKING:
@@ -40,20 +39,24 @@ def train(job: Job, console: Console) -> Path:
     from warpvox.algos.training.progress import Terminal
     from warpvox.devices.startup import prepare
 
-    prepare(job.settings.torch_threads, job.settings.seed)
-    job.train(Terminal(console))
-    folder, config = cast(Path, job.folder), cast(TrainConfig, job.settings)
-    if not config.export or not job.group.is_main_process:
-        return folder
-    from warpvox.algos.training.playing import load_result
-    from warpvox.cli.exports import ROLLOUT, print_returns, record_run, write_exports
+    config = cast(TrainConfig, job.settings)
 
-    with claimed(folder):  # who resumes the run would remove what is half written
-        run = find_run(str(folder), config.output_dir)
-        env, controller = load_result(run, config, config.device)
-        with console.status("simulating"):
-            rollout = record_run(run, env, controller, None)
-        print_returns(rollout, console)
-        rollout.save(folder / ROLLOUT)
-        write_exports(rollout, folder, config.export, console)
-    return folder
+    class Films(Terminal):
+        def end(self, job: Job) -> None:  # before another process may write to the folder
+            super().end(job)
+            if not config.export or job.summary.get("status") != "done":
+                return
+            from warpvox.algos.training.playing import load_result
+            from warpvox.cli.exports import ROLLOUT, print_returns, record_run, write_exports
+
+            folder, run = cast(Path, job.folder), find_run(str(job.folder), config.output_dir)
+            env, controller = load_result(run, config, config.device)
+            with console.status("simulating"):
+                rollout = record_run(run, env, controller, None)
+            print_returns(rollout, console)
+            rollout.save(folder / ROLLOUT)
+            write_exports(rollout, folder, config.export, console)
+
+    prepare(config.torch_threads, config.seed)
+    job.train(Films(console))
+    return cast(Path, job.folder)
