@@ -240,17 +240,12 @@ def _read(folder: Path) -> dict[str, Any]:
 
 def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
     found = [(command, file.parent) for command in commands for file in root.glob(f"{command}/*/*/{CONFIG}")]
-    folders = [folder for command, folder in found if _has_begun(folder, command, resume)]
+    signs = {name: ("model_*.pt", *[STATE] * resume) for name in commands} | {CODESIGN: (ARCHIVE, BACKUP)}
+    folders = [folder for command, folder in found if any(any(folder.glob(sign)) for sign in signs[command])]
     if not folders:
         raise RunError(f"There is no run in {root / commands[0]} yet; `warpvox {commands[0]}` makes one.")
     # names begin with the date and time of the start; what started within one second differs by its first file
     return max(folders, key=lambda folder: (folder.name[:STAMP_LENGTH], (folder / CONFIG).stat().st_mtime_ns))
-
-
-def _has_begun(folder: Path, command: str, resume: bool) -> bool:
-    if command == CODESIGN:
-        return any((folder / name).is_file() for name in (ARCHIVE, BACKUP))
-    return (resume and (folder / STATE).is_file()) or any(folder.glob("model_*.pt"))
 
 
 @contextmanager

@@ -56,10 +56,9 @@ def path_lock(path: Path, wait: bool = False) -> Iterator[None]:
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except BlockingIOError:
-            raise
-        except OSError:
-            pass  # a network disk without locks
+        except OSError as error:
+            if isinstance(error, BlockingIOError):  # else a network disk without locks
+                raise
         yield
     finally:
         os.close(handle)

@@ -138,7 +138,7 @@ class Results(Listener):
         return write_report(self.archive, self.folder / REPORT, facts)
 
 
-def evaluate_winner(folder: Path, settings: Codesign) -> dict[str, Any]:
+def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
     """Mean return of a search's best design over episodes that its training never met.
 
     Each design is judged by few episodes, always the same, and the best of many is chosen by them: that return is too
@@ -150,13 +150,12 @@ def evaluate_winner(folder: Path, settings: Codesign) -> dict[str, Any]:
     """
     if not get_task(settings.task).under(settings.rules).is_random:
         return {}
-    with Archive.read(folder / ARCHIVE) as archive:
-        if not any(best.policy for best in archive.best()):
-            return {}
+    if not any(best.policy for best in results.archive.best()):
+        return {}
     seed = FRESH_SEED + (settings.seed == FRESH_SEED)  # which the search has compared its designs by
     device = settings.device if settings.executor == "local" else "cpu"
     play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **own_code(settings))
-    env, policy = load_trained(find_run(str(folder), settings.output_dir), play)
+    env, policy = load_trained(find_run(str(results.folder), settings.output_dir), play)
     found = mean_interval(evaluate(env, policy).returns.tolist())
     return {"mean": found.mean, "low": found.low, "high": found.high, "episodes": FRESH, "seed": seed}
 

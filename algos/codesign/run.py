@@ -215,7 +215,7 @@ def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[
             begun.append(listener)
         loop.run()
         # before it is done: a suite leaves alone what is
-        run.results.fresh = evaluate_winner(run.results.folder, settings)
+        run.results.fresh = evaluate_winner(run.results, settings)
         status = "done"
     except KeyboardInterrupt:
         status = "interrupted"

@@ -397,10 +397,9 @@ def go_on(checkpoint: Path, runner: Runner) -> None:
     One that was killed between its last iteration and its summary is let through: the summary is left.
     """
     runner.resume(checkpoint)
-    folder = checkpoint.parent
     done, total, goal = runner.current_learning_iteration, runner.schedule.total, runner.schedule.stop_return
-    again = f"go on with: warpvox train {shell_argument('resume', folder)}"
-    about = read_summary(folder)
+    again = f"go on with: warpvox train {shell_argument('resume', checkpoint.parent)}"
+    about = read_summary(checkpoint.parent)
     ended = about.get("status") == "done" and about.get("iterations") == done  # else it was killed in its last moment
     if done > total or (ended and done == total):
         raise RunError(

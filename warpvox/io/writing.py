@@ -134,13 +134,11 @@ def claimed(folder: Path, wait: bool = False) -> Iterator[None]:
     RunError: another process does, and this one should not ``wait`` until it has ended.
     """
     with ExitStack() as stack:
-        try:
-            with writing(folder):
+        with writing(folder):
+            try:
                 stack.enter_context(path_lock(folder, wait))
-        except StorageError as error:
-            if not isinstance(error.__cause__, BlockingIOError):
-                raise
-            raise RunError(f"Another process is writing to {folder}; there can be one at a time.") from None
+            except BlockingIOError:
+                raise RunError(f"Another process is writing to {folder}; there can be one at a time.") from None
         yield
 
 

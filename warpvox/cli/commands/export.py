@@ -44,21 +44,19 @@ def _export(config: Any, console: Console) -> Path:
         rollout, source = Rollout.load(config.rollout), config.rollout
         config = dataclasses.replace(config, run="")  # the run that is named by default has no part in it
         return write_results(rollout, config, source, "export", pictures, console, keep=False)
-    policy: Any = _load_policy(config, console) if programs else None  # what is wrong with it should show first
+    policy: Any = None
+    if programs:  # first: what is wrong with the policy should show before anything is simulated
+        with console.status("loading"):
+            from warpvox.algos.training.loading import load_policy
+
+            places = {"checkpoint": config.checkpoint, "output_dir": config.output_dir, "policy": config.policy}
+            policy = load_policy(config.run if config.zoo is None else f"{ZOO}{config.zoo}", **places)
     if pictures:
         rollout, source = play_run(config, console)
         folder = write_results(rollout, config, source, "export", pictures, console)
         _write_policy(policy, folder, programs, console)
         return folder
     return _export_policy(policy, config, programs, console)
-
-
-def _load_policy(config: Any, console: Console) -> Policy:
-    with console.status("loading"):
-        from warpvox.algos.training.loading import load_policy
-
-        places = {"checkpoint": config.checkpoint, "output_dir": config.output_dir, "policy": config.policy}
-        return load_policy(config.run if config.zoo is None else f"{ZOO}{config.zoo}", **places)
 
 
 def _export_policy(policy: Policy, config: Any, formats: list[str], console: Console) -> Path:

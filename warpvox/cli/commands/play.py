@@ -53,7 +53,12 @@ def play(config: PlayConfig, console: Console) -> Path:
     formats = ([] if in_window else ["html"]) if config.export is None else config.export
     check_exports(formats, config.size)
     if config.rollout is not None:
-        rollout, source = stored_rollout(config)
+        given = [name for name in ("agent", "zoo", *OF_AGENTS) if getattr(config, name) is not None]
+        if given:
+            raise ConfigError(f"rollout shows what was recorded: {listing(given)} cannot be given with it.")
+        from warpvox.view.rollout import Rollout
+
+        rollout, source = Rollout.load(config.rollout), str(config.rollout)
         config = dataclasses.replace(config, run="", record=False)
     elif config.agent is None:
         rollout, source = play_run(config, console)
@@ -113,17 +118,6 @@ def _refuse(names: Iterable[str]) -> None:
     """Raise ConfigError for keys that a trained run has values of its own for."""
     for name in names:
         raise ConfigError(f"{name} goes with agent=random|sine|zero; a trained run has its own {name}.")
-
-
-def stored_rollout(config: PlayConfig) -> tuple[Rollout, str]:
-    """The rollout of a file, and the file."""
-    from warpvox.view.rollout import Rollout
-
-    given = [name for name in ("agent", "zoo", *OF_AGENTS) if getattr(config, name) is not None]
-    if given:
-        raise ConfigError(f"rollout shows what was recorded: {listing(given)} cannot be given with it.")
-    source = str(config.rollout)
-    return Rollout.load(source), source
 
 
 def write_results(

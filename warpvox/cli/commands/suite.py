@@ -89,14 +89,11 @@ def _resumed(config: SuiteConfig, typed: list[str], overrides: list[str], config
 
 def _check_growth(config: SuiteConfig, folder: Path) -> None:
     before = load_values("suite", find_suite(str(folder), "").config)
-    for key, old, new in zip(GROWING, _parts(before), _parts(config), strict=True):
+    parts = ((task_names(one.tasks), one.searches, seeds_of(one.seeds)) for one in (before, config))
+    for key, old, new in zip(GROWING, *parts, strict=True):
         lost = [entry for entry in old if entry not in new]
         if lost:
             raise ConfigError(f"{key} may only grow when a suite is resumed; {listing(lost)} would be left out.")
-
-
-def _parts(config: SuiteConfig) -> tuple[list[str], list[str], list[int]]:
-    return task_names(config.tasks), config.searches, seeds_of(config.seeds)
 
 
 def _check(job: Job) -> None:
@@ -126,10 +123,12 @@ def suite(job: Job, console: Console) -> Path:
 
     if job.config.report is not None:
         source = find_suite(str(job.config.report), job.config.output_dir)
-        table = Table.stored(source.folder)
+        state = RUNNING
         with suppress(RunError), claimed(source.folder):  # nobody is making it: what was running was killed
-            for row in table.of(RUNNING):
-                row.state = WAITING
+            state = WAITING
+        table = Table.stored(source.folder)  # after: a suite that has ended until now has written how
+        for row in table.of(RUNNING):
+            row.state = state
         _write_report(table, load_values("suite", source.config), console)
         return source.folder
     config = dataclasses.replace(job.config, retry=False)

@@ -50,9 +50,8 @@ def train(job: Job, console: Console) -> Path:
             from warpvox.cli.exports import ROLLOUT, print_returns, record_run, write_exports
 
             folder, run = cast(Path, job.folder), find_run(str(job.folder), config.output_dir)
-            env, controller = load_result(run, config, config.device)
             with console.status("simulating"):
-                rollout = record_run(run, env, controller, None)
+                rollout = record_run(run, *load_result(run, config, config.device), None)
             print_returns(rollout, console)
             rollout.save(folder / ROLLOUT)
             write_exports(rollout, folder, config.export, console)
