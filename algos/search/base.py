@@ -143,11 +143,11 @@ class BaseSearch(ABC):
         """
         body = self.new_body(lambda: draw_bodies(rng, BATCH, self.shape))
         if body is None:
-            rows, columns = self.shape
+            fewer = f", or fewer evaluations than max_evaluations={self.settings.max_evaluations}" if self._seen else ""
             raise SearchError(
-                f"No new {rows}x{columns} body turns up after {len(self._seen)} have been proposed: too few are left,"
-                " or random cells of this shape hardly ever hang together. Try another shape, or fewer evaluations"
-                f" than max_evaluations={self.settings.max_evaluations}."
+                f"No new {self.shape[0]}x{self.shape[1]} body turns up after {len(self._seen)} have been proposed:"
+                f" {'too few are left, or ' if self._seen else ''}random cells of this shape hardly ever hang together."
+                f" Try another shape{fewer}."
             )
         return Proposal(body)
 

@@ -294,3 +294,13 @@ def test_a_source_of_bodies_can_run_dry() -> None:
     full = np.full((2000, 5, 5), 3, np.int8)
     assert np.array_equal(search.new_body(lambda: full), full[0])
     assert search.new_body(lambda: full, limit=100_000) is None
+
+
+@pytest.mark.parametrize("known", [0, 1])
+def test_few_bodies_are_left_only_where_some_have_been_proposed(known: int) -> None:
+    search = fresh("random", shape=(1, 7))
+    search.claim(np.full((1, 7), 3, np.int8)) if known else None
+    search.new_body = lambda draw: None
+    with pytest.raises(SearchError, match=f"after {known} have been proposed: .*random cells of") as caught:
+        search.ask()
+    assert [words in str(caught.value) for words in ("too few are left", "fewer evaluations")] == [known, known]
