@@ -130,18 +130,15 @@ class BayesianSearch(BaseSearch):
         climb = climb_posterior(model, pool.bodies, count)
         proposals: list[Proposal] = []
         for path, start in enumerate(climb.start):
-            parents = pool.parents_of(start)
-            if self.claim(climb.summit[path]):
-                proposals.append(Proposal(climb.summit[path], parents, "posterior"))
-                continue
-            around, bodies = climb.around[path], pool.bodies
-            if (place := self._second_best(around, climb.at_around[path])) is not None:
-                proposals.append(Proposal(around[place], parents, "posterior"))
-            elif (place := self._second_best(bodies, climb.at_pool[path])) is not None:
-                proposals.append(Proposal(bodies[place], pool.parents_of(place), "posterior"))
+            # the summit, or the best new body beside it, or in the pool
+            near, values = [climb.summit[path], *climb.around[path]], np.append(np.inf, climb.at_around[path])
+            if (place := self._best_new(near, values)) is not None:
+                proposals.append(Proposal(near[place], pool.parents_of(start), "posterior"))
+            elif (place := self._best_new(pool.bodies, climb.at_pool[path])) is not None:
+                proposals.append(Proposal(pool.bodies[place], pool.parents_of(place), "posterior"))
         return proposals
 
-    def _second_best(self, bodies: np.ndarray, values: np.ndarray) -> int | None:
+    def _best_new(self, bodies: Sequence[np.ndarray] | np.ndarray, values: np.ndarray) -> int | None:
         """The place of the best new body, claimed."""
         places = (place for place in np.argsort(-values, kind="stable") if values[place] > -np.inf)
         return next((int(place) for place in places if self.claim(bodies[place])), None)

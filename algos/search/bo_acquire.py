@@ -218,5 +218,5 @@ def fit_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> Sin
             optimizer_kwargs={"options": {"maxiter": settings.optimizer_iterations}},
         )
     except ModelFittingError as error:
-        raise SearchError(f"The Gaussian process could not be fitted to {len(bodies)} designs: {error}.") from error
+        raise SearchError(f"The Gaussian process could not be fitted to {len(bodies)} designs. {error}") from error
     return model

@@ -70,8 +70,9 @@ class BO(SearchSettings):
         " improvement by L-BFGS alone)",
         choices=("pathwise", "paper", "lbfgs"),
     )
-    kernel_variance: float = key(1.0, "initial variance of the Matern 5/2 kernel", above=0)
-    kernel_length_scale: float = key(1.0, "initial length scale of the kernel", above=0)
+    # not at the bounds of the fit (see ``make_model``), from which it cannot begin
+    kernel_variance: float = key(1.0, "initial variance of the Matern 5/2 kernel", low=1e-3, high=1e6)
+    kernel_length_scale: float = key(1.0, "initial length scale of the kernel", low=0.05, high=1e6)
     optimizer_iterations: int = key(100, "iterations of L-BFGS, for the kernel and for the acquisition", low=1)
     optimizer_restarts: int = key(5, "number of starts of the kernel's fit, of which the best is used", low=1)
     candidates: int = key(1000, "number of designs among which the starts of climbs are chosen", low=1)

@@ -20,6 +20,7 @@ from warpvox.algos.search.bo_acquire import (
 )
 from warpvox.algos.search.bodies import body_key, neighbours
 from warpvox.design import are_valid, draw_bodies
+from warpvox.errors import ConfigError
 
 TOLERANCE = 1e-6
 """The process is in double precision; BoTorch adds up to this much to a diagonal for the sake of Cholesky."""
@@ -186,6 +187,19 @@ def test_a_fitness_whose_square_overflows_can_be_learned_from(acquisition: str) 
     search = make_search(hasty(acquisition=acquisition, population=6, max_evaluations=12), (4, 4))
     search.tell([(-1) ** k * k * 1e300 for k, _ in enumerate(search.ask())])
     assert len({body_key(candidate.body) for candidate in search.ask()}) == 6
+
+
+@pytest.mark.parametrize("name", ["kernel_variance", "kernel_length_scale"])
+@pytest.mark.parametrize("value", [1e-300, 1e-4, 0.025, 0.05, 1e6, 1e300])
+def test_a_kernel_from_which_no_fit_can_begin_is_refused_before_a_design_is_tried(name: str, value: float) -> None:
+    try:
+        settings = hasty(population=3, max_evaluations=6, **{name: value})
+    except ConfigError as error:
+        assert str(error).startswith(f"{name} must be at")  # noqa: PT017  (some values are valid)
+        return
+    search = make_search(settings, (3, 3))
+    search.tell([0.0 for _ in search.ask()])
+    assert len(search.ask()) == 3
 
 
 @pytest.mark.parametrize("acquisition", ["paper", "pathwise"])
