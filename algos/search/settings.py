@@ -17,6 +17,8 @@ DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", 
 """What MAP-Elites can sort bodies by, each a number from 0 to 1 (see ``describe`` in ``map_elites.py``)."""
 MOST = 1_000_000
 """Evaluations of a search, whose generations are counted one by one."""
+MOST_CELLS = 10_000_000
+"""Cells of MAP-Elites."""
 
 
 @dataclass
@@ -105,6 +107,9 @@ class MapElites(SearchSettings):
         super().__post_init__()
         if not self.descriptors or len(set(self.descriptors)) < len(self.descriptors):
             raise ConfigError(f"descriptors must name one or more different ones, got {listing(self.descriptors)}.")
+        if self.bins ** len(self.descriptors) > MOST_CELLS:
+            cells = f"bins={self.bins} for {len(self.descriptors)} descriptors make over {MOST_CELLS:,} cells"
+            raise ConfigError(f"{cells}, which take memory from the beginning: take fewer bins or descriptors.")
 
 
 @dataclass

@@ -75,5 +75,8 @@ def test_mistakes_in_descriptors() -> None:
     for wrong in ((), ("empty", "empty")):
         with pytest.raises(ConfigError, match="one or more different ones"):
             MapElites(descriptors=wrong)
+    for bins, names in ((10**12, DESCRIPTORS[:1]), (10, DESCRIPTORS)):
+        with pytest.raises(ConfigError, match=f"bins={bins} for {len(names)} descriptors .* fewer bins or descriptors"):
+            MapElites(bins=bins, descriptors=list(names))
     with pytest.raises(ConfigError, match="descriptors must be a list, got 'empty'"):
         MapElites(descriptors="empty")  # type: ignore[arg-type]
