@@ -259,10 +259,12 @@ def check_fits(ours: PolicySpec, pretrained: PolicySpec) -> None:
     names += ["num_obs", "num_actions", "hidden", "activation", "rnn"] if ours.voxels is None else []
     sizes = [(name, getattr(ours, name), getattr(pretrained, name)) for name in names]
     if ours.voxels is not None:
-        sizes.insert(0, ("layout", ours.voxels["layout"], (pretrained.voxels or {}).get("layout")))
+        layouts = ours.voxels["layout"], (pretrained.voxels or {}).get("layout", {})
+        sizes = [(f"layout ({key})", *(one.get(key) for one in layouts)) for key in layouts[0] | layouts[1]] + sizes
     for name, wanted, found in sizes:
         if wanted != found:
-            raise RunError(f"The pretrained policy has another {name}: {found}, here it is {wanted}.")
+            how = "Take the task and bodies that it was trained for, or others of the same sizes."
+            raise RunError(f"The pretrained policy has another {name}: {found}, here it is {wanted}. {how}")
 
 
 def spec_dict(spec: PolicySpec) -> dict[str, Any]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.training.settings import Training
+from warpvox.code import load_code
 from warpvox.errors import ConfigError, RunError
 from warpvox.runs import CONFIG, TRAINING, ZOO, find_run
 
@@ -69,24 +71,30 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
         named: keys that the user has given, which must agree with the policy.
     """
     from warpvox.algos.checkpoints.files import RNN, load_checkpoint
+    from warpvox.algos.policies.registry import NETWORKS
 
     path, run = find_pretrained(pretrained, config.output_dir)
     content = load_checkpoint(path)
     spec = check_learned(path, content, config.policy)
     ppo = {"action_scale": spec.action_scale, "normalize_obs": spec.normalize_obs}
     changes: dict[str, Any] = {"policy": "mlp", "network": None}
+    usual: dict[str, Any] = {"ppo.rnn": RNN, "network": {}}
     changes |= {key: run[key] for key in ("obs", "method") if key in run}
     if spec.voxels is None:
         ppo |= {"hidden": list(spec.hidden), "activation": spec.activation, "rnn": spec.rnn}
     else:
         name, settings = spec.voxels["network"], dict(spec.voxels["settings"])
         changes |= {"policy": name, "network": settings or None, "obs": observed_by(content["policy"])}
+        taken = inspect.signature(NETWORKS.get(name) or load_code(name)).parameters.values()
+        usual["network"] = {one.name: one.default for one in taken if one.default is not one.empty}
         changes["designs"] = _on_the_grid(config, spec.voxels["layout"])
     known = changes | {f"ppo.{key}": value for key, value in ppo.items()}
+    known["network"] = usual["network"] | (known["network"] or {})
     known.pop("designs", None)
     for key in [key for key in known if key in named]:
         given: Any = getattr(config.ppo, key[4:]) if key.startswith("ppo.") else getattr(config, key)
-        given = {**RNN, **given} if key == "ppo.rnn" and isinstance(given, Mapping) else given
+        given = {} if key == "network" and given is None else given
+        given = {**usual[key], **given} if isinstance(given, Mapping) else given
         if given != known[key] and (key != "obs" or OBS_OF_VOXELS.get(given) != known[key]):
             raise ConfigError(f"{key}={given} is not that of the policy in {path}: {key}={known[key]}.")
     changes |= {"ppo": dataclasses.replace(config.ppo, **ppo), "pretrained": kept_name(pretrained, path)}

@@ -75,6 +75,14 @@ def test_the_policy_that_comes_with_warpvox_walks_after_two_iterations(warpvox: 
     assert config_of(run)["pretrained"] == "universal"
 
 
+def test_settings_of_a_network_may_be_written_out(train: Callable) -> None:
+    """The default settings by name, some of them, or none, are those of a network that was made without any."""
+    train(*(word for word in VOXELS if not word.startswith("network")), "max_iterations=1")
+    for words in ("network={}", "network=null", "network={width:16}", "network={heads:16,summary:64,width:16}"):
+        config = config_of(train("pretrained=latest", BODY, words, *STILL, "lanes=8"))
+        assert config["network"] is None
+
+
 def test_a_body_takes_the_place_of_those_of_a_preset() -> None:
     assert prepared("train", ["preset=universal"], None, make_job).settings.designs.bodies == "random:512:5x5"
     job = prepared("train", ["preset=universal", "design=worm"], None, make_job)
@@ -87,7 +95,11 @@ def test_a_body_takes_the_place_of_those_of_a_preset() -> None:
         ("policy=mlp", "policy=mlp is not that of the policy in .*: policy=grid"),
         ("ppo.action_scale=0.1", "ppo.action_scale=0.1 is not that of the policy in .*: ppo.action_scale=0.5"),
         ("designs.grid=[4,4]", r"designs.grid=\[4, 4\]: the grid of the pretrained policy is \[3, 3\]"),
-        ("task=Thrower-v0 design=mini", "The pretrained policy has another layout"),
+        ("network={width:9}", "network={'width': 9, .* is not that of the policy in .*: network={'width': 8, "),
+        (
+            "task=Thrower-v0 design=mini",
+            r"another layout \(rest\): \d+, here it is \d+\. Take the task and bodies that it was trained for",
+        ),
         ("design=worm designs=random:3", "design is one body, designs are many for one policy"),
         ("pretrained=zoo:Walker-v0", "robots of the zoo are stored without what it takes to learn on"),
         ("pretrained=nowhere", "There is no run at nowhere"),
