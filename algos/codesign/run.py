@@ -155,7 +155,8 @@ def run_codesign(
             known_settings = archive.settings if archive else {}
         settings = dataclasses.replace(settings, batch=_batch(settings, executor, known_settings))
         written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), known_settings)
-        kept = {name: value for name, value in dataclasses.asdict(written).items() if name not in CHANGEABLE}
+        plain = dataclasses.asdict(Codesign.of(vars(written)))  # without the keys of the command line
+        kept = {name: value for name, value in plain.items() if name not in CHANGEABLE}
         kept["training"].pop("save_interval")
         kept = json.loads(json.dumps(kept))  # as an archive has it
         if resumed:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 CHANGEABLE = (
     "executor", "address", "workers", "device", "threads", "torch_threads", "top", "name", "training.save_interval",
-    "evaluation.save_interval", "memory_check", "output_dir", "logger",
+    "evaluation.save_interval", "memory_check", "logger", "export", "resume", "output_dir",
 )  # fmt: skip
 """Settings that do not change what is found: they may differ when a search is resumed.
 

@@ -121,6 +121,18 @@ def test_resuming_refuses_what_would_be_another_search(search: Callable, warpvox
     warpvox("train", f"resume={folder}", fails="it has no state.pt")
 
 
+def test_a_search_that_goes_on_is_exported_as_it_was_asked_at_its_beginning(search: Callable, warpvox) -> None:
+    folder = search("search.max_evaluations=5", "export=[csv]")
+    table = (folder / "designs.csv").read_bytes()
+    for word in ("top=2", "device=cpu"):
+        (folder / "designs.csv").unlink()
+        warpvox("codesign", f"resume={folder}", word)
+        assert (folder / "designs.csv").read_bytes() == table
+    assert yaml.safe_load((folder / "config.yaml").read_text())["resume"] is None
+    warpvox("codesign", f"resume={folder}", "export=[npz]")
+    assert (folder / "structures").is_dir()
+
+
 def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
     folder = search("search.max_evaluations=5")
     page = (folder / "report.html").read_text()

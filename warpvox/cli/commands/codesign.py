@@ -29,11 +29,6 @@ class Job:
     config: CodesignConfig
     folder: Path | None = None
 
-    @property
-    def settings(self) -> Codesign:
-        """Those of the search."""
-        return Codesign.of(vars(self.config))
-
 
 def run(words: list[str]) -> None:
     """Do what ``warpvox codesign`` is asked for; all runs of a sweep are checked before the first begins."""
@@ -52,9 +47,9 @@ def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | No
         source = find_codesign(config.resume, config.output_dir)
         check_writable(source.folder)
         config = load("codesign", overrides, config_dir, base=source.config, home=source.folder)
-        job = Job(config, source.folder)
-        check_unchanged(source.config, as_stored(job.settings, source.config), CHANGEABLE)
-    check(job.settings, job.folder)
+        job = Job(dataclasses.replace(config, resume=None), source.folder)
+        check_unchanged(source.config, as_stored(job.config, source.config), CHANGEABLE)
+    check(job.config, job.folder)
     return job
 
 
@@ -78,11 +73,11 @@ def _make(job: Job, console: Console) -> Path:
             if summary.get("status") == "done":
                 results = self.run.results
                 with console.status("filming the best"):
-                    film_designs(results.folder, results.best(), job.settings)
+                    film_designs(results.folder, results.best(), job.config)
                     results.report(summary)
                 _export(results.archive, results.folder, job.config.export, console)
 
-    return run_codesign(job.settings, job.folder, [Films(console)], console=console).folder
+    return run_codesign(job.config, job.folder, [Films(console)], console=console).folder
 
 
 def _export(archive: Archive, folder: Path, formats: Sequence[str], console: Console) -> None:
