@@ -77,6 +77,9 @@ MISTAKES = {
     "bench num_envs=1 design=mini": "evogym==2.0.0",
     "bench num_envs=1 design=mini peer=nowhere": "no file",
     "codesign search=gaa": "search must be one of",
+    "codesign search=${seed}": "search must be one of",
+    f"train pretrained={'x' * 300}": "x" * 80,  # too long for a name, by which Python 3.14 finds nothing
+    f"play run={'x' * 300}": "x" * 80,
     "codesign search=random search.mutation_rate=0.2": "It is a setting of search=ga and search=map_elites",
     "codesign training.method=sequential training.rungs=[0.5]": "training.method=population",
     "codesign evaluations=9": "Did you mean 'search.max_evaluations'",

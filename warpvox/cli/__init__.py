@@ -8,6 +8,7 @@ Exit codes: 0 done, 2 bad usage, bad input or a machine that will not (one line 
 143 asked to end (SIGTERM), 129 its terminal was closed (SIGHUP).
 """
 
+import errno
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -74,6 +75,8 @@ def _run(arguments: list[str]) -> int:
     except PermissionError as error:
         return _complain(f"Permission is denied: {error.filename or error}. Name a place that you may use.")
     except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            return _complain(f"No file or folder can have the name '{error.filename!s:.100}...': it is too long.")
         if error.errno not in OF_DISKS:
             raise
         redirect(sys.stdout)
