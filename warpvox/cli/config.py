@@ -98,8 +98,7 @@ def _read_file(path: Path) -> tuple[dict[str, Any], Path]:
 def _composed(command: str, parsed: list[Override], config_dir: Path | None, stored: dict | None) -> DictConfig:
     """The configuration of a command, unchecked."""
     groups = [override for override in parsed if override.key_or_group in groups_of(command)]
-    names = [quoted(key_and_value(override)[1]).replace("${", "\\${") for override in groups]
-    choices = [f"{override.get_key_element()}={name}" for override, name in zip(groups, names, strict=True)]
+    choices = [f"{one.get_key_element()}={quoted(key_and_value(one)[1])}".replace("${", "\\${") for one in groups]
     named, with_nodes = {override.key_or_group for override in groups}, nodes_of(command)
     stored = stored and {key: value for key, value in stored.items() if key not in with_nodes or key not in named}
     nodes = [choice for choice in choices if choice.partition("=")[0] in with_nodes] + _nodes_of(command, stored or {})
