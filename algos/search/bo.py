@@ -46,9 +46,6 @@ class Pool:
     bodies: np.ndarray
     parents: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.bodies)
-
     def parents_of(self, place: int) -> tuple[int, ...]:
         """As a candidate has them."""
         return () if self.parents[place] == NOBODY else (int(self.parents[place]),)
@@ -88,10 +85,10 @@ class BayesianSearch(BaseSearch):
 
     def _improved(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
         pool = self.pool(rng, self.settings.candidates, 0)
-        if not len(pool):
+        if not len(pool.bodies):
             return []
         model = fit_model(np.stack(self.bodies), fitness, self.settings)
-        starts = pool.bodies[thompson_starts(model, pool.bodies, min(count, len(pool)))]
+        starts = pool.bodies[thompson_starts(model, pool.bodies, min(count, len(pool.bodies)))]
         best = max(fitness)
         ends = improve(model, best, starts, self.settings.optimizer_iterations)
         if self.settings.acquisition == "lbfgs":
@@ -124,7 +121,7 @@ class BayesianSearch(BaseSearch):
     def _summits(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
         random = max(1, round(self.settings.candidates * RANDOM_SHARE))
         pool = self.pool(rng, random, self.settings.candidates - random)
-        if not len(pool):
+        if not len(pool.bodies):
             return []
         model = fit_model(np.stack(self.bodies), fitness, self.settings)
         climb = climb_posterior(model, pool.bodies, count)

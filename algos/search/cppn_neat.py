@@ -111,7 +111,9 @@ class CppnNeatSearch(BaseSearch):
                 raise SearchError("neat_config keeps the whole population as its elite: nothing new is ever tried.")
             proposals = self._new_bodies(children, count)
             self.population = elites | {key: genome for key, (genome, _) in proposals.items()}
-        return [self._proposal(key, body) for key, (_, body) in proposals.items()]
+        ancestors, origins = self.reproduction.ancestors, ("random", "mutation", "crossover")
+        parents = {key: tuple(sorted({self.ids[parent] for parent in ancestors[key]})) for key in proposals}
+        return [Proposal(body, parents[key], origins[len(parents[key])]) for key, (_, body) in proposals.items()]
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
         """Tell the networks their fitness and sort them into species."""
@@ -158,7 +160,3 @@ class CppnNeatSearch(BaseSearch):
             f"The networks paint no new {self.shape[0]}x{self.shape[1]} body after {len(self._seen)} have been"
             f" proposed. Ask for fewer evaluations than max_evaluations={self.settings.max_evaluations}."
         )
-
-    def _proposal(self, key: int, body: np.ndarray) -> Proposal:
-        parents = tuple(sorted({self.ids[parent] for parent in self.reproduction.ancestors[key]}))
-        return Proposal(body, parents, ("random", "mutation", "crossover")[len(parents)])

@@ -18,7 +18,7 @@ DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", 
 MOST = 1_000_000
 """Evaluations of a search, whose generations are counted one by one."""
 MOST_CELLS = 10_000_000
-"""Cells of MAP-Elites."""
+"""Cells of MAP-Elites, whose archive holds all of them from the beginning."""
 
 
 @dataclass
@@ -109,7 +109,7 @@ class MapElites(SearchSettings):
             raise ConfigError(f"descriptors must name one or more different ones, got {listing(self.descriptors)}.")
         if self.bins ** len(self.descriptors) > MOST_CELLS:
             cells = f"bins={self.bins} for {len(self.descriptors)} descriptors make over {MOST_CELLS:,} cells"
-            raise ConfigError(f"{cells}, which take memory from the beginning: take fewer bins or descriptors.")
+            raise ConfigError(f"{cells}, more than memory holds: take fewer bins or descriptors.")
 
 
 @dataclass

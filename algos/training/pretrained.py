@@ -90,8 +90,7 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
         changes["designs"] = _on_the_grid(config, spec.voxels["layout"])
     known = changes | {f"ppo.{key}": value for key, value in ppo.items()}
     known["network"] = usual["network"] | (known["network"] or {})
-    known.pop("designs", None)
-    for key in [key for key in known if key in named]:
+    for key in [key for key in known if key in named and key != "designs"]:
         given: Any = getattr(config.ppo, key[4:]) if key.startswith("ppo.") else getattr(config, key)
         given = {} if key == "network" and given is None else given
         given = {**usual[key], **given} if isinstance(given, Mapping) else given

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +20,8 @@ from warpvox.io.writing import check_writable, to_yaml
 from warpvox.runs import check_unchanged, find_codesign, find_searches, new_folder, read_summary
 from warpvox.trust import again, as_stored
 
-
-@dataclass
-class Job:
-    """One search to be made; ``folder``: of the one that it goes on with."""
-
-    config: CodesignConfig
-    folder: Path | None = None
+Job = tuple[CodesignConfig, Path | None]
+"""One search to be made, and the folder of the one that it goes on with."""
 
 
 def run(words: list[str]) -> None:
@@ -39,18 +33,18 @@ def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | No
     """The job of a configuration; with ``resume`` on top of that of the search that it goes on with."""
     from warpvox.algos.codesign.run import check
 
-    job = Job(config)
+    folder = None
     if config.report is not None:
         check_report((key_and_value(word)[0] for word in overrides), ("export", "top", "name", "output_dir"))
-        return job
+        return config, None
     if config.resume is not None:
         source = find_codesign(config.resume, config.output_dir)
-        check_writable(source.folder)
-        config = load("codesign", overrides, config_dir, base=source.config, home=source.folder)
-        job = Job(dataclasses.replace(config, resume=None), source.folder)
-        check_unchanged(source.config, as_stored(job.config, source.config), CHANGEABLE)
-    check(job.config, job.folder)
-    return job
+        check_writable(folder := source.folder)
+        config = load("codesign", overrides, config_dir, base=source.config, home=folder)
+        config = dataclasses.replace(config, resume=None)
+        check_unchanged(source.config, as_stored(config, source.config), CHANGEABLE)
+    check(config, folder)
+    return config, folder
 
 
 def _make(job: Job, console: Console) -> Path:
@@ -60,8 +54,9 @@ def _make(job: Job, console: Console) -> Path:
         WarpvoxError: something asked for is not valid, or an evaluation has failed; what was finished is kept.
         KeyboardInterrupt: interrupted; the state has been saved.
     """
-    if job.config.report is not None:
-        return _report(job.config, console)
+    config, folder = job
+    if config.report is not None:
+        return _report(config, console)
     with console.status("loading"):
         from warpvox.algos.codesign.progress import SearchProgress
         from warpvox.algos.codesign.results import film_designs
@@ -73,11 +68,11 @@ def _make(job: Job, console: Console) -> Path:
             if summary.get("status") == "done":
                 results = self.run.results
                 with console.status("filming the best"):
-                    film_designs(results.folder, results.best(), job.config)
+                    film_designs(results.folder, results.best(), config)
                     results.report(summary)
-                _export(results.archive, results.folder, job.config.export, console)
+                _export(results.archive, results.folder, config.export, console)
 
-    return run_codesign(job.config, job.folder, [Films(console)], console=console).folder
+    return run_codesign(config, folder, [Films(console)], console=console).folder
 
 
 def _export(archive: Archive, folder: Path, formats: Sequence[str], console: Console) -> None:
