@@ -33,16 +33,17 @@ class Kit:
         """Decorator: a Warp function, inlined (structs are passed by value, so that a call would copy them)."""
         return inline(self._typed(source))
 
-    def func_native(self, *files: str, precision: str | None = None, **values: float):
+    def func_native(self, *files: str, precision: str | None = None, code: str = "", **values: float):
         """Decorator: a Warp function whose body is C++ in files of this folder, for values of the kit's precision.
 
         Warp looks for this name to find out what the function returns.
 
         Args:
+            code: more of that body, after the files.
             values: constants of that body, by name.
         """
-        code = native(files, precision or self.precision, self.width)
-        body = f"{constants(**CPP_CONSTANTS, **values)}\n{code}"
+        parts = constants(**CPP_CONSTANTS, **values), native(files, precision or self.precision, self.width), code
+        body = "\n".join(parts)
         return lambda source: wp.func_native(body)(self._typed(source))
 
     def stage(self, *files: str, precision: str | None = None, **values: float):
