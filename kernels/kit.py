@@ -39,7 +39,6 @@ class Kit:
         Warp looks for this name to find out what the function returns.
 
         Args:
-            code: more of that body, after the files.
             values: constants of that body, by name.
         """
         parts = constants(**CPP_CONSTANTS, **values), native(files, precision or self.precision, self.width), code
@@ -52,7 +51,7 @@ class Kit:
         def stage(model, data, mesh, pack, lane, unit, dt): ...
 
         stage.__qualname__ = "_".join([Path(files[-1]).stem, *map(str, values.values())])  # Warp's name for it
-        return self.func_native(*files, precision=precision, **values)(stage)
+        return self.func_native(*files, precision=precision, code="", **values)(stage)
 
     def _typed(self, source):
         given = source.__annotations__

@@ -128,14 +128,14 @@ class BayesianSearch(BaseSearch):
         proposals: list[Proposal] = []
         for path, start in enumerate(climb.start):
             # the summit, or the best new body beside it, or in the pool
-            near, values = [climb.summit[path], *climb.around[path]], np.append(np.inf, climb.at_around[path])
-            if (place := self._best_new(near, values)) is not None:
+            near = np.concatenate([climb.summit[path : path + 1], climb.around[path]])
+            if (place := self._best_new(near, np.append(np.inf, climb.at_around[path]))) is not None:
                 proposals.append(Proposal(near[place], pool.parents_of(start), "posterior"))
             elif (place := self._best_new(pool.bodies, climb.at_pool[path])) is not None:
                 proposals.append(Proposal(pool.bodies[place], pool.parents_of(place), "posterior"))
         return proposals
 
-    def _best_new(self, bodies: Sequence[np.ndarray] | np.ndarray, values: np.ndarray) -> int | None:
+    def _best_new(self, bodies: np.ndarray, values: np.ndarray) -> int | None:
         """The place of the best new body, claimed."""
         places = (place for place in np.argsort(-values, kind="stable") if values[place] > -np.inf)
         return next((int(place) for place in places if self.claim(bodies[place])), None)

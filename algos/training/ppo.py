@@ -16,7 +16,7 @@ from warpvox.algos.checkpoints.files import RNN
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.policies.network import LATENT, Gaussian, Network
 from warpvox.algos.settings import Ppo
-from warpvox.checks import check_choice, check_integer
+from warpvox.checks import check_choice, check_integer, is_mapping
 from warpvox.code import load_code
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.errors import ConfigError, did_you_mean, listing
@@ -178,8 +178,10 @@ def rsl_rl_config(
     settings = {theirs: getattr(ppo, ours) for theirs, ours in SETTINGS.items()}
     extra = _checked("extra", {} if ppo.extra is None else ppo.extra, RslRlPPO, [*settings, *GIVEN])
     symmetry = extra.get("symmetry_cfg")
-    if isinstance(symmetry, Mapping):
-        extra["symmetry_cfg"] = {**symmetry, SYMMETRY: load_code(symmetry.get(SYMMETRY))}
+    if is_mapping(symmetry):
+        if SYMMETRY not in symmetry:
+            raise ConfigError(f"ppo.extra.symmetry_cfg needs {SYMMETRY}, a function of yours: FILE.py:NAME.")
+        extra["symmetry_cfg"] = {**symmetry, SYMMETRY: load_code(symmetry[SYMMETRY])}
     own = {"class_name": algorithm, "total_iterations": total_iterations, "adam_eps": ppo.adam_eps}
     noise = {"class_name": Gaussian, "init_std": ppo.init_std, "std_type": "log"}
     return {

@@ -156,6 +156,7 @@ def test_symmetric_samples_are_learned_from(tmp_path: Path) -> None:
         ({"rnn": 3}, "ppo.rnn must be settings by name"),
         ({"extra": []}, "ppo.extra must be settings by name"),
         ({"extra": {"symmetry_cfg": 1}}, "not what rsl-rl takes"),
+        ({"extra": {"symmetry_cfg": {}}}, "symmetry_cfg needs data_augmentation_func, a function of yours"),
         ({"extra": {"rnd_confg": {}}}, "Did you mean 'rnd_cfg'"),
         ({"extra": {"gamma": 0.9}}, "ppo.extra has the settings"),
         ({"extra": {"rnd_cfg": {"weight": 1.0, "outputs": 3}}}, "not what rsl-rl takes: .*outputs"),
