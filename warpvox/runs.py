@@ -317,16 +317,23 @@ def make_folder(parent: Path, stamp: str, ending: str = "") -> Path:
 
 
 def run_folder(
-    folder: Path | None, config: Any, command: str, text: str, place: Path | None = None, known: Collection[str] = ()
+    folder: Path | None,
+    config: Any,
+    command: str,
+    text: str,
+    place: Path | None = None,
+    known: Collection[str] = (),
+    check: Callable[[], object] = lambda: None,
 ) -> AbstractContextManager[Path]:
     """The folder of a run that is resumed, or a new one if there is none, with ``text`` as its ``config.yaml``.
 
     Args:
         place: of a new one; None: it lies in ``output_dir`` and is named by the time.
         known: files that may be there, of a run that was stopped when it began, besides what it left half written.
+        check: of a run that is resumed: see :func:`going_on`.
     """
     if folder is not None:
-        return going_on(folder, text)
+        return going_on(folder, text, check)
     if place is None:
         return new_folder(config.output_dir, command, config.task, config.name, text)
     if place.exists() and not (

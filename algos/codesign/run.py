@@ -173,7 +173,7 @@ def run_codesign(
         if settings.logger == "wandb":
             from warpvox.algos.tracking import TrackedSearch
 
-            listeners = [TrackedSearch(settings), *listeners]
+            listeners = [TrackedSearch(settings), *listeners]  # first: others may make films at the end, and fail
         results = Results(folder, archive, written, settings.evaluation.pretraining_steps(known))
         run, loop = _loop(settings, search, executor, results, listeners, resumed is not None)
         summary = _search(run, loop, settings, listeners)

@@ -6,7 +6,6 @@ import dataclasses
 import time
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +41,7 @@ from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.console import shell_argument
 from warpvox.io.writing import check_writable, to_yaml
 from warpvox.robots.entry import zoo_tasks
-from warpvox.runs import STATE, ZOO, Run, check_unchanged, going_on, read_summary, run_folder, write_summary
+from warpvox.runs import STATE, ZOO, Run, check_unchanged, read_summary, run_folder, write_summary
 from warpvox.system import usable_cores
 from warpvox.trust import as_stored, keep_code
 
@@ -189,11 +188,14 @@ class Job:
     def _folder(self, place: Path | None, listener: Listener) -> Iterator[None]:
         """The folder of a new run, or that of the one which goes on; made by the first process."""
         settings, group, runner = self.settings, self.group, self.runner
-        text = to_yaml(self.written)
-        if self.checkpoint is None or self.folder is None:
-            made = run_folder(None, self.written, "train", text, place)
-        else:
-            made = going_on(self.folder, text, partial(go_on, self.checkpoint, runner))
+        made = run_folder(
+            self.folder,
+            self.written,
+            "train",
+            to_yaml(self.written),
+            place,
+            check=lambda: self.checkpoint and go_on(self.checkpoint, runner),
+        )
         with made if group.is_main_process else nullcontext() as folder:
             self.folder = runner.folder = folder = Path(str(group.broadcast(folder and str(folder))))
             if self.checkpoint is not None and not group.is_main_process:

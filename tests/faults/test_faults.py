@@ -35,7 +35,7 @@ from warpvox.algos.codesign.archive import BACKUP, FILE, Archive
 from warpvox.errors import RolloutError, RunError, StorageError
 from warpvox.io import writing
 from warpvox.io.writing import MARK, atomic_path, claimed, write_text
-from warpvox.runs import going_on
+from warpvox.runs import run_folder
 
 resource = pytest.importorskip("resource", reason="signals and limits are those of POSIX")
 
@@ -289,13 +289,13 @@ def test_a_run_that_another_process_continued_meanwhile_goes_on_from_there(
 ) -> None:
     run, told = copied("train"), []
 
-    def late(*words: Any) -> Any:
+    def late(*words: Any, **more: Any) -> Any:
         with monkeypatch.context() as patch:
-            patch.setattr("warpvox.algos.training.job.going_on", going_on)
+            patch.setattr("warpvox.algos.training.job.run_folder", run_folder)
             wv.train(resume=run, max_iterations=5, progress=False)
-        return going_on(*words)
+        return run_folder(*words, **more)
 
-    monkeypatch.setattr("warpvox.algos.training.job.going_on", late)
+    monkeypatch.setattr("warpvox.algos.training.job.run_folder", late)
     monkeypatch.setattr("warpvox.algos.training.job.Listener.__call__", lambda _, row: told.append(row["iteration"]))
     refused = pytest.raises(RunError, match="already made 5 iterations, and max_iterations=4 asks for no more")
     with refused if asked == 4 else nullcontext():
