@@ -37,7 +37,7 @@ from warpvox.cli.config import load
 from warpvox.cli.suite_plan import BENCHMARK10, merged, plan, task_names
 from warpvox.envs.registry import task_ids
 from warpvox.errors import ConfigError, DivergenceError, StorageError, WarpvoxError
-from warpvox.io.writing import claimed
+from warpvox.io.writing import MARK, claimed
 from warpvox.runs import read_summary
 
 SIZES = "tasks=[Walker-v0,Thrower-v0]", "searches=[ga]", "seeds=2", "evaluations=8", "search.population=5"
@@ -245,6 +245,22 @@ def test_a_suite_leaves_one_folder(quick: Callable) -> None:
     # the folder is in use, and complete
     quick("name=first", fails="exists already")
     assert "4 done already" in quick("resume=latest").out
+
+
+def test_a_suite_that_could_not_begin_is_begun_by_the_same_words(quick: Callable, monkeypatch) -> None:
+    def refuse(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("os.replace", refuse)
+        quick("name=first", fails="config.yaml cannot be written: no space is left")
+    folder = Path("outputs/suite/first")
+    (folder / f"{MARK}config-1.yaml").touch()  # as of a process that was killed here
+    begun = Mock()
+    monkeypatch.setattr(making, "make_members", begun)
+    quick("name=first", code=2)
+    assert begun.call_args.args[0].folder == folder
+    assert {file.name for file in folder.iterdir()} >= {"config.yaml", MEMBERS}
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from warpvox.configs.codesign import SuiteConfig
 from warpvox.errors import ConfigError, RunError, counted, listing
 from warpvox.io.console import echo, shell_argument, shown
 from warpvox.io.writing import check_writable, claimed, to_yaml
-from warpvox.runs import STAMP, check_unchanged, find_suite, going_on, make_folder
+from warpvox.runs import STAMP, check_unchanged, find_suite, make_folder, run_folder
 from warpvox.trust import COPIES, STORED, again, keep_code
 
 GROWING = ("tasks", "searches", "seeds")
@@ -64,10 +64,6 @@ def _prepare(typed: list[str], config: SuiteConfig, overrides: list[str], config
         job = _resumed(config, typed, overrides, config_dir)
     elif config.retry:
         raise ConfigError("retry=true goes with resume=latest or resume=FOLDER.")
-    elif config.name and _place(config).exists():
-        raise RunError(
-            f"{_place(config)} exists already: choose another name, or go on with it by resume={_place(config)}."
-        )
     else:
         job = Job(dataclasses.replace(config, codesign=merged(config.codesign, typed, config.output_dir)))
     if config.executor == "local" and config.address is not None:
@@ -133,9 +129,10 @@ def suite(job: Job, console: Console) -> Path:
         return source.folder
     config = dataclasses.replace(job.config, retry=False)
     place = job.folder or _place(config)
-    folder = job.folder or make_folder(place.parent, place.name)
+    if not (job.folder or config.name):
+        place = make_folder(place.parent, place.name)
     stored = to_yaml(dataclasses.replace(config, codesign=job.words or config.codesign))
-    with going_on(folder, stored, lambda: job.folder and _check_growth(config, folder)):
+    with run_folder(job.folder, config, "suite", stored, place, check=lambda: _check_growth(config, place)) as folder:
         for member in {member.search: member for member in job.members}.values():
             keep_code(member.settings, folder, console)
         table = Table.of_members(folder, job.members, job.config.retry)
