@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,11 +58,10 @@ def _robots(text: str, settings: Codesign) -> list[Robot]:
 
 
 def keep_start(robots: Sequence[Robot], folder: Path) -> None:
-    """Copy the robots into the folder of a search."""
+    """Copy the robots into the folder of a new search, in place of those of one that could not begin there."""
+    shutil.rmtree(folder / COPIES, ignore_errors=True)
     for number, robot in enumerate(robots):
-        path = folder / COPIES / f"{number}.npz"
-        if not path.is_file():
-            save_robot(path, robot)
+        save_robot(folder / COPIES / f"{number}.npz", robot)
 
 
 def _copies(folder: Path) -> list[Robot]:

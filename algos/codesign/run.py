@@ -162,8 +162,9 @@ def run_codesign(
         if resumed:
             _check_same(known_settings, kept, resumed)
         folder = opened.enter_context(run_folder(resumed, written, "codesign", to_yaml(written), place, BEFORE))
-        settings.evaluation.keep(known, folder)
-        keep_start(start, folder)
+        if not resumed:
+            settings.evaluation.keep(known, folder)
+            keep_start(start, folder)
         keep_code(settings, folder, console or Console(quiet=True))
         if search is None:
             bodies = [robot.body for robot in start]

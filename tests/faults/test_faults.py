@@ -13,7 +13,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
+import numpy as np
 import pytest
 import yaml
 from codesign_toys import Judge, ToySearch
@@ -35,6 +37,7 @@ from warpvox.algos.codesign.archive import BACKUP, FILE, Archive
 from warpvox.errors import RolloutError, RunError, StorageError
 from warpvox.io import writing
 from warpvox.io.writing import MARK, atomic_path, claimed, write_text
+from warpvox.robots.entry import read_robot
 from warpvox.runs import run_folder
 
 resource = pytest.importorskip("resource", reason="signals and limits are those of POSIX")
@@ -389,6 +392,24 @@ def test_a_search_that_could_not_make_its_archive_is_made_when_it_is_repeated(tm
             search()
     assert search()["status"] == "done"
     assert not list(tmp_path.rglob(f"{MARK}*"))
+
+
+def test_a_search_that_could_not_begin_leaves_the_next_one_nothing_to_begin_with(tmp_path: Path, monkeypatch) -> None:
+    def search(*start: str) -> dict[str, Any]:
+        options = dict(progress=False, shape=(3, 3), device="cpu", threads=1, start=start)
+        options |= dict(search=wv.GA(population=3, max_evaluations=3), evaluation=Judge())
+        return wv.codesign(folder=tmp_path / "run", **options).summary
+
+    for name, corner in {"a": 1, "b": 2, "c": 4}.items():
+        wv.save_design(tmp_path / f"{name}.json", np.array([[corner, 3, 3], [3, 0, 3], [3, 0, 3]]))
+    with monkeypatch.context() as patch:
+        patch.setattr(Archive, "_fill", Mock(side_effect=sqlite3.OperationalError("database or disk is full")))
+        with pytest.raises(StorageError, match="disk is full"):
+            search(f"{tmp_path}/a.json", f"{tmp_path}/b.json")
+    assert search(f"{tmp_path}/c.json")["status"] == "done"
+    (kept,) = (tmp_path / "run" / "training" / "start").iterdir()
+    assert read_robot(kept).body[0, 0] == 4
+    assert search(f"{tmp_path}/c.json")["status"] == "done"
 
 
 def test_a_damaged_archive_names_its_copy_and_the_search_goes_on_from_it(copied, warpvox, runs) -> None:

@@ -219,9 +219,8 @@ class FewShot(CommonPolicy):
     def keep(self, known: Any, folder: Path) -> None:
         from warpvox.algos.checkpoints.files import save_checkpoint
 
-        if not (folder / PRETRAINED).is_file():
-            (folder / PRETRAINED).parent.mkdir(parents=True, exist_ok=True)
-            save_checkpoint(folder / PRETRAINED, dict(known))
+        (folder / PRETRAINED).parent.mkdir(parents=True, exist_ok=True)
+        save_checkpoint(folder / PRETRAINED, dict(known))
 
     def pretraining_steps(self, known: Any) -> int | None:
         return known.get(STEPS)
