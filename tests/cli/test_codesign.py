@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -160,6 +161,21 @@ def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
             picture.write_bytes(b"of other designs")
             Results(folder, archive, Codesign()).told(0, fresh)
             assert (picture.read_bytes() == b"of other designs") != fresh
+
+
+def test_a_report_that_is_made_while_its_search_ends_tells_the_end(search: Callable, warpvox, monkeypatch) -> None:
+    folder = search("search.max_evaluations=5")
+    page, summary, made = (folder / "report.html").read_text(), folder / "summary.json", results_of.write_report
+    ended = summary.read_text()
+
+    def late(*given: Any) -> Path:
+        summary.write_text(ended)
+        return made(*given)
+
+    summary.write_text(ended.replace('"done"', '"running"'))
+    monkeypatch.setattr(results_of, "write_report", late)
+    warpvox("codesign", "report=latest")
+    assert (folder / "report.html").read_text() == page
 
 
 DAMAGED = '{"elapsed_seconds": "x", "steps": [], "fresh_seeds": {"mean": 1}, "status": "done"}'

@@ -28,6 +28,7 @@ from warpvox.algos.codesign import results, run as search_run
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.evaluations.base import steps_of_training
 from warpvox.algos.interrupt import Terminated
+from warpvox.algos.report import benchmark
 from warpvox.algos.settings import DesignTraining
 from warpvox.algos.suite import run as making
 from warpvox.algos.suite.members import CURVES, MEMBERS
@@ -381,7 +382,7 @@ def test_members_that_are_ended_while_their_winner_is_judged_judge_it_when_they_
     assert [read_summary(folder / row["folder"]).get("fresh_seeds") for row in table(folder)] == [judged] * 4
 
 
-def test_report_again(quick: Callable) -> None:
+def test_report_again(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     quick("seeds=1", "tasks=[Walker-v0]")
     (folder,) = Path("outputs/suite").iterdir()
     before = (folder / CURVES).read_text()
@@ -395,6 +396,17 @@ def test_report_again(quick: Callable) -> None:
     with claimed(folder):
         quick(f"report={folder}")
         assert "1 running" in (folder / "report.html").read_text()
+    running, made = members.read_text(), benchmark.write_benchmark
+
+    def late(*given: Any) -> Path:
+        members.write_text(running.replace(",running,", ",done,"))
+        return made(*given)
+
+    with monkeypatch.context() as patch, claimed(folder):
+        patch.setattr(benchmark, "write_benchmark", late)
+        quick(f"report={folder}")  # which takes so long that the suite ends meanwhile, with a page of its own
+    assert "1 done" in (folder / "report.html").read_text()
+    members.write_text(running)
     quick(f"report={folder}")  # nobody is making it any more: it was killed
     assert "1 waiting" in (folder / "report.html").read_text()
 

@@ -91,7 +91,7 @@ def _report(config: CodesignConfig, console: Console) -> Path:
             return _compare(config, texts, searches, console)
     source = find_codesign(texts[0], config.output_dir)
     stored = Codesign.of(vars(load_values("codesign", source.config)))
-    summary = read_summary(source.folder) or {"status": "running"}
+    summary = {"status": "running"} | read_summary(source.folder)
     with Archive.read(source.folder / FILE) as archive:
         settings = dataclasses.replace(stored, top=config.top)
         results = Results(source.folder, archive, settings, summary.get("pretraining_steps"))
@@ -100,7 +100,10 @@ def _report(config: CodesignConfig, console: Console) -> Path:
                 results.draw(row["generation"], keep=False)
         if not again(stored):  # code of the user's own, which a file does not bring
             film_designs(source.folder, results.best(), stored)
-        echo(console, shown(results.report(summary)))
+        page = results.report(summary)
+        while summary["status"] != (summary := summary | read_summary(source.folder))["status"]:
+            results.report(summary)  # the search has ended meanwhile, with a newer page
+        echo(console, shown(page))
         _export(archive, source.folder, config.export, console)
     return source.folder
 

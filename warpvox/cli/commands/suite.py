@@ -122,10 +122,11 @@ def suite(job: Job, console: Console) -> Path:
         state = RUNNING
         with suppress(RunError), claimed(source.folder):  # nobody is making it: what was running was killed
             state = WAITING
-        table = Table.stored(source.folder)  # after: a suite that has ended until now has written how
-        for row in table.of(RUNNING):
-            row.state = state
-        _write_report(table, load_values("suite", source.config), console)
+        counts = None
+        while counts != (counts := (table := Table.stored(source.folder)).counts):  # until none has ended meanwhile
+            for row in table.of(RUNNING):
+                row.state = state
+            _write_report(table, load_values("suite", source.config), console)
         return source.folder
     config = dataclasses.replace(job.config, retry=False)
     place = job.folder or _place(config)
