@@ -104,10 +104,6 @@ def _check(job: Job) -> None:
             raise ConfigError(f"{member.search}: {error}" if several else str(error)) from None
 
 
-def _place(config: SuiteConfig) -> Path:
-    return Path(config.output_dir) / "suite" / (config.name or datetime.now().strftime(STAMP))
-
-
 def suite(job: Job, console: Console) -> Path:
     """Make a suite, go on with one, or write its report again, also while it is running; returns its folder.
 
@@ -129,9 +125,8 @@ def suite(job: Job, console: Console) -> Path:
             _write_report(table, load_values("suite", source.config), console)
         return source.folder
     config = dataclasses.replace(job.config, retry=False)
-    place = job.folder or _place(config)
-    if not (job.folder or config.name):
-        place = make_folder(place.parent, place.name)
+    home = Path(config.output_dir) / "suite"
+    place = job.folder or (home / config.name if config.name else make_folder(home, datetime.now().strftime(STAMP)))
     stored = to_yaml(dataclasses.replace(config, codesign=job.words or config.codesign))
     with run_folder(job.folder, config, "suite", stored, place, check=lambda: _check_growth(config, place)) as folder:
         for member in {member.search: member for member in job.members}.values():
