@@ -230,12 +230,12 @@ def _read(folder: Path) -> dict[str, Any]:
         content = parse_yaml(text)
     except Unreadable as error:
         raise RunError(f"{config} cannot be read as YAML ({error}): is {folder} a run?") from None
-    if not isinstance(content, dict):
+    if not isinstance(content, dict | None):
         return {}
     # missing keys would be taken for the defaults, and the run for another one
     if text.splitlines()[-1:] != [END.strip()]:
         raise RunError(f"{config} has been cut short: it lacks its last line, {END.strip()}. Restore it from a copy.")
-    return content
+    return content or {}
 
 
 def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:

@@ -20,7 +20,7 @@ from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError
-from warpvox.runs import Run
+from warpvox.runs import CONFIG, Run
 from warpvox.trust import with_code
 
 SHOWN = 4
@@ -102,7 +102,8 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
     path = run.find_checkpoint(config.checkpoint)
     own = config.task if isinstance(config.task, TaskSpec) else None
     stored = run.config if own is None else run.config | {"task": own.id}
-    trained = with_code(Training.of(stored), {"task": config.task, "policy": config.policy}, stored, run.folder)
+    known = Training.of(stored, run.folder / CONFIG)
+    trained = with_code(known, {"task": config.task, "policy": config.policy}, stored, run.folder)
     trained = trained if own is None else dataclasses.replace(trained, task=own)
     named = {name: value for name in ("dtype", "arithmetic", "seed") if (value := getattr(config, name)) is not None}
     if "dtype" in named:

@@ -158,17 +158,17 @@ class Training(Settings):
         check_values(self)
 
     @classmethod
-    def of(cls, values: Mapping[str, Any]) -> Training:
+    def of(cls, values: Mapping[str, Any], origin: object = "The stored configuration") -> Training:
         """The settings that the configuration of a run holds; other keys are left out.
 
         Raises:
-            ConfigError: values that are not valid.
+            ConfigError: values that are not valid; ``origin``, such as the file that they are from, is named.
         """
         names = {item.name for item in dataclasses.fields(Training)}
         try:
             return Training(**{name: value for name, value in values.items() if name in names})
         except ConfigError as error:
-            raise ConfigError(f"The stored configuration is not valid: {error}") from None
+            raise ConfigError(f"{origin} is not valid: {error}") from None
 
     @property
     def is_many(self) -> bool:

@@ -149,11 +149,28 @@ def test_a_folder_that_may_not_be_entered(words: str, warpvox: Callable, monkeyp
 def test_a_folder_with_another_config_is_not_a_run(warpvox: Callable, tmp_path: Path) -> None:
     unread = "config.yaml cannot be read as YAML"
     short, other = "cut short", "that of another run"
-    texts = {"a: 1\n": short, "a: 1...\n": short, "a: 1\r\n...\r\n": other, "- 1\n": other, "{": unread, "\0": unread}
+    texts = {
+        "": short,
+        "a: 1\n": short,
+        "a: 1...\n": short,
+        "a: 1\r\n...\r\n": other,
+        "- 1\n": other,
+        "{": unread,
+        "\0": unread,
+    }
     texts["task: Walker-v0\ndesign: walker\ndesigns: 3\nppo: {}\n...\n"] = "no checkpoint yet"
     for text, says in texts.items():
         (tmp_path / "config.yaml").write_bytes(text.encode())
         warpvox("play", "run=.", fails=says)
+
+
+def test_of_several_runs_the_one_that_was_changed_is_named(warpvox: Callable, tmp_path: Path) -> None:
+    for name, seed in {"a": "0", "b": "x"}.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "model_1.pt").touch()
+        text = f"task: Walker-v0\ndesign: walker\nppo: {{}}\nseed: {seed}\n...\n"
+        (tmp_path / name / "config.yaml").write_text(text)
+    warpvox("evaluate", "runs=[b,a]", fails="b/config.yaml is not valid: seed must be an integer, got 'x'")
 
 
 def test_a_run_that_fails_before_any_result_leaves_nothing(warpvox: Callable, tmp_path: Path, monkeypatch) -> None:
