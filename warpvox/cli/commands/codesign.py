@@ -91,7 +91,7 @@ def _report(config: CodesignConfig, console: Console) -> Path:
             return _compare(config, texts, searches, console)
     source = find_codesign(texts[0], config.output_dir)
     stored = Codesign.of(vars(load_values("codesign", source.config)))
-    summary = {"status": "running"} | read_summary(source.folder)
+    summary: dict[str, Any] = {"status": "running"} | read_summary(source.folder)
     with Archive.read(source.folder / FILE) as archive:
         settings = dataclasses.replace(stored, top=config.top)
         results = Results(source.folder, archive, settings, summary.get("pretraining_steps"))
