@@ -83,6 +83,7 @@ def _export(archive: Archive, folder: Path, formats: Sequence[str], console: Con
 def _report(config: CodesignConfig, console: Console) -> Path:
     """Make report, pictures and exports of a search again, also while it is running; returns its folder."""
     from warpvox.algos.codesign.results import Results, film_designs
+    from warpvox.algos.report import FILE as REPORT
 
     texts = [str(text) for text in (config.report if isinstance(config.report, list) else [config.report])]
     if texts != ["latest"]:
@@ -100,10 +101,12 @@ def _report(config: CodesignConfig, console: Console) -> Path:
                 results.draw(row["generation"], keep=False)
         if not again(stored):  # code of the user's own, which a file does not bring
             film_designs(source.folder, results.best(), stored)
-        page = results.report(summary)
-        while summary["status"] != (summary := summary | read_summary(source.folder))["status"]:
-            results.report(summary)  # the search has ended meanwhile, with a newer page
-        echo(console, shown(page))
+        told = None
+        while told != summary["status"]:  # once more if the search ends meanwhile, with a page of its own
+            told = summary["status"]
+            results.report(summary)
+            summary |= read_summary(source.folder)
+        echo(console, shown(source.folder / REPORT))
         _export(archive, source.folder, config.export, console)
     return source.folder
 

@@ -119,7 +119,8 @@ def suite(job: Job, console: Console) -> Path:
         with suppress(RunError), claimed(source.folder):  # nobody is making it: what was running was killed
             state = WAITING
         counts = None
-        while counts != (counts := (table := Table.stored(source.folder)).counts):  # until none has ended meanwhile
+        while counts != (table := Table.stored(source.folder)).counts:  # until no member has ended meanwhile
+            counts = table.counts
             for row in table.of(RUNNING):
                 row.state = state
             _write_report(table, load_values("suite", source.config), console)
