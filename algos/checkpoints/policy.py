@@ -5,7 +5,7 @@ import binascii
 import copy
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,9 @@ from warpvox.errors import ConfigError, RunError, first_line
 from warpvox.io.reading import Unreadable, parse_json
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
 
-FORMAT, VERSION = "warpvox policy", 1
+FORMAT, VERSION = "warpvox policy", 2
+EPS = EmpiricalNormalization(1).eps
+"""Added to the deviation of normalised observations."""
 LARGEST = 1 << 28
 """Bytes that the text of a policy may have."""
 
@@ -57,7 +59,6 @@ class Policy(nn.Module):
 
     mean: torch.Tensor
     deviation: torch.Tensor
-    remainder: torch.Tensor
 
     def __init__(self, spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> None:
         super().__init__()
@@ -73,8 +74,7 @@ class Policy(nn.Module):
         self.mlp = nn.Sequential(*MLP(spec.num_obs, spec.num_actions, list(spec.hidden), spec.activation))
         self.register_buffer("mean", torch.zeros(spec.num_obs))
         self.register_buffer("deviation", torch.ones(spec.num_obs))
-        # what rounding to float32 takes from the deviation, which counts in float64 alone
-        self.register_buffer("remainder", torch.zeros(spec.num_obs, dtype=torch.float64), persistent=False)
+        self.eps = EPS if spec.normalize_obs else 0.0  # apart, so that in float64 the sum is that of training
 
     def __call__(self, obs: torch.Tensor | np.ndarray, *more: Any) -> Any:
         """:meth:`forward` of a tensor, :meth:`act` of an array.
@@ -93,8 +93,7 @@ class Policy(nn.Module):
 
     def outputs(self, obs: torch.Tensor) -> torch.Tensor:
         """The network's outputs ``[..., num_actions]`` for observations ``[..., num_obs]``."""
-        dtype = self.mean.dtype
-        return self.mlp((obs.to(dtype) - self.mean) / (self.deviation + self.remainder.to(dtype)))
+        return self.mlp((obs.to(self.mean.dtype) - self.mean) / (self.deviation + self.eps))
 
     def in_float64(self) -> "Policy":
         """A copy whose network runs in float64, as runs are played: actions do not depend on what is in a batch.
@@ -111,7 +110,7 @@ class Policy(nn.Module):
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
         """Observations ``[rows, num_obs]`` farther apart than those of training."""
-        return self.mean + 3 * self.deviation * torch.randn((rows, self.num_obs), generator=generator)
+        return self.mean + 3 * (self.deviation + self.eps) * torch.randn((rows, self.num_obs), generator=generator)
 
 
 class ModelPolicy(Policy):
@@ -194,8 +193,7 @@ def policy_of(controller: Controller, metadata: Mapping[str, Any] | None = None)
         weights = {name: value for name, value in state.items() if name.startswith("mlp.")}
         normalizer = controller.actor.obs_normalizer
         if isinstance(normalizer, EmpiricalNormalization):
-            weights |= {"mean": normalizer.mean, "deviation": normalizer.std + normalizer.eps}
-            policy.remainder = normalizer.std.double() + normalizer.eps - weights["deviation"].double()
+            weights |= {"mean": normalizer.mean, "deviation": normalizer.std}
         policy.load_state_dict(policy.state_dict() | weights)
     return policy.to(next(iter(state.values())).device)
 
@@ -229,12 +227,15 @@ def parse_policy(text: str, source: object, network: str | None = None) -> Polic
     """
     try:
         content = parse_json(text)
-        if not isinstance(content, dict) or (content.get("format"), content.get("version")) != (FORMAT, VERSION):
+        version = content.get("version") if isinstance(content, dict) and content.get("format") == FORMAT else None
+        if version not in (1, VERSION):
             raise ValueError(f"it is not a '{FORMAT}' of version {VERSION}")
         given, metadata = content.get("policy"), content.get("metadata")
         if not isinstance(given, dict) or not isinstance(metadata, dict):
             raise ValueError("it has no description of the network")
         spec = with_code(spec_of(given), network)
+        if version == 1 and spec.voxels is None:
+            spec = replace(spec, normalize_obs=False)  # eps is part of these deviations
         check_sizes(spec)
         model = _on_meta(spec)
         weights = _weights(model.state_dict(), content.get("weights"))

@@ -67,10 +67,8 @@ def policy_of_checkpoint(checkpoint: Path) -> Network | Gait:
     layers = sorted((name for name in state if name.endswith(".weight")), key=lambda name: int(name.split(".")[1]))
     weights = tuple(state[name] for name in layers)
     biases = tuple(state[name.removesuffix("weight") + "bias"] for name in layers)
-    spec = policy.spec
-    return Network(
-        weights, biases, state["mean"], state["deviation"], spec.activation, float(spec.action_scale), ACTION_CENTER
-    )
+    spec, deviation = policy.spec, (policy.deviation + policy.eps).numpy()
+    return Network(weights, biases, state["mean"], deviation, spec.activation, float(spec.action_scale), ACTION_CENTER)
 
 
 def torch_policy(robot: Robot, device: str = "cpu") -> Policy:
@@ -80,7 +78,7 @@ def torch_policy(robot: Robot, device: str = "cpu") -> Policy:
     if isinstance(network, Gait):
         return _gait_module(robot, network, about).to(device)
     hidden = [len(bias) for bias in network.biases[:-1]]
-    spec = PolicySpec(network.num_obs, network.num_actions, hidden, network.activation, True, network.scale)
+    spec = PolicySpec(network.num_obs, network.num_actions, hidden, network.activation, False, network.scale)
     policy = make_policy(spec, about)
     state = {"mean": network.mean, "deviation": network.deviation}
     for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):

@@ -1,5 +1,6 @@
 """Policies as modules and as files: the same actions as in training, and no file is trusted."""
 
+import base64
 import io
 import json
 import zipfile
@@ -45,7 +46,16 @@ def test_it_is_the_policy_that_plays(activation: str, normalize: bool) -> None:
     assert torch.equal(torch.jit.trace(policy, obs[:2])(obs), policy(obs))
     again = parse_policy(policy_text(policy), "here")
     assert torch.equal(again(obs), policy(obs))
+    assert torch.equal(again.in_float64()(obs), controller(obs))  # bit for bit what a run of the checkpoint does
     assert again.spec == policy.spec
+
+
+def test_the_first_version_of_files_is_read() -> None:
+    """Its deviations have 0.01 added to them already."""
+    policy = policy_of(make_controller())
+    added = (policy.deviation.numpy() + np.float32(0.01)).tobytes()
+    old = parse_policy(card(version=1, weights=weights(deviation=base64.b64encode(added).decode())), "here")
+    assert torch.equal(old(some_obs()), policy(some_obs()))
 
 
 def test_actions_stay_in_the_range_and_shapes_are_free() -> None:
@@ -127,7 +137,7 @@ SPEC |= {"action_scale": 0.5, "width": None}
     ("text", "words"),
     [
         ("{", "not valid JSON"),
-        (card(version=2), "version 1"),
+        (card(version=3), "version 2"),
         (card(policy=None), "no description of the network"),
         (card(weights=[1]), "no weights"),
         (card(weights=weights(mean="AAAA")), "'mean' are damaged|'mean' has"),
