@@ -87,7 +87,9 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
         changes |= {"policy": name, "network": settings or None, "obs": observed_by(content["policy"])}
         taken = inspect.signature(NETWORKS.get(name) or load_code(name)).parameters.values()
         usual["network"] = {one.name: one.default for one in taken if one.default is not one.empty}
-        changes["designs"] = _on_the_grid(config, spec.voxels["layout"])
+        layout = spec.voxels["layout"]
+        if layout["actions"] == layout["rows"] * layout["columns"]:  # else it was made for one body, in no grid
+            changes["designs"] = _on_the_grid(config, layout)
     known = changes | {f"ppo.{key}": value for key, value in ppo.items()}
     known["network"] = usual["network"] | (known["network"] or {})
     for key in [key for key in known if key in named and key != "designs"]:

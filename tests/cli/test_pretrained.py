@@ -35,10 +35,13 @@ def config_of(run: Path) -> dict:
 RECURRENT = ("ppo.rnn={rnn_type:gru,rnn_hidden_dim:8}",)
 
 
-@pytest.mark.parametrize("words", [(), RECURRENT, VOXELS], ids=["mlp", "rnn", "grid"])
+ONE = BODY, "policy=grid", "network={width:8}"
+
+
+@pytest.mark.parametrize("words", [(), RECURRENT, VOXELS, ONE], ids=["mlp", "rnn", "grid", "grid of one body"])
 def test_a_training_begins_with_the_networks_of_another(train: Callable, words: tuple[str, ...]) -> None:
     first = train(*words, "max_iterations=2", "ppo.action_scale=0.4")
-    given = [word for word in words if word.startswith(("designs", "lanes"))]
+    given = [word for word in words if word.startswith(("design", "lanes"))]
     second = train("pretrained=latest", *given, *STILL)
     before, after, fresh = weights(first), weights(second), weights(train(*words, *STILL, "seed=5"))
     assert before.keys() == after.keys()
