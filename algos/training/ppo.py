@@ -20,6 +20,7 @@ from warpvox.checks import check_choice, check_integer, is_mapping
 from warpvox.code import load_code
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.keys import converted
 from warpvox.robots.network import WIDEST
 
 SYMMETRY = "data_augmentation_func"
@@ -177,18 +178,16 @@ def rsl_rl_config(
     network["obs_normalization"] = ppo.normalize_obs
     settings = {theirs: getattr(ppo, ours) for theirs, ours in SETTINGS.items()}
     extra = _checked("extra", {} if ppo.extra is None else ppo.extra, RslRlPPO, [*settings, *GIVEN])
-    symmetry = extra.get("symmetry_cfg")
-    if is_mapping(symmetry):
+    if is_mapping(symmetry := extra.get("symmetry_cfg")):
         if SYMMETRY not in symmetry:
             raise ConfigError(f"ppo.extra.symmetry_cfg needs {SYMMETRY}, a function of yours: FILE.py:NAME.")
         extra["symmetry_cfg"] = {**symmetry, SYMMETRY: load_code(symmetry[SYMMETRY])}
     own = {"class_name": algorithm, "total_iterations": total_iterations, "adam_eps": ppo.adam_eps}
-    noise = {"class_name": Gaussian, "init_std": ppo.init_std, "std_type": "log"}
     return {
         "num_steps_per_env": ppo.steps,
         "check_for_nan": False,
         "obs_groups": {name: [OBS_GROUP] for name in ("actor", "critic", "rnd_state")},
-        "actor": network | {"distribution_cfg": noise},
+        "actor": network | {"distribution_cfg": {"class_name": Gaussian, "init_std": ppo.init_std, "std_type": "log"}},
         "critic": network,
         "algorithm": own | settings | extra,
     }
@@ -196,10 +195,12 @@ def rsl_rl_config(
 
 def _checked(name: str, given: Mapping[str, Any], made: type, others: Collection[str]) -> dict[str, Any]:
     """The settings of the key ``ppo.<name>``, for a class that takes ``others`` from elsewhere."""
-    known = [one for one in inspect.signature(made.__init__).parameters if one not in others]
+    parameters = inspect.signature(made.__init__).parameters
+    known = [one for one in parameters if one not in others]
     if not isinstance(given, Mapping):
         raise ConfigError(f"ppo.{name} must be settings by name, such as {{{known[0]}:...}}; got {given!r:.80}.")
     for wrong in given.keys() - known:
         hint = did_you_mean(str(wrong), known)
         raise ConfigError(f"ppo.{name} has the settings {listing(known)}; got {wrong!r:.80}.{hint}")
-    return dict(given)
+    flags = [one for one in given if isinstance(parameters[one].default, bool)]
+    return {**given, **{one: converted(given[one], bool, f"ppo.{name}.{one}") for one in flags}}

@@ -159,6 +159,8 @@ def test_symmetric_samples_are_learned_from(tmp_path: Path) -> None:
         ({"extra": {"symmetry_cfg": {}}}, "symmetry_cfg needs data_augmentation_func, a function of yours"),
         ({"extra": {"rnd_confg": {}}}, "Did you mean 'rnd_cfg'"),
         ({"extra": {"gamma": 0.9}}, "ppo.extra has the settings"),
+        ({"extra": {"normalize_advantage_per_mini_batch": "no"}}, "mini_batch must be true or false, got 'no'"),
+        ({"extra": {"use_mixed_precision": 1}}, "ppo.extra.use_mixed_precision must be true or false, got 1"),
         ({"extra": {"rnd_cfg": {"weight": 1.0, "outputs": 3}}}, "not what rsl-rl takes: .*outputs"),
         ({"rnn": GRU, "minibatches": ENVS + 1, "steps": 20}, "recurrent"),
     ],
