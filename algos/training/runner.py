@@ -37,6 +37,7 @@ from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
 from warpvox.io.writing import check_folder
+from warpvox.robots.network import WIDEST
 from warpvox.runs import BEST, STATE, Run
 
 
@@ -56,6 +57,8 @@ class Schedule:
 
 def adapt(env: Any, ppo: Ppo, apart: bool = False) -> RslRlVecEnv:
     """Wrap a :class:`VoxelVecEnv` with the settings of ``ppo``; ``apart``: designs share no running moments."""
+    if env.num_obs > WIDEST:  # of a checkpoint more are not read
+        raise ConfigError(f"A policy takes {WIDEST:,} observations at most; this task and body have {env.num_obs:,}.")
     own = {name: getattr(ppo, name) for name in ("action_scale", "reward_scale", "bootstrap_time_limit")}
     return RslRlVecEnv(env, reward_gamma=ppo.gamma if ppo.normalize_reward else None, apart=apart, **own)
 
@@ -189,8 +192,7 @@ class Runner(OnPolicyRunner):
             StorageError: the folder cannot be written any more; what was saved last is whole, and learning goes on from
                 there as if nothing had happened.
         """
-        left = self.schedule.total - self.current_learning_iteration
-        if left > 0:
+        if (left := self.schedule.total - self.current_learning_iteration) > 0:
             self.learn(left, init_at_random_ep_len=self.ppo.random_start)
 
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
@@ -265,10 +267,9 @@ class Runner(OnPolicyRunner):
             raise self._diverged("the networks have weights that are NaN or infinite")
 
     def _diverged(self, reason: str) -> DivergenceError:
-        where = self.current_learning_iteration + 1
         return DivergenceError(
-            f"Learning diverged in iteration {where} ({reason}); checkpoints hold what was before."
-            " Try a new run with a lower ppo.learning_rate."
+            f"Learning diverged in iteration {self.current_learning_iteration + 1} ({reason}); checkpoints hold what"
+            " was before. Try a new run with a lower ppo.learning_rate, or with values of ppo nearer to the defaults."
         )
 
     def _evaluate(self) -> float:
@@ -282,8 +283,7 @@ class Runner(OnPolicyRunner):
             except ActionError as error:
                 self.current_learning_iteration -= 1  # it is not complete
                 raise self._diverged(str(error)) from error
-        value = self.group.broadcast(value)
-        if math.isnan(value):  # there is no evaluator
+        if math.isnan(value := self.group.broadcast(value)):  # there is no evaluator
             return value
         self.last_return = value
         if value > self.best_return:

@@ -3,6 +3,8 @@
 import math
 from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
@@ -61,7 +63,7 @@ def test_divergence_is_one_clear_error() -> None:
     runner = make_runner(3)
     for parameter in runner.alg.get_policy().mlp.parameters():
         parameter.data.fill_(float("nan"))
-    with pytest.raises(RunError, match=r"diverged in iteration 1 .*learning_rate"):
+    with pytest.raises(RunError, match=r"diverged in iteration 1 .*learning_rate, or with values of ppo"):
         runner.run()
 
 
@@ -245,6 +247,12 @@ def test_training_wants_environments_that_reset_themselves_and_an_evaluation_oth
         adapt(make_env(auto_reset=False), ppo_settings())
     with pytest.raises(ConfigError, match="auto_reset=False"):
         evaluate(make_env(), lambda obs: obs)
+
+
+def test_more_observations_than_are_read_from_a_checkpoint_are_refused() -> None:
+    env: Any = SimpleNamespace(num_obs=65_537, auto_reset=True)
+    with pytest.raises(ConfigError, match="65,536 observations at most; this task and body have 65,537"):
+        adapt(env, ppo_settings())
 
 
 def test_an_evaluation_is_the_sum_of_rewards_of_one_episode() -> None:
