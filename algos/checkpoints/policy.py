@@ -35,8 +35,6 @@ from warpvox.io.reading import Unreadable, parse_json
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
 
 FORMAT, VERSION = "warpvox policy", 2
-EPS = EmpiricalNormalization(1).eps
-"""Added to the deviation of normalised observations."""
 LARGEST = 1 << 28
 """Bytes that the text of a policy may have."""
 
@@ -74,7 +72,8 @@ class Policy(nn.Module):
         self.mlp = nn.Sequential(*MLP(spec.num_obs, spec.num_actions, list(spec.hidden), spec.activation))
         self.register_buffer("mean", torch.zeros(spec.num_obs))
         self.register_buffer("deviation", torch.ones(spec.num_obs))
-        self.eps = EPS if spec.normalize_obs else 0.0  # apart, so that in float64 the sum is that of training
+        # added where it is used, so that in float64 the sum is that of training
+        self.eps = EmpiricalNormalization(1).eps if spec.normalize_obs else 0.0
 
     def __call__(self, obs: torch.Tensor | np.ndarray, *more: Any) -> Any:
         """:meth:`forward` of a tensor, :meth:`act` of an array.
