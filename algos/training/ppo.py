@@ -178,16 +178,18 @@ def rsl_rl_config(
     network["obs_normalization"] = ppo.normalize_obs
     settings = {theirs: getattr(ppo, ours) for theirs, ours in SETTINGS.items()}
     extra = _checked("extra", {} if ppo.extra is None else ppo.extra, RslRlPPO, [*settings, *GIVEN])
-    if is_mapping(symmetry := extra.get("symmetry_cfg")):
+    symmetry = extra.get("symmetry_cfg")
+    if is_mapping(symmetry):
         if SYMMETRY not in symmetry:
             raise ConfigError(f"ppo.extra.symmetry_cfg needs {SYMMETRY}, a function of yours: FILE.py:NAME.")
         extra["symmetry_cfg"] = {**symmetry, SYMMETRY: load_code(symmetry[SYMMETRY])}
     own = {"class_name": algorithm, "total_iterations": total_iterations, "adam_eps": ppo.adam_eps}
+    noise = {"class_name": Gaussian, "init_std": ppo.init_std, "std_type": "log"}
     return {
         "num_steps_per_env": ppo.steps,
         "check_for_nan": False,
         "obs_groups": {name: [OBS_GROUP] for name in ("actor", "critic", "rnd_state")},
-        "actor": network | {"distribution_cfg": {"class_name": Gaussian, "init_std": ppo.init_std, "std_type": "log"}},
+        "actor": network | {"distribution_cfg": noise},
         "critic": network,
         "algorithm": own | settings | extra,
     }

@@ -77,7 +77,8 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
     content = load_checkpoint(path)
     spec = check_learned(path, content, config.policy)
     ppo = {"action_scale": spec.action_scale, "normalize_obs": spec.normalize_obs}
-    changes: dict[str, Any] = {"policy": "mlp", "network": None} | {k: run[k] for k in ("obs", "method") if k in run}
+    changes: dict[str, Any] = {"policy": "mlp", "network": None}
+    changes |= {key: run[key] for key in ("obs", "method") if key in run}
     usual: dict[str, Any] = {"ppo.rnn": RNN, "network": {}}
     if spec.voxels is None:
         ppo |= {"hidden": list(spec.hidden), "activation": spec.activation, "rnn": spec.rnn}

@@ -192,7 +192,8 @@ class Runner(OnPolicyRunner):
             StorageError: the folder cannot be written any more; what was saved last is whole, and learning goes on from
                 there as if nothing had happened.
         """
-        if (left := self.schedule.total - self.current_learning_iteration) > 0:
+        left = self.schedule.total - self.current_learning_iteration
+        if left > 0:
             self.learn(left, init_at_random_ep_len=self.ppo.random_start)
 
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
@@ -283,7 +284,8 @@ class Runner(OnPolicyRunner):
             except ActionError as error:
                 self.current_learning_iteration -= 1  # it is not complete
                 raise self._diverged(str(error)) from error
-        if math.isnan(value := self.group.broadcast(value)):  # there is no evaluator
+        value = self.group.broadcast(value)
+        if math.isnan(value):  # there is no evaluator
             return value
         self.last_return = value
         if value > self.best_return:
