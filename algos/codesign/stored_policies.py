@@ -34,8 +34,10 @@ class StoredPolicies:
         check_folder(self.folder / DESIGNS)
         policy = outcome.policy or {}
         place = Path(DESIGNS) / str(candidate.id)
+        # the sizes of the first and last layer are those of the body, which the settings do not know
+        layers = [value for name, value in policy.items() if name.startswith("mlp.") and name.endswith(".weight")]
         content = {
-            "policy": outcome.spec or self._spec(policy),
+            "policy": outcome.spec or spec_dict(spec_for(self.ppo, layers[0].shape[1], layers[-1].shape[0])),
             "actor_state_dict": {name: value.detach().cpu() for name, value in policy.items()},
             "eval_return": outcome.fitness,
             "infos": {"candidate": candidate.id, "steps": outcome.steps},
@@ -47,11 +49,6 @@ class StoredPolicies:
     def load(self, path: str) -> dict[str, Any]:
         """The policy that :meth:`save` has written to ``path``."""
         return load_checkpoint(self.folder / path)["actor_state_dict"]
-
-    def _spec(self, policy: Mapping[str, torch.Tensor]) -> dict[str, Any]:
-        # The sizes of the first and last layer are those of the body, which the settings do not know.
-        layers = [value for name, value in policy.items() if name.startswith("mlp.") and name.endswith(".weight")]
-        return spec_dict(spec_for(self.ppo, layers[0].shape[1], layers[-1].shape[0]))
 
 
 def policy_sha256(policy: Mapping[str, torch.Tensor]) -> str:

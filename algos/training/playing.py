@@ -81,13 +81,10 @@ class SampledController:
         """``obs`` ``[n, num_obs]`` to actions ``[n, num_actions]`` in [0.6, 1.6]."""
         mean = self.controller.outputs(obs)
         noise = torch.randn(mean.shape, generator=self._generator, device=mean.device)
-        return actions_of(mean + self._deviation() * noise, self.spec.action_scale)
-
-    def _deviation(self) -> torch.Tensor:
-        """Deviation of each action; that of a policy for voxels belongs to the type of an actuator."""
-        if not isinstance(self._distribution, VoxelGaussian):
-            return self._std
-        return self._distribution.by_kind(self._std, 0.0).to(self._std.dtype)
+        deviation = self._std
+        if isinstance(self._distribution, VoxelGaussian):  # of the types of actuators
+            deviation = self._distribution.by_kind(deviation, 0.0).to(deviation.dtype)
+        return actions_of(mean + deviation * noise, self.spec.action_scale)
 
 
 def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:
