@@ -10,6 +10,7 @@ from warpvox.algos.protocols import DISTURBANCES, NOMINAL
 from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.envs.voxels import FEATURES
+from warpvox.simulation import checked_actions
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 JUDGED, SEARCHED = 0x7E57, 0x5EED
@@ -70,16 +71,12 @@ class Disturbed:
     """
 
     def __init__(
-        self,
-        policy: Callable[[Any], Any],
-        env: VoxelVecEnv,
-        parts: Sequence[str],
-        seed: int,
-        stream: int = JUDGED,
+        self, policy: Callable[[Any], Any], env: VoxelVecEnv, parts: Sequence[str], seed: int, stream: int = JUDGED
     ) -> None:
         designs = int(env.design_index.max()) + 1
         copies = env.num_envs // (designs * len(parts))
         self.policy, self.draws = policy, Draws(seed, stream, copies, env.device)
+        self.shape = env.num_envs, env.num_actions
         self.parts, self.kinds = tuple(parts), [DISTURBANCES[name] for name in parts for _ in range(copies)] * designs
         column = lambda name: torch.tensor([[getattr(kind, name)] for kind in self.kinds], device=env.device)  # noqa: E731
         self.noise, self.sticky, self.sensors = (column(name).double() for name in ("noise", "sticky", "sensors"))
@@ -110,7 +107,8 @@ class Disturbed:
         if self.most["sensors"]:
             noise = self._each(draws.normal(SENSORS, step, obs.shape[1]))
             obs = obs + (self.sensors * noise).to(obs.dtype)
-        actions = torch.as_tensor(self.policy(obs), device=obs.device)
+        actions = checked_actions(self.policy(obs), self.shape, obs.device)
+        actions = actions.clamp(ACTION_LOW, ACTION_HIGH)  # as they are taken: beyond the range noise would be lost
         if step < self.most["start"]:
             uniform = self._each(draws.uniform(START, step, actions.shape[1]))
             uniform = (ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * uniform).to(actions.dtype)

@@ -140,6 +140,36 @@ def test_each_disturbance_has_as_many_episodes_of_every_body() -> None:
         wv.evaluate(lambda obs: obs, "Walker-v0", [[[3, 3]]] * 5, episodes=2, protocol="robust", device="cpu")
 
 
+def short(policy: object, protocol: str) -> wv.PolicyTable:
+    """Returns of a function in disturbed episodes of a few control steps."""
+    task = dataclasses.replace(get_task("Walker-v0"), max_episode_steps=12)
+    return wv.evaluate(policy, task, [[3, 3], [4, 4]], episodes=2, protocol=protocol, device="cpu")
+
+
+@pytest.mark.parametrize("protocol", ["noise", "start"])
+def test_actions_of_a_function_are_disturbed_as_they_are_taken(protocol: str) -> None:
+    (whole,) = short(lambda obs: torch.ones((2, 4), dtype=torch.long), protocol)
+    (same,) = short(lambda obs: torch.ones((2, 4)), protocol)
+    assert whole.returns == same.returns
+    (beyond,) = short(lambda obs: torch.full((2, 4), 9.0), protocol)
+    (largest,) = short(lambda obs: torch.full((2, 4), 1.6), protocol)
+    assert beyond.returns == largest.returns
+
+
+@pytest.mark.parametrize("protocol", ["nominal", "noise", "start"])
+@pytest.mark.parametrize(
+    ("policy", "words"),
+    [
+        (lambda obs: torch.ones(4), r"shape \[2, 4\] .* got \[4\]"),
+        (lambda obs: torch.ones((1, 4)), r"shape \[2, 4\] .* got \[1, 4\]"),
+        (lambda obs: None, "tensor or array of numbers"),
+    ],
+)
+def test_actions_of_a_function_are_checked_in_disturbed_episodes_too(policy: object, protocol: str, words: str) -> None:
+    with pytest.raises(wv.ActionError, match=words):
+        short(policy, protocol)
+
+
 def test_a_gait_has_no_sensors() -> None:
     rows = wv.evaluate("zoo:Jumper-v0", episodes=2, protocol="robust")
     assert [row.disturbance for row in rows] == ["nominal", "noise", "sticky", "start"]
