@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 from warpvox.checks import check_known
 from warpvox.errors import ConfigError
-from warpvox.keys import Settings, changed, check_value
+from warpvox.keys import Settings, changed, check_values, convert
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -173,7 +173,7 @@ def evaluate(
             theirs, have a ``dtype`` and ``arithmetic`` of their own.
 
     Raises:
-        RunError: no such run. ConfigError: a function without a task, an unknown option. WarpvoxError: as
+        RunError: no such run. ConfigError: a function without a task, an unknown option or value. WarpvoxError: as
             :func:`warpvox.make_vec`.
     """
     from warpvox.algos.codesign.results import Found
@@ -192,9 +192,9 @@ def evaluate(
     from warpvox.trust import STORED
 
     check_known(options, evaluate, Playing, without=("num_envs",))
-    limits = {item.name: item.metadata for item in dataclasses.fields(EvaluateConfig)}
-    for name, value in {"episodes": episodes, "protocol": protocol, "level": level}.items():
-        check_value(name, value, limits[name])
+    config = EvaluateConfig(stochastic=stochastic, episodes=episodes, protocol=protocol, seed=seed, level=level)
+    convert(config)
+    check_values(config)
     ones = policies if isinstance(policies, Sequence) and not isinstance(policies, str) else [policies]
     if not ones:
         raise ConfigError("There are no policies: policies=[] names none.")

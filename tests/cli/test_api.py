@@ -204,6 +204,10 @@ def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None
         ([], {}, "policies=\\[\\] names none"),
         (folder, {"episodes": 0}, "episodes must be at least 1, got 0"),
         (folder, {"level": 95}, "level must be at most 0.9999, got 95"),
+        (folder, {"episodes": 1.5}, "episodes must be an integer, got 1.5"),
+        (policies[1], {"seed": "a"}, "seed must be an integer, got 'a'"),
+        (policies[1], {"seed": -1}, "seed must be at least 0, got -1"),
+        (folder, {"stochastic": "false"}, "stochastic must be true or false, got 'false'"),
     ):
         with pytest.raises(wv.WarpvoxError, match=words):
             wv.evaluate(policy, **options)
