@@ -107,7 +107,7 @@ class Disturbed:
         if self.most["sensors"]:
             noise = self._each(draws.normal(SENSORS, step, obs.shape[1]))
             obs = obs + (self.sensors * noise).to(obs.dtype)
-        actions = checked_actions(self.policy(obs), self.shape, obs.device)
+        actions = checked_actions(self.policy(obs), self.shape, str(obs.device))
         actions = actions.clamp(ACTION_LOW, ACTION_HIGH)  # as they are taken: beyond the range noise would be lost
         if step < self.most["start"]:
             uniform = self._each(draws.uniform(START, step, actions.shape[1]))
