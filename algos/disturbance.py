@@ -21,6 +21,8 @@ BITS = 1 << 53
 """Numbers that are drawn for one in [0, 1)."""
 NOISE, STICKY, START, SENSORS, LENGTH = range(5)
 """Purposes of random numbers, a stream each."""
+HIGHEST = torch.tensor(ACTION_HIGH).item()
+"""The highest action in float32, which lies above 1.6: policies give it, and it is disturbed as it is."""
 STEPS = 1 << 20
 """More control steps than an episode has."""
 
@@ -68,6 +70,9 @@ class Disturbed:
         env: its environments, a multiple of designs times disturbances.
         parts: names of the disturbances of the blocks.
         seed, stream: see :class:`Draws`.
+
+    Attributes:
+        names: of each environment's disturbance.
     """
 
     def __init__(
@@ -77,7 +82,8 @@ class Disturbed:
         copies = env.num_envs // (designs * len(parts))
         self.policy, self.draws = policy, Draws(seed, stream, copies, env.device)
         self.shape = env.num_envs, env.num_actions
-        self.parts, self.kinds = tuple(parts), [DISTURBANCES[name] for name in parts for _ in range(copies)] * designs
+        self.parts, self.names = tuple(parts), [name for name in parts for _ in range(copies)] * designs
+        self.kinds = [DISTURBANCES[name] for name in self.names]
         column = lambda name: torch.tensor([[getattr(kind, name)] for kind in self.kinds], device=env.device)  # noqa: E731
         self.noise, self.sticky, self.sensors = (column(name).double() for name in ("noise", "sticky", "sensors"))
         sensed = env.obs_mask[env.design_index].double()  # padding is not measured
@@ -108,7 +114,7 @@ class Disturbed:
             noise = self._each(draws.normal(SENSORS, step, obs.shape[1]))
             obs = obs + (self.sensors * noise).to(obs.dtype)
         actions = checked_actions(self.policy(obs), self.shape, str(obs.device))
-        actions = actions.clamp(ACTION_LOW, ACTION_HIGH)  # as they are taken: beyond the range noise would be lost
+        actions = actions.clamp(ACTION_LOW, HIGHEST)  # beyond the range noise would be lost
         if step < self.most["start"]:
             uniform = self._each(draws.uniform(START, step, actions.shape[1]))
             uniform = (ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * uniform).to(actions.dtype)

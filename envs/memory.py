@@ -58,7 +58,11 @@ def environment_bytes(
     num_obs = _entries(spec, obs, sizes["point"], prod(grid or box))
     each = pack / min(batch.lanes, count) + sizes["point"] * (3 * LONG + 2)
     each += num_obs * (LONG + 2 * np.dtype(sim.dtype).itemsize)
-    return each if ppo is None else each + _learning(num_obs, sizes["action"], ppo)
+    if ppo is None:
+        return each
+    # a rollout, and a minibatch of it with the activations of two networks and their derivatives
+    transition = num_obs + 3 * sizes["action"] + SCALARS
+    return each + FLOAT * ppo.steps * (transition + (transition + 4 * sum(ppo.hidden)) / ppo.minibatches)
 
 
 def _entries(spec: TaskSpec, obs: str, points: int, cells: int) -> int:
@@ -67,12 +71,6 @@ def _entries(spec: TaskSpec, obs: str, points: int, cells: int) -> int:
     about = [(about_of(term.function), dict(term.params)) for term in terms]
     grids = len(spec.robots) * cells * NUM_FEATURES if "voxel" in obs else 0
     return grids + sum(1 if known is None else known.size(params, points) for known, params in about)
-
-
-def _learning(num_obs: int, num_actions: int, ppo: Any) -> float:
-    """Bytes that a rollout takes, and a minibatch of it with the activations of two networks and their derivatives."""
-    transition = num_obs + 3 * num_actions + SCALARS
-    return FLOAT * ppo.steps * (transition + (transition + 4 * sum(ppo.hidden)) / ppo.minibatches)
 
 
 def fitting(each: float, device: str) -> float:

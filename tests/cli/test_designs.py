@@ -119,9 +119,9 @@ def test_a_run_over_many_bodies_is_trained_evaluated_and_played(tmp_path: Path) 
     played = play(load("play", [*words, f"run={run.folder}", "num_envs=3", "steps=3", "export=[png,html]"]), console)
     shown = json.loads((played / "summary.json").read_text(encoding="utf-8"))
     assert shown["returns"] == sorted(shown["returns"], reverse=True)
-    assert sorted(shown["bodies"]) == ["body 0", "body 1", "body 2"]
+    assert sorted(shown["environments"]) == ["body 0", "body 1", "body 2"]
     rollout = Rollout.load(played / "rollout.npz")
-    assert rollout.names == shown["bodies"]
+    assert rollout.names == shown["environments"]
     for env, name in enumerate(rollout.names):  # every body under its number in held_out.csv
         robot = next(obj for obj in rollout.scene(env).objects if obj.name == "robot")
         assert "/".join("".join(map(str, row)) for row in robot.grid.tolist()) == rows[int(name[5:])]["cells"]

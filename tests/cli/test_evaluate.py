@@ -159,6 +159,9 @@ def test_a_deterministic_policy_in_a_task_without_chance_has_one_episode(train: 
         played = warpvox("play", f"run={folder}", *words, "steps=3", "export=[]", "window=off", *FAST)
         assert "draws nothing" not in played.out
         assert f"Walker-v0, {title}" in played.out
+    played = warpvox("play", f"run={folder}", "num_envs=1", "protocol=robust", "steps=3", "export=[]", *FAST)
+    rows = [line.split()[1] for line in played.out.splitlines() if line.startswith("│")]
+    assert rows == ["nominal", "noise", "sticky", "start", "sensors", "mean"]
 
 
 def test_patterns_match_checkpoints_of_runs(tmp_path: Path) -> None:

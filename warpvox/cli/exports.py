@@ -52,8 +52,10 @@ def record_run(
     from warpvox.view.rollout import record
 
     about: dict[str, Any] = {"run": run.folder.name, "stochastic": stochastic, "protocol": protocol}
-    if env.num_designs > 1:
-        about["names"] = [f"body {design}" for design in env.design_index.tolist()]
+    names = [[f"body {design}" for design in env.design_index.tolist()]] if env.num_designs > 1 else []
+    names += [controller.names] if len(getattr(controller, "parts", ())) > 1 else []
+    if names:
+        about["names"] = list(map(", ".join, zip(*names, strict=True)))
     rollout = record(env, controller, steps, metadata=about)
     rollout.metadata["drawn"] = stochastic or protocol != NOMINAL or env.spec.is_random
     return rollout.best_first() if env.num_designs > 1 else rollout
@@ -86,7 +88,7 @@ def record_agent(config: Any) -> Rollout:
 
 
 def tiles_of(rollout: Rollout, most: int = BODIES) -> list[int]:
-    """The environments that a picture shows: the first ones; of many bodies some, evenly chosen by their returns."""
+    """The environments that a picture shows: the first ones; of those that have names some, evenly chosen."""
     if "names" not in rollout.metadata:
         return list(range(min(rollout.num_envs, TILES)))
     return np.linspace(0, rollout.num_envs - 1, min(rollout.num_envs, most)).round().astype(int).tolist()

@@ -109,7 +109,7 @@ class Film:
         unit = max(8, round(self._tile[1] / 14))
         draw, letters = ImageDraw.Draw(tile, "RGBA"), font(unit)
         text = f"{escaped(self.rollout.names[env])}:  {self.rollout.returns[frame, env]:.2f}"
-        if "names" in self.rollout.metadata:  # in the order of returns, which therefore stand there from the beginning
+        if "names" in self.rollout.metadata:  # compared with each other: their returns stand there from the beginning
             text += f" of {self.rollout.returns[-1, env]:.2f}"
         wide = draw.textlength(text, font=letters)
         draw.rounded_rectangle((3, 3, wide + unit + 3, unit * 1.5 + 3), radius=unit // 3, fill=(255, 255, 255, 216))

@@ -152,7 +152,7 @@ def summary_of(rollout: Rollout, command: str, source: str) -> dict[str, Any]:
         "mean_return": float(returns.mean()),
         "returns": [float(value) for value in returns],
         "lengths": [int(value) for value in rollout.lengths],
-        **({"bodies": rollout.names} if "names" in rollout.metadata else {}),
+        **({"environments": rollout.names} if "names" in rollout.metadata else {}),
     }
 
 
