@@ -21,7 +21,7 @@ BITS = 1 << 53
 """Numbers that are drawn for one in [0, 1)."""
 NOISE, STICKY, START, SENSORS, LENGTH = range(5)
 """Purposes of random numbers, a stream each."""
-HIGHEST = torch.tensor(ACTION_HIGH).item()
+HIGHEST = torch.tensor(ACTION_HIGH, dtype=torch.float32).item()
 """The highest action in float32, which lies above 1.6: policies give it, and it is disturbed as it is."""
 STEPS = 1 << 20
 """More control steps than an episode has."""
