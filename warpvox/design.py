@@ -34,8 +34,8 @@ LARGEST_BODY = 1 << 16
 LARGEST_FILE = 4_000_000
 """Bytes that a file of a design, its arrays together, or the text of one may have."""
 
-ZOO = Path(__file__).parent / "robots" / "data"
-"""The stored robots that come with the package, ``TASK.npz``."""
+ZOO_FOLDER = Path(__file__).parent / "robots" / "data"
+"""The zoo: a stored robot for every task, ``TASK.npz``."""
 
 LEAST_CHANCE = 1e-6
 """Least probability of a cell to be an actuator; below it hardly any body has one."""
@@ -307,12 +307,17 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
     )
 
 
+def zoo_tasks() -> list[str]:
+    """Ids of the tasks that the zoo has a robot for."""
+    return sorted(path.stem for path in ZOO_FOLDER.glob("[!.]*.npz"))
+
+
 def zoo_file(task: str, error: type[Exception]) -> Path:
     """The file of the zoo's robot for a task, or an ``error`` that lists those that there are."""
-    known = sorted(path.stem for path in ZOO.glob("[!.]*.npz"))
+    known = zoo_tasks()
     if task not in known:
         raise error(f"The zoo has no robot for {task!r:.80}.{did_you_mean(task, known)} It has {listing(known, 40)}.")
-    return ZOO / f"{task}.npz"
+    return ZOO_FOLDER / f"{task}.npz"
 
 
 def save_design(path: str | os.PathLike[str], body: object) -> Path:

@@ -236,7 +236,9 @@ def parse_policy(text: str, source: object, network: str | None = None) -> Polic
         if version == 1 and spec.voxels is None:
             spec = replace(spec, normalize_obs=False)  # eps is part of these deviations
         check_sizes(spec)
-        model = _on_meta(spec)
+        with torch.device("meta"):  # without memory for the weights
+            special = any(getattr(spec, name) is not None for name in KINDS)
+            model = build_actor(spec, "meta") if special else Policy(spec)
         weights = _weights(model.state_dict(), content.get("weights"))
         check_spec(spec, weights, model)
         policy = make_policy(spec, metadata)
@@ -244,14 +246,6 @@ def parse_policy(text: str, source: object, network: str | None = None) -> Polic
     except (Unreadable, TypeError, ValueError, RuntimeError, LookupError, AttributeError) as error:
         raise RunError(f"{source} holds no policy that can be read ({first_line(error):.200}).") from None
     return policy
-
-
-def _on_meta(spec: PolicySpec) -> nn.Module:
-    """The module whose weights the text of a policy holds, without memory for them."""
-    if any(getattr(spec, name) is not None for name in KINDS):
-        return build_actor(spec, "meta")
-    with torch.device("meta"):
-        return Policy(spec)
 
 
 def _weights(known: Mapping[str, torch.Tensor], given: Any) -> dict[str, torch.Tensor]:

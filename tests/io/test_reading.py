@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warpvox.io.reading import ArrayFile, Unreadable, parse_json, read_bytes, read_npy
+from warpvox.io.reading import ArrayFile, Unreadable, parse_json, read_bytes, read_npy, read_text
 from warpvox.io.writing import atomic_path, write_text
 
 
@@ -47,6 +47,11 @@ def test_json_is_what_the_standard_says(text: str, words: str) -> None:
     with pytest.raises(Unreadable, match=words):
         parse_json(text)
     assert parse_json(r'["\ud83d\ude00", 1e5, {"a": null}]') == ["😀", 1e5, {"a": None}]
+
+
+def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_bytes(b"\xef\xbb\xbf[[3]]")  # as Notepad may save it
+    assert parse_json(read_text(tmp_path / "a.json", 100)) == [[3]]
 
 
 def test_a_write_makes_folders_keeps_the_suffix_and_gives_usual_permissions(tmp_path: Path) -> None:

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from warpvox.algos.training.loading import load_policy
-from warpvox.design import load_design
+from warpvox.design import ZOO_FOLDER, load_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import DesignError, RunError
-from warpvox.robots.entry import FOLDER, Robot, zoo, zoo_tasks
+from warpvox.robots.entry import Robot, zoo, zoo_tasks
 from warpvox.robots.replay import SEEDS, robot_env
 from warpvox.robots.returns import is_better, judge
 
@@ -30,7 +30,7 @@ def test_a_robot_gets_the_recorded_return(task: str) -> None:
 def test_the_zoo_is_small_and_of_known_tasks() -> None:
     assert TASKS
     assert set(TASKS) <= set(task_ids())
-    assert sum(path.stat().st_size for path in FOLDER.iterdir()) < LARGEST
+    assert sum(path.stat().st_size for path in ZOO_FOLDER.iterdir()) < LARGEST
 
 
 @pytest.mark.parametrize("task", TASKS)

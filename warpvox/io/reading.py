@@ -50,7 +50,7 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
 def read_text(path: str | os.PathLike[str], limit: int) -> str:
     """The text (UTF-8) of a file of at most ``limit`` bytes. Unreadable: as :func:`read_bytes`, or it is not UTF-8."""
     try:
-        return read_bytes(path, limit).decode("utf-8")
+        return read_bytes(path, limit).decode("utf-8-sig")  # some editors begin a file with a byte order mark
     except UnicodeDecodeError as error:
         raise Unreadable(f"it is not text in UTF-8 (byte {error.start})") from None
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.design import ZOO, Design, check_design, full_connections, zoo_file
+from warpvox.design import Design, check_design, full_connections, zoo_file, zoo_tasks as zoo_tasks
 from warpvox.errors import RunError
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path
@@ -27,8 +27,6 @@ from warpvox.robots.network import Network
 from warpvox.view.palette import body_svg
 
 FORMAT, VERSION = "warpvox robot", 1
-FOLDER = ZOO
-"""The zoo: an entry for every task, ``TASK.npz``."""
 DIGITS = 9
 """Decimals of recorded returns. Rewards are sums over points, which round differently (about 1e-15) on other CPUs."""
 GAIT = {"kind": "gait"}
@@ -122,11 +120,6 @@ def zoo(task: str) -> Robot:
         RunError: the zoo has none for it; the message lists those that there are.
     """
     return read_robot(zoo_file(task, RunError))
-
-
-def zoo_tasks() -> list[str]:
-    """Ids of the tasks that the zoo has a robot for."""
-    return sorted(path.stem for path in FOLDER.glob("[!.]*.npz"))
 
 
 def find_robot(text: str) -> Robot:

@@ -9,10 +9,11 @@ from rich.table import Table
 
 from warpvox.cli.application import run_command
 from warpvox.configs.tools import ZooConfig
+from warpvox.design import ZOO_FOLDER
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError, WarpvoxError, counted, did_you_mean, listing
 from warpvox.io.console import duration, echo, figure, literal
-from warpvox.robots.entry import FOLDER, read_robot
+from warpvox.robots.entry import read_robot
 from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
 from warpvox.view.cell_text import body_rows
@@ -25,7 +26,7 @@ def run(words: list[str]) -> None:
 
 def zoo(config: ZooConfig, console: Console) -> None:
     """List the robots, show one, or add some."""
-    folder = FOLDER if config.folder is None else Path(config.folder).expanduser()
+    folder = ZOO_FOLDER if config.folder is None else Path(config.folder).expanduser()
     if config.add:
         _add(config, folder, console)
         return
