@@ -250,11 +250,11 @@ class TaskSpec:
                 f"The task '{self.id}' randomizes objects but has no memory named 'offset' that says how far."
             )
         parts = (self.observations, (*self.rewards, *self.terminations), self.memory)
-        counts = [Counter(part.name for part in some) for some in parts]
+        counts = [Counter(part.name for part in some) for some in parts] + [Counter([ROBOT, *self.partners])]
         twice = {name for count in counts for name in count if count[name] > 1}
         if twice:
             raise TaskError(
-                f"The task '{self.id}' has several observations, reward terms, end terms or memories named"
+                f"The task '{self.id}' has several observations, reward terms, end terms, memories or robots named"
                 f" {listing(twice)}."
             )
 

@@ -64,6 +64,7 @@ def test_a_specification_can_be_copied_and_sent(task: str) -> None:
         ({"paper": 3}, "paper of the task 'Mine-v0' must be a dictionary, got 3"),
         ({"partners": [1]}, "partners of the task 'Mine-v0' must be a dictionary"),
         ({"partners": {"other": (1,)}}, r"'other' in the task 'Mine-v0' must be \(x, y\), got \(1,\)"),
+        ({"partners": {"robot": (9, 1)}}, "memories or robots named robot"),
         ({"robot_cell": (1,)}, r"'robot' in the task 'Mine-v0' must be \(x, y\), got \(1,\)"),
         ({"robot_cell": 1}, r"'robot' in the task 'Mine-v0' must be \(x, y\), got 1"),
         ({"robot_cell": (1, 2, 3)}, r"must be \(x, y\)"),
