@@ -160,7 +160,8 @@ def test_files_are_not_replaced_unasked(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"[1, 2]", "neither a body nor a world"),
+        (b"[1, 2]", "must have two dimensions"),
+        (b"null", "must hold numbers"),
         (b"{broken", "not a JSON file"),
         (b'{"body": [[9]]}', "unknown cell type"),
         (json.dumps({"body": [[3] * 40]}).encode(), "up to 32"),
@@ -173,6 +174,12 @@ def test_files_that_cannot_be_shown_are_refused(tmp_path: Path, content: bytes, 
     path.write_bytes(content)
     with pytest.raises(WarpvoxError, match=words):
         read_file(path)
+
+
+def test_rows_alone_are_a_body_as_for_a_search(tmp_path: Path) -> None:
+    path = tmp_path / "rows.json"
+    path.write_text("[[3, 4], [1, 2]]")
+    assert read_file(path)["types"] == load_design(path).tolist() == [[3, 4], [1, 2]]
 
 
 def test_an_empty_world_has_an_object_to_paint(tmp_path: Path) -> None:

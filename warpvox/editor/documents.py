@@ -137,7 +137,7 @@ def save_file(document: Mapping[str, Any], folder: Path, name: object, overwrite
 
 
 def read_file(path: Path) -> dict[str, Any]:
-    """The document of a file: a body (``{"body": rows}``) or a world of EvoGym's format."""
+    """The document of a file: a body (rows of cells, or ``{"body": rows}``) or a world of EvoGym's format."""
     if not path.is_file():
         near = did_you_mean(path.stem, (name.removesuffix(".json") for name in file_names(path.parent)))
         raise WorldError(f"There is no file '{path.name}' in {path.parent}.{near}")
@@ -145,11 +145,9 @@ def read_file(path: Path) -> dict[str, Any]:
         content = parse_json(read_text(path, LONGEST_FILE))
     except Unreadable as error:
         raise WorldError(f"'{path.name}' is not a JSON file that the editor can read: {error}.") from None
-    if not isinstance(content, dict):
-        raise WorldError(f"'{path.name}' holds neither a body nor a world.")
-    if "body" not in content:
+    if isinstance(content, dict) and "body" not in content:
         return document_of(World.from_json(content))
-    body = as_grid(content["body"])
+    body = as_grid(content["body"] if isinstance(content, dict) else content)
     if max(body.shape) > BODY_SIDE:
         raise DesignError(f"The editor shows bodies of up to {BODY_SIDE} x {BODY_SIDE} cells.")
     return document_of(body)
