@@ -462,12 +462,12 @@ def _lock_for_writing(path: Path) -> sqlite3.Connection:
             db.close()
         if "locked" in str(error):
             raise RunError(f"Another process is writing {path}; there can be one at a time.") from None
-        raise _write_error(path, error) from None
+        raise _write_error(lock, error) from None
     return db
 
 
 def _write_error(path: Path, error: Exception) -> StorageError:
-    """Error for an archive that cannot be written; its content is unchanged."""
+    """Error for an archive, or its lock, that cannot be written; its content is unchanged."""
     reason, cause = str(error).rstrip("."), error if isinstance(error, OSError) else None
     if not path.parent.is_dir():
         reason = "its folder has vanished; was it removed or renamed, or its disk detached?"
@@ -476,7 +476,7 @@ def _write_error(path: Path, error: Exception) -> StorageError:
     elif "full" in reason or getattr(error, "errno", None) == errno.ENOSPC:
         reason = "database or disk is full; free some space, then go on with resume="
         cause = OSError(errno.ENOSPC, reason)
-    return StorageError(f"The archive {path} cannot be written: {reason}.", cause)
+    return StorageError(f"{path} cannot be written: {reason}.", cause)
 
 
 def _check_exists(path: Path) -> None:

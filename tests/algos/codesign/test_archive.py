@@ -220,6 +220,12 @@ def test_files_that_are_no_archives_are_refused(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="cannot be written"):
         Archive.create(tmp_path / "missing" / "a", {})
     Archive.open(good).close()
+    lock = good.with_name(f"{good.name}.lock")
+    lock.write_text("a note of somebody's" * 100)
+    with pytest.raises(StorageError, match=f"{lock.name} cannot be written: file is not a database"):
+        Archive.open(good)  # the archive itself is intact
+    lock.unlink()
+    Archive.open(good).close()
     (tmp_path / BACKUP).write_bytes(good.read_bytes())
     with pytest.raises(RunError, match=f"{BACKUP} beside it"):
         Archive.read(empty)  # as a file system may leave it after a power failure
