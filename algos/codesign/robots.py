@@ -65,8 +65,9 @@ def keep_start(robots: Sequence[Robot], folder: Path) -> None:
 
 
 def _copies(folder: Path) -> list[Robot]:
-    """The robots that the search in ``folder`` began with."""
-    return [read_robot(path) for path in sorted((folder / COPIES).glob("*.npz"), key=lambda path: int(path.stem))]
+    """The robots that the search in ``folder`` began with; files of another kind of name are not its own."""
+    own = [path for path in (folder / COPIES).glob("*.npz") if path.stem.isdecimal()]
+    return [read_robot(path) for path in sorted(own, key=lambda path: int(path.stem))]
 
 
 def _history(folder: Path) -> list[dict[str, Any]]:

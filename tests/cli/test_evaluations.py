@@ -207,6 +207,9 @@ def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path
     drawn = draw_bodies(3, (3, 3), np.random.default_rng(5))  # as for `warpvox evaluate designs=random:3:3x3 seed=5`
     assert [record.candidate.origin for record in records] == [START] * 3
     assert all(np.array_equal(record.candidate.body, body) for record, body in zip(records, drawn, strict=True))
+    (folder / "training" / "start" / "0 copy.npz").write_bytes(b"somebody's")
+    kept = read_start(settings(), folder)
+    assert all(np.array_equal(robot.body, body) for robot, body in zip(kept, drawn, strict=True))
     for number, body in enumerate(drawn[::-1]):
         save_design(tmp_path / "robots" / f"{number}.json", body)
     bodies = [robot.body for robot in read_start(settings(f"start=[{tmp_path / 'robots'},walker]"))]
