@@ -150,6 +150,8 @@ def test_png_and_filmstrip(rollouts: Callable[..., Rollout], tmp_path: Path) -> 
     path = render.write_filmstrip(rollout, tmp_path / "strip.png", frames=[0, -1], size=(600, 160))
     with Image.open(path) as picture:
         assert picture.size == (600, 160)
+    with Image.open(render.write_filmstrip(rollout, tmp_path / "strip.png", size=(16, 16))) as picture:
+        assert picture.size == (16, 16)  # the smallest that may be asked for has room for all six
 
 
 def test_mp4(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
@@ -183,6 +185,7 @@ def test_a_path_is_neither_protocol_nor_option_of_ffmpeg(rollouts, tmp_path: Pat
         (lambda r, p: render.write_gif(r, p, fps=0), "fps must lie in 1 to 50, got 0"),
         (lambda r, p: render.write_gif(r, p, start=4, stop=4), "no frames from 4 to 4"),
         (lambda r, p: render.write_filmstrip(r, p, 0), "1 to 64 frames"),
+        (lambda r, p: render.write_filmstrip(r, p, [0] * 9, size=(20, 20)), "20 pixels wide has no room for 9 frames"),
     ],
 )
 def test_wrong_requests_get_one_clear_line(rollouts, tmp_path: Path, call, words: str) -> None:

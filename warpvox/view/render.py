@@ -171,18 +171,18 @@ def write_filmstrip(
     """
     width, height = check_size(size)
     rollout.check_envs([env])
+    if not (1 <= frames <= 64 if is_integer(frames) else len(frames)):
+        raise RolloutError(f"A strip shows 1 to 64 frames, got {frames!r}.")
     if is_integer(frames):
-        if not 1 <= frames <= 64:
-            raise RolloutError(f"A strip shows 1 to 64 frames, got {frames!r}.")
         last = int(rollout.lengths[env])
         frames = [int(frame) for frame in np.unique(np.rint(np.linspace(0, last, frames)))]
     chosen = [rollout.check_frame(frame) for frame in frames]
-    if not chosen:
-        raise RolloutError("A strip shows 1 to 64 frames, got none.")
-    each = (width - MARGIN * (len(chosen) - 1)) // len(chosen)
+    each = (width + MARGIN) // len(chosen) - MARGIN
+    if each < 1:
+        raise RolloutError(f"A strip {width} pixels wide has no room for {len(chosen)} frames.")
     # The robot fills a good part of a picture, and what it stands on shows.
     tall = float(np.ptp(rollout.positions[0, env, rollout.scene(env).robot_points, 1])) / VOXEL
-    painter = Painter(rollout, env, check_size((each, height)), voxels or max(6.5, 2.1 * tall))
+    painter = Painter(rollout, env, (each, height), voxels or max(6.5, 2.1 * tall))
     strip, letters = Image.new("RGB", (width, height), PAPER), font(max(9, height // 14))
     for number, frame in enumerate(chosen):
         tile = painter.frame(frame)
