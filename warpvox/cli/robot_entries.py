@@ -60,10 +60,8 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[
     for before in robots[0].about.get("start", ()):
         if "config" in before:  # of a training whose policy the next one began with
             before["command"] = _command(before)
-    best = max(
-        (recorded(robot, {**robot.about, "command": command}) for robot in robots),
-        key=lambda robot: robot.robust_return,
-    )
+    judged = (recorded(robot, {**robot.about, "command": command}) for robot in robots)
+    best = max(judged, key=lambda robot: robot.robust_return)
     best = dataclasses.replace(best, task=get_task(best.task).id)
     path = folder / f"{as_name(best.task)}.npz"
     with writing(folder):

@@ -13,6 +13,7 @@ from warpvox.design import ZOO_FOLDER
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError, WarpvoxError, counted, did_you_mean, listing
 from warpvox.io.console import duration, echo, figure, literal
+from warpvox.io.writing import check_writable
 from warpvox.robots.entry import read_robot
 from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
@@ -128,6 +129,7 @@ def _add(config: ZooConfig, folder: Path, console: Console) -> None:
     from warpvox.devices.startup import prepare
 
     sources, failed = find_sources(config.add), []
+    check_writable(folder)
     prepare(1, 0)
     for source in sources:
         try:
