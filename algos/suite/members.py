@@ -98,14 +98,14 @@ class Table:
 
     @classmethod
     def stored(cls, folder: Path) -> Table:
-        """The table as ``members.csv`` has it; without rows if there is no such file."""
+        """The table as ``members.csv`` has it; without rows if there is no such file, or a damaged one."""
         try:
             rows = [
                 Row(one["task"], one["search"], int(one["seed"]), folder / one["folder"], 0, one["state"], one["error"])
                 for one in read_table(folder / MEMBERS)
             ]
-        except (csv.Error, KeyError, ValueError):
-            rows = []
+        except (csv.Error, KeyError, TypeError, ValueError):
+            return cls(folder, [])
         return cls(folder, rows)
 
     def of(self, *states: str) -> list[Row]:

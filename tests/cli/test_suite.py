@@ -409,6 +409,12 @@ def test_report_again(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     members.write_text(running)
     quick(f"report={folder}")  # nobody is making it any more: it was killed
     assert "1 waiting" in (folder / "report.html").read_text()
+    for damaged in ("task,search\nWalker-v0", running[:-40]):  # without columns; cut short in its last line
+        members.write_text(damaged)
+        quick(f"report={folder}", fails="members.csv cannot be read; suite resume=")
+        assert (folder / CURVES).read_text() == before
+    quick(f"resume={folder}")
+    assert states(folder) == ["done"]
 
 
 def test_a_suite_that_another_process_extended_meanwhile_loses_nothing(tmp_path: Path) -> None:

@@ -69,8 +69,7 @@ def task_names(names: list[str]) -> list[str]:
 def _tasks(names: list[str]) -> dict[str, TaskSpec]:
     tasks = {name: get_task(name) for name in task_names(names)}
     ids = [spec.id for spec in tasks.values()]
-    twice = next((name for name in ids if ids.count(name) > 1), None)
-    if twice:
+    if twice := next((name for name in ids if ids.count(name) > 1), None):
         raise ConfigError(f"tasks names {twice} more than once.")
     return tasks
 

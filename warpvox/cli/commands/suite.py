@@ -120,7 +120,8 @@ def suite(job: Job, console: Console) -> Path:
             state = WAITING
         counts = None
         while counts != (table := Table.stored(source.folder)).counts:  # until no member has ended meanwhile
-            counts = table.counts
+            if not (counts := table.counts):
+                raise RunError(f"{table.folder / MEMBERS} cannot be read; suite resume={source.folder} makes it again.")
             for row in table.of(RUNNING):
                 row.state = state
             _write_report(table, load_values("suite", source.config), console)
@@ -152,8 +153,7 @@ def _write_report(table: Table, config: SuiteConfig, console: Console) -> None:
     from warpvox.algos.report.benchmark import write_benchmark
 
     table.write_curves()
-    archives = table.archives()
-    if archives:
+    if archives := table.archives():
         states = ", ".join(f"{count} {state}" for state, count in table.counts.items())
         page = write_benchmark(table.folder, archives, {"suite": config.suite or "", "members": states})
         echo(console, f"report: {page.resolve().as_uri()}")
