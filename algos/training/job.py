@@ -403,7 +403,7 @@ def go_on(checkpoint: Path, runner: Runner) -> None:
     again = f"go on with: warpvox train {shell_argument('resume', checkpoint.parent)}"
     about = read_summary(checkpoint.parent)
     ended = about.get("status") == "done" and about.get("iterations") == done  # else it was killed in its last moment
-    if done > total or (ended and done == total):
+    if done > total or (done == total and (ended or checkpoint.name != STATE)):  # a summary is about the newest state
         raise RunError(
             f"The run has already made {done} iterations, and max_iterations={total} asks for no more;"
             f" {again} max_iterations={2 * done}"

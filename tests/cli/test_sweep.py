@@ -127,6 +127,11 @@ def test_resuming_says_why_there_is_nothing_to_do_and_how_to_go_on(train: Callab
         assert advice == f"train resume={folder} max_iterations=4"
     warpvox(*advice.split())
     assert [row["iteration"] for row in read_metrics(folder)] == [1, 2, 3, 4]
+    before = (folder / "summary.json").read_text()
+    earlier = min(folder.glob("model_[0-9].pt"), key=lambda file: file.name)
+    asked = f"max_iterations={earlier.stem[6:]}"
+    warpvox("train", f"resume={earlier}", asked, fails=f"{asked} asks for no more")  # nothing is learned, nor told
+    assert (folder / "summary.json").read_text() == before
 
 
 def test_resuming_an_interrupted_run_to_less_than_it_has(train: Callable, warpvox: Callable) -> None:
