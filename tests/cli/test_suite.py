@@ -273,6 +273,7 @@ def test_a_suite_that_could_not_begin_is_begun_by_the_same_words(quick: Callable
 )
 def test_what_does_not_go_with_a_recipe_is_refused_before_anything_is_made(quick, words: str, phrase: str) -> None:
     quick("searches=[ga,auto]", words, fails=phrase)
+    quick("suite=paper", "config=kept.yaml", fails="config=kept.yaml and suite both say where to start:")
     assert not Path("outputs").exists()
 
 
