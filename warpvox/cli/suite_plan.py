@@ -69,7 +69,8 @@ def task_names(names: list[str]) -> list[str]:
 def _tasks(names: list[str]) -> dict[str, TaskSpec]:
     tasks = {name: get_task(name) for name in task_names(names)}
     ids = [spec.id for spec in tasks.values()]
-    if twice := next((name for name in ids if ids.count(name) > 1), None):
+    twice = next((name for name in ids if ids.count(name) > 1), None)
+    if twice:
         raise ConfigError(f"tasks names {twice} more than once.")
     return tasks
 

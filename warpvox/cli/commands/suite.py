@@ -153,7 +153,8 @@ def _write_report(table: Table, config: SuiteConfig, console: Console) -> None:
     from warpvox.algos.report.benchmark import write_benchmark
 
     table.write_curves()
-    if archives := table.archives():
+    archives = table.archives()
+    if archives:
         states = ", ".join(f"{count} {state}" for state, count in table.counts.items())
         page = write_benchmark(table.folder, archives, {"suite": config.suite or "", "members": states})
         echo(console, f"report: {page.resolve().as_uri()}")
