@@ -162,7 +162,7 @@ def write_filmstrip(
     Args:
         rollout, env: what to show.
         path: where to; written whole or not at all.
-        frames: frame numbers, or how many, spread evenly from the reset to the end of the episode.
+        frames: 1 to 64 frame numbers, or how many, spread evenly from the reset to the end of the episode.
         size: of the whole strip in pixels.
         voxels: voxels from bottom to top; None fits the robot.
 
@@ -171,8 +171,9 @@ def write_filmstrip(
     """
     width, height = check_size(size)
     rollout.check_envs([env])
-    if not (1 <= frames <= 64 if is_integer(frames) else len(frames)):
-        raise RolloutError(f"A strip shows 1 to 64 frames, got {frames!r}.")
+    count = frames if is_integer(frames) else len(frames)
+    if not 1 <= count <= 64:
+        raise RolloutError(f"A strip shows 1 to 64 frames, got {count}.")
     if is_integer(frames):
         last = int(rollout.lengths[env])
         frames = [int(frame) for frame in np.unique(np.rint(np.linspace(0, last, frames)))]
