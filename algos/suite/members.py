@@ -105,7 +105,7 @@ class Table:
                 for one in read_table(folder / MEMBERS)
             ]
         except (csv.Error, KeyError, TypeError, ValueError):
-            return cls(folder, [])
+            rows = []
         return cls(folder, rows)
 
     def of(self, *states: str) -> list[Row]:

@@ -28,6 +28,7 @@ from warpvox.algos.training.pretrained import OBS_OF_VOXELS, adopted
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.algos.training.settings import Designs, Training
 from warpvox.batch.options import SimOptions
+from warpvox.design import zoo_tasks
 from warpvox.devices.names import resolve_device
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.devices.startup import start_warp
@@ -40,7 +41,6 @@ from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.console import shell_argument
 from warpvox.io.writing import check_writable, to_yaml
-from warpvox.robots.entry import zoo_tasks
 from warpvox.runs import STATE, ZOO, Run, check_unchanged, read_summary, run_folder, write_summary
 from warpvox.system import usable_cores
 from warpvox.trust import as_stored, keep_code

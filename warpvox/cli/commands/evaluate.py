@@ -16,10 +16,10 @@ from warpvox.cli.application import run_command
 from warpvox.cli.run_groups import group_runs
 from warpvox.code import Code, is_code
 from warpvox.configs.show import EvaluateConfig
+from warpvox.design import zoo_tasks
 from warpvox.errors import ConfigError, counted
 from warpvox.io.console import echo, literal, shown
 from warpvox.io.writing import to_yaml, write_table
-from warpvox.robots.entry import zoo_tasks
 from warpvox.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
 from warpvox.trust import STORED
 

@@ -120,7 +120,8 @@ def suite(job: Job, console: Console) -> Path:
             state = WAITING
         counts = None
         while counts != (table := Table.stored(source.folder)).counts:  # until no member has ended meanwhile
-            if not (counts := table.counts):
+            counts = table.counts
+            if not counts:
                 raise RunError(f"{table.folder / MEMBERS} cannot be read; suite resume={source.folder} makes it again.")
             for row in table.of(RUNNING):
                 row.state = state
