@@ -408,7 +408,7 @@ def repair_hint(path: Path) -> str:
         return ""
     return (
         f" {backup.name} beside it holds all generations that were whole: copy it over {path.name} (and remove"
-        f" {path.name}-journal, if there is one), then resume; the result is the same."
+        f" {path.name}-journal, if there is one), then resume; on the same machine the result is the same."
     )
 
 

@@ -107,8 +107,8 @@ class Loop:
         if now != before:
             raise RunError(
                 f"The search now proposes other designs for generation {self.generation} than the archive holds: it was"
-                " made by another version of warpvox or of the library that the search uses, or its rows were"
-                f" changed.{repair_hint(self.archive.path)}"
+                " made on another machine, by another version of warpvox or of the library that the search uses, or its"
+                f" rows were changed.{repair_hint(self.archive.path)}"
             )
 
     def _evaluate(self, asked: Sequence[Candidate], interrupt: Interrupt) -> None:
