@@ -25,6 +25,8 @@ MOST_CELLS = 10_000_000
 class SearchSettings(Settings):
     """Settings that every search has (paper section D.1, Table 2)."""
 
+    prefix = "search."
+
     algorithm: str = key("", "which search")
     population: int = key(25, "designs of a generation", low=2)
     max_evaluations: int = key(
@@ -54,8 +56,8 @@ class GA(SearchSettings):
         super().__post_init__()
         if self.min_survivors >= self.population:
             raise ConfigError(
-                f"min_survivors must be less than population ({self.population}), or nothing new is ever tried;"
-                f" got {self.min_survivors}."
+                f"search.min_survivors must be less than search.population ({self.population}), or nothing new is ever"
+                f" tried; got {self.min_survivors}."
             )
 
 
@@ -106,9 +108,11 @@ class MapElites(SearchSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.descriptors or len(set(self.descriptors)) < len(self.descriptors):
-            raise ConfigError(f"descriptors must name one or more different ones, got {listing(self.descriptors)}.")
+            raise ConfigError(
+                f"search.descriptors must name one or more different ones, got {listing(self.descriptors)}."
+            )
         if self.bins ** len(self.descriptors) > MOST_CELLS:
-            cells = f"bins={self.bins} for {len(self.descriptors)} descriptors make over {MOST_CELLS:,} cells"
+            cells = f"search.bins={self.bins} for {len(self.descriptors)} descriptors make over {MOST_CELLS:,} cells"
             raise ConfigError(f"{cells}, more than memory holds: take fewer bins or descriptors.")
 
 

@@ -64,7 +64,10 @@ def test_ga_defaults_are_those_of_table_3() -> None:
         ({"algorithm": "random", "mutation_rate": 0.2}, "RandomDesigns got .* 'mutation_rate'. There are"),
         ({"algorithm": "ga", "population": 2.5}, "population must be an integer, got 2.5"),
         ({"algorithm": "ga", "survivor_rate": float("nan")}, "survivor_rate must be a finite number"),
-        ({"algorithm": "ga", "population": 5, "min_survivors": 5}, r"min_survivors must be less than population \(5\)"),
+        (
+            {"algorithm": "ga", "population": 5, "min_survivors": 5},
+            r"search.min_survivors must be less than search.population \(5\)",
+        ),
     ],
 )
 def test_mistakes_are_told_in_words(given: dict[str, Any], words: str) -> None:
