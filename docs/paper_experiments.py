@@ -128,9 +128,8 @@ def store(folder: Path, member: Member, place: Path) -> None:
 HEAD = """# The paper's experiments in numbers
 
 The paper shows its experiments as curves: the genetic algorithm (GA) on all 32 tasks (Figure 35), and GA, Bayesian
-optimisation (BO) and CPPN-NEAT on ten of them. Here they are design searches with {steps:g} million control steps each.
-**{all} searches are done**: {ga} with GA on all tasks, {ten} of the comparison on ten, with three
-seeds (GA on the ten counts in both).
+optimisation (BO) and CPPN-NEAT on ten of them. Here they are {searches} design searches with {steps:g} million control
+steps each, three seeds of each search on each task.
 
 Searches, populations and shapes (5 x 7 for Lifter-v0, else 5 x 5) are those of the paper's Tables 2 to 5 (`search=ga`,
 `bo_paper` and `cppn_neat`, [search](search.md)). Each body is trained by `{settings}` for
@@ -142,28 +141,28 @@ brings, and little about larger ones.
 PICTURE = f"""
 ![Best fitness over control steps, a panel a task](images/{CHART.name})
 
-Curves are the best fitness so far in float32, as the searches compute: mean and range of the seeds that are done. **The
-tables are the best body's episodes in exact arithmetic.** A policy that has learnt one trajectory by heart
-can return something else there, for better or worse, also under noise ([why](protocols.md)).
+Curves are the best fitness so far in float32, as the searches compute: mean and range of the seeds. **The tables are
+the best body's episodes in exact arithmetic.** A policy that has learnt one trajectory by heart can return something
+else there, for better or worse, also under noise ([why](protocols.md)).
 """
 GA_TABLE = """
 ## GA on all tasks
 
-| task | seeds | nominal | under noise | best published | by |
-|---|---:|---:|---:|---:|---|
+| task | nominal | under noise | best published | by |
+|---|---:|---:|---:|---|
 """
 COMPARED = """
 ## GA, BO and CPPN-NEAT
 
-Means of the seeds that all three have done, the best in bold.
+Means of the seeds, the best in bold.
 
-| task | seeds | GA | BO | CPPN-NEAT | GA under noise | BO under noise | CPPN-NEAT under noise |
-|---|---:|---:|---:|---:|---:|---:|---:|
+| task | GA | BO | CPPN-NEAT | GA under noise | BO under noise | CPPN-NEAT under noise |
+|---|---:|---:|---:|---:|---:|---:|
 """
 SCORES = """
-The interquartile mean of the [scores](evaluation.md#comparing-searches) on {} of these tasks, those with a
-published return and several seeds (0 is chance, 1 that return), and the probability that a run of GA is better; with
-95 % bootstrap intervals.
+The interquartile mean of the [scores](evaluation.md#comparing-searches) on the {} of these tasks that
+have a published return (0 is chance, 1 that return), and the probability that a run of GA is better; with 95 %
+bootstrap intervals.
 
 | search | nominal | under noise | GA better, nominal | GA better, under noise |
 |---|---:|---:|---:|---:|
@@ -171,105 +170,79 @@ published return and several seeds (0 is chance, 1 that return), and the probabi
 VERDICT = """
 The paper: "we found the GA baseline algorithm outperformed the other baselines algorithms the majority of the time"
 (section E). Here GA alone has the highest mean on {} of {count} tasks (BO {}, CPPN-NEAT {}), under noise on {} (BO {},
-CPPN-NEAT {}): {said}, as far as {runs} of 30 runs of each search say.
+CPPN-NEAT {}): {said}.
 """
 NOTES = """
 *Nominal* is the return of a search's best body, as an entry of [the zoo](zoo.md) states it; *under
 noise* its mean in 32 [episodes with noise on the actions](protocols.md). Means over seeds, in brackets the lowest and
 the highest. Published returns are the best of anybody ([results](results.md#sources)). A search took in the median,
-several at once, each with one thread of a busy machine: {minutes}.
+several at once and most with one thread each: {minutes}.
 
-    python docs/paper_experiments.py run   # makes searches that are not done; may run several times at once
+    python docs/paper_experiments.py run   # makes searches without a row in the tables; several may run at once
     python docs/paper_experiments.py       # this page, of docs/results/paper_members.csv and paper_curves.csv
 """
-Returns = dict[tuple[str, str], dict[int, list[float]]]
-"""Nominal and under noise, by task and search, by seed."""
+Returns = dict[tuple[str, str], list[list[float]]]
+"""Nominal and under noise of each seed, by task and search."""
 
 
 def page(rows: Sequence[Row]) -> str:
-    """``docs/paper_experiments.md`` from the rows of the members that are done."""
-    every, finished = members(), {_key(row) for row in rows}
-    settings = every[0].settings.search
-    parts = {
-        "all": {one.key for one in every},
-        "ga": {one.key for one in every if one.search == "ga"},
-        "ten": {one.key for one in every if one.task in BENCHMARK10},
-    }
+    """``docs/paper_experiments.md`` from the rows of all members."""
+    settings, returns = members()[0].settings.search, Returns()
+    minutes: dict[str, list[float]] = {}
+    for row in rows:
+        returns.setdefault((row["task"], row["search"]), []).append([float(row[name]) for name in JUDGED])
+        minutes.setdefault(row["processor"], []).append(float(row["seconds"]) / 60)
     head = HEAD.format(
+        searches=len(rows),
         steps=STEPS / 1e6,
         settings=" ".join(SETTINGS),
         designs=settings.max_evaluations,
         population=settings.population,
         rest=settings.max_evaluations - settings.population,
-        **{name: f"{len(keys & finished)} of {len(keys)}" for name, keys in parts.items()},
     )
-    if not rows:
-        return head
-    returns: Returns = {}
-    for row in rows:
-        task, search, seed = _key(row)
-        returns.setdefault((task, search), {})[seed] = [float(row[name]) for name in JUDGED]
-    minutes: dict[str, list[float]] = {}
-    for row in rows:
-        minutes.setdefault(row["processor"], []).append(float(row["seconds"]) / 60)
     spent = [f"{np.median(some):.0f} min on {name} ({len(some)})" for name, some in sorted(minutes.items())]
-    notes = NOTES.format(minutes="; ".join(spent))
-    return "".join([head, PICTURE, *_ga_lines(returns), *_comparison(returns), notes])
+    return "".join([head, PICTURE, *_ga_lines(returns), *_comparison(returns), NOTES.format(minutes="; ".join(spent))])
 
 
 def _ga_lines(returns: Returns) -> Iterator[str]:
-    if any(search == "ga" for _, search in returns):
-        yield GA_TABLE
+    yield GA_TABLE
     for task, known in known_returns().items():
-        if found := returns.get((task, "ga")):
-            cells = " | ".join(map(_range, zip(*found.values(), strict=True)))
-            best = "" if known.best is None else f"{known.best:g}"
-            yield f"| {task} | {len(found)} | {cells} | {best} | {known.method} |\n"
-
-
-def _range(values: Sequence[float]) -> str:
-    more = f" ({min(values):.3f} to {max(values):.3f})" if len(values) > 1 else ""
-    return f"{np.mean(values):.3f}{more}"
+        cells = [f"{np.mean(x):.3f} ({min(x):.3f} to {max(x):.3f})" for x in zip(*returns[task, "ga"], strict=True)]
+        best = "" if known.best is None else f"{known.best:g}"
+        yield f"| {task} | {' | '.join(cells)} | {best} | {known.method} |\n"
 
 
 def _comparison(returns: Returns) -> Iterator[str]:
-    """The three searches on the tasks on which all of them have done a seed."""
-    done = {task: [set(returns.get((task, name), ())) for name in SEARCHES] for task in BENCHMARK10}
-    seeds = {task: common for task, every in done.items() if (common := set.intersection(*every))}
-    if not seeds:
-        return
     yield COMPARED
     wins, scores = np.zeros((len(JUDGED), len(SEARCHES)), int), {}
-    for task, common in seeds.items():
-        runs = np.array([[returns[task, name][seed] for seed in common] for name in SEARCHES])
+    for task in BENCHMARK10:
+        runs = np.array([returns[task, name] for name in SEARCHES])
         means = runs.mean(1).T  # [judged, searches]
         best = means == means.max(1, keepdims=True)
         wins += best & (best.sum(1, keepdims=True) == 1)
         cells = (f"**{mean:.3f}**" if top else f"{mean:.3f}" for mean, top in zip(means.flat, best.flat, strict=True))
-        yield f"| {task} | {len(common)} | {' | '.join(cells)} |\n"
-        if (known := known_returns()[task]).best is not None and len(common) > 1:
+        yield f"| {task} | {' | '.join(cells)} |\n"
+        if (known := known_returns()[task]).best is not None:
             scores[task] = np.vectorize(known.score)(runs)
-    if scores:
-        yield SCORES.format(len(scores))
-        for number, name in enumerate(SEARCHES.values()):
-            ga, mine = (
-                [{task: runs[k, :, judged] for task, runs in scores.items()} for judged in range(len(JUDGED))]
-                for k in (0, number)
-            )
-            cells = [str(interval(interquartile_mean, one)) for one in mine]
-            cells += [str(interval(improvement, *pair)) if number else "" for pair in zip(ga, mine, strict=True)]
-            yield f"| {name} | {' | '.join(cells)} |\n"
-    most = wins[:, 0] > len(seeds) / 2
+    yield SCORES.format(len(scores))
+    for number, name in enumerate(SEARCHES.values()):
+        ga, mine = (
+            [{task: runs[k, :, judged] for task, runs in scores.items()} for judged in range(len(JUDGED))]
+            for k in (0, number)
+        )
+        cells = [str(interval(interquartile_mean, one)) for one in mine]
+        cells += [str(interval(improvement, *pair)) if number else "" for pair in zip(ga, mine, strict=True)]
+        yield f"| {name} | {' | '.join(cells)} |\n"
+    most = wins[:, 0] > len(BENCHMARK10) / 2
     said = "a majority" if most.all() else "a majority by one of the two" if most.any() else "no majority"
-    runs = sum(map(len, seeds.values()))
-    yield VERDICT.format(*wins.flat, count=len(seeds), said=said, runs=runs)
+    yield VERDICT.format(*wins.flat, count=len(BENCHMARK10), said=said)
 
 
 def picture(curves: Sequence[Row]) -> str:
-    """The chart: a panel for each task with a member that is done."""
+    """The chart, a panel for each task."""
     panels, steps = [], [share * STEPS for share in FRACTIONS]
     names = [Series(shown, [], colour=colour) for shown, colour in zip(SEARCHES.values(), COLOURS, strict=False)]
-    for task in [task for task in task_ids() if any(row["task"] == task for row in curves)]:
+    for task in task_ids():
         series = []
         for search, name in zip(SEARCHES, names, strict=True):
             mine = [row for row in curves if (row["task"], row["search"], row["axis"]) == (task, search, AXES[0])]
@@ -290,7 +263,5 @@ if __name__ == "__main__":
     elif sys.argv[1:]:
         raise SystemExit(__doc__)
     else:
-        done = read_rows(MEMBERS)
-        write_text(PAGE, page(done))
-        if done:
-            write_text(CHART, picture(read_rows(CURVES)))
+        write_text(PAGE, page(read_rows(MEMBERS)))
+        write_text(CHART, picture(read_rows(CURVES)))
