@@ -195,7 +195,7 @@ def test_a_kernel_from_which_no_fit_can_begin_is_refused_before_a_design_is_trie
     try:
         settings = hasty(population=3, max_evaluations=6, **{name: value})
     except ConfigError as error:
-        assert str(error).startswith(f"{name} must be at")  # noqa: PT017  (some values are valid)
+        assert str(error).startswith(f"search.{name} must be at")  # noqa: PT017  (some values are valid)
         return
     search = make_search(settings, (3, 3))
     search.tell([0.0 for _ in search.ask()])
