@@ -17,8 +17,11 @@ def row(task: str, search: str, seed: int, value: float, noise: float) -> dict[s
 
 
 def test_page_and_chart_are_up_to_date() -> None:
+    rows = experiments.read_rows(experiments.MEMBERS)
+    # what "three seeds of each search on each task" rests on
+    assert set(map(experiments._key, rows)) == {one.key for one in experiments.members()}
     made = {
-        experiments.PAGE: experiments.page(experiments.read_rows(experiments.MEMBERS)),
+        experiments.PAGE: experiments.page(rows),
         experiments.CHART: experiments.picture(experiments.read_rows(experiments.CURVES)),
     }
     assert made == {path: path.read_text(encoding="utf-8") for path in made}
