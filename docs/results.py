@@ -25,7 +25,7 @@ from warpvox.algos.evaluate import evaluate
 from warpvox.algos.protocols import DISTURBANCES, NOMINAL
 from warpvox.algos.report.benchmark import duration
 from warpvox.algos.report.members import SearchResult, read_members
-from warpvox.algos.statistics import mean_interval
+from warpvox.algos.statistics import interquartile_mean, mean_interval
 from warpvox.cli.robot_entries import command_of
 from warpvox.envs.registry import FILE as KNOWN_RETURNS, KnownReturn, known_returns, task_ids
 from warpvox.io import writing
@@ -37,7 +37,8 @@ from warpvox.system import processor_name
 
 FOLDER = Path(__file__).resolve().parent
 KNOWN = FOLDER.parent / "envs" / KNOWN_RETURNS
-TABLE, DISTURBED, PAGE = FOLDER / "results" / "returns.csv", FOLDER / "results" / "protocols.csv", FOLDER / "results.md"
+TABLE, DISTURBED, REPEATED = (FOLDER / "results" / f"{name}.csv" for name in ("returns", "protocols", "repeats"))
+PAGE = FOLDER / "results.md"
 COLUMNS = (
     *("task", "return", "episodes", "evaluation", "shape", "policy", "control_steps", "seconds", "date", "processor"),
     *("commit", "command"),
@@ -48,11 +49,14 @@ DISTURBED_COLUMNS = ("task", "episodes", "n", "mean", "low", "high", "quantile_1
 """``episodes``: the disturbance; ``low``, ``high``: the 95 % interval of the mean (Student's t)."""
 NOISE = "noise"
 """Disturbance that robots are ranked by."""
+RUNS = 5
+"""Trainings, with different seeds, behind an interquartile mean."""
 GAIT = "gait"
 MANY = 6
 """From so many tasks on their number is given instead of their names."""
 BODIES = 64
 """Random bodies of 5 x 5 cells, one episode each."""
+Row = Mapping[str, str]
 HEAD = """# Results
 
 The best robots found so far, chosen by their mean return under noise, beside the best published returns with bodies
@@ -60,8 +64,8 @@ of 5 x 5 cells.
 {sizes}
 {summary}
 
-| task | gait | under noise | best published | by | nominal | sticky | start | sensors | control steps | wall time |
-|---|---|---:|---:|---|---:|---:|---:|---:|---:|---:|
+| task | gait | under noise | IQM of 5 | published | by | nominal | sticky | start | sensors | control steps | time |
+|---|---|---:|---:|---:|---|---:|---:|---:|---:|---:|---:|
 """
 SUMMARY = """\
 With normal noise of 1 % of the action range on every action, {held} of {known} robots are at or above the best
@@ -71,13 +75,16 @@ NOTES = """
   the best published return. Normal noise with a deviation of {sigma:g} is added to each action, which is clipped to
   0.6 to 1.6. All [protocols](protocols.md) are in exact arithmetic (`python docs/results.py protocols`,
   {processor}); `docs/results/protocols.csv` has their intervals and 10 % quantiles.
+- *IQM of 5*: the interquartile mean under noise of five trainings of this body with five seeds, this robot's among
+  them (`python docs/repeats.py`, `docs/results/repeats.csv`), for {repeated} robots so far. **A robot is the best of
+  some trials; this is what to expect of one.**
 - *Nominal*: what `warpvox play zoo=TASK` repeats in the released simulator's arithmetic ([the zoo](zoo.md)), the
   mean of eight episodes in BidirectionalWalker-v0 and Catcher-v0, which draw at random. ▼ is below the best published
   return. Where noise takes most of it away, the robot shows what its body can do once, not what it does reliably.
 - ○ is an open-loop [gait](zoo.md#gaits), whose actions depend on the time alone; all others are networks with
   feedback, which see what the task observes; *sensors* concerns them alone.
-- *Control steps*, *wall time*: of the whole search or training, and of those that it started from; one thread of a busy
-  machine, so that the time is an upper bound. A training for one body does not include the search that found it.
+- *Control steps*, *time* (wall): of the whole search or training, and of those that it started from; one thread of a
+  busy machine, so that the time is an upper bound. A training for one body does not include the search that found it.
   `warpvox zoo task=TASK` shows its commands, `docs/results/returns.csv` the last of each robot with commit and
   processor. Equal seeds give equal results on equal machines, by the commit of a command: some keys have other names
   today, and folders that a command names are not in the repository.
@@ -92,23 +99,28 @@ Published returns are the best of anybody, of one undisturbed episode each; thei
 """
 
 
-def page(rows: Sequence[Mapping[str, str]], disturbed: Sequence[Mapping[str, str]] = ()) -> str:
-    """``docs/results.md`` from the rows of the two tables."""
+def page(rows: Sequence[Row], disturbed: Sequence[Row] = (), repeated: Sequence[Row] = ()) -> str:
+    """``docs/results.md`` from the rows of the three tables."""
     ours, published = {row["task"]: row for row in rows}, known_returns()
     judged = {(row["task"], row["episodes"]): row for row in disturbed}
+    again: dict[str, list[float]] = {}
+    for row in repeated:
+        again.setdefault(row["task"], []).append(float(row["noise"]))
+    again = {task: values for task, values in again.items() if len(values) == RUNS}
     larger = [f"{row['task']} ({row['shape']})" for row in rows if row["shape"] not in ("", "5x5")]
     sizes = f"Ours are as large, except those of {', '.join(larger)}.\n" if larger else ""
     lines = [
-        _line(one, ours.get(task), {part: judged.get((task, part)) for part in DISTURBANCES})
+        _line(one, ours.get(task), {part: judged.get((task, part)) for part in DISTURBANCES}, again.get(task))
         for task, one in published.items()
     ]
     processors = ", ".join(sorted({row["processor"] for row in disturbed}))
-    notes = NOTES.format(episodes=EPISODES, sigma=DISTURBANCES[NOISE].noise, processor=processors)
+    known = {"episodes": EPISODES, "sigma": DISTURBANCES[NOISE].noise, "processor": processors}
+    notes = NOTES.format(**known, repeated=len(again))
     head = HEAD.format(sizes=sizes, summary=summary(rows, disturbed))
     return "".join([head, *lines, notes, *_sources(published.values())])
 
 
-def summary(rows: Sequence[Mapping[str, str]], disturbed: Sequence[Mapping[str, str]]) -> str:
+def summary(rows: Sequence[Row], disturbed: Sequence[Row]) -> str:
     """The sentence that README repeats."""
     best = {task: one.best for task, one in known_returns().items() if one.best is not None}
     ours = {row["task"]: row for row in rows if row["task"] in best}
@@ -123,8 +135,8 @@ def summary(rows: Sequence[Mapping[str, str]], disturbed: Sequence[Mapping[str, 
     )
 
 
-def _line(one: KnownReturn, row: Mapping[str, str] | None, judged: Mapping[str, Mapping[str, str] | None]) -> str:
-    mark, noisy, undisturbed, steps, seconds = "", "-", "-", "", ""
+def _line(one: KnownReturn, row: Row | None, judged: Mapping[str, Row | None], again: Sequence[float] | None) -> str:
+    mark, noisy, expected, undisturbed, steps, seconds = "", "-", "", "-", "", ""
     best = "" if one.best is None else f"{one.best:g}"
     if row is not None:
         value = float(row["return"] or row["evaluation"])
@@ -137,10 +149,12 @@ def _line(one: KnownReturn, row: Mapping[str, str] | None, judged: Mapping[str, 
         mean, high = float(found["mean"]), float(found["high"])
         bold = "**" * (one.best is not None and mean >= one.best)
         noisy = f"{bold}{mean:.3f}{bold} ± {high - mean:.3f}"
+        if again:
+            expected = f"{interquartile_mean({one.task: np.array(again)}):.3f}"
     others = [
         f"{float(found['mean']):.3f}" if (found := judged[part]) else "" for part in ("sticky", "start", "sensors")
     ]
-    cells = [one.task, mark, noisy, best, one.method, undisturbed, *others, steps, seconds]
+    cells = [one.task, mark, noisy, expected, best, one.method, undisturbed, *others, steps, seconds]
     return f"| {' | '.join(cells)} |\n"
 
 
@@ -164,7 +178,7 @@ def write_table(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     writing.write_table(path, ordered[0], [row.values() for row in ordered])
 
 
-def export(folders: Sequence[Path], before: Sequence[Mapping[str, str]] = ()) -> list[dict[str, str]]:
+def export(folders: Sequence[Path], before: Sequence[Row] = ()) -> list[dict[str, str]]:
     """The rows of the zoo's robots and of the best search of every other task, as text.
 
     Args:
@@ -275,4 +289,4 @@ if __name__ == "__main__":
     elif sys.argv[1:2] == ["export"]:
         write_table(TABLE, export([Path(text) for text in sys.argv[2:]], read_table(TABLE)))
     else:
-        writing.write_text(PAGE, page(read_table(TABLE), read_table(DISTURBED)))
+        writing.write_text(PAGE, page(*map(read_table, (TABLE, DISTURBED, REPEATED))))
