@@ -37,11 +37,11 @@ def pretend(platform: str) -> None:
     """Take away what only Linux has, from warpvox alone where others still need it."""
     importing = builtins.__import__
 
-    def refuse(name: str, globals: Any = None, *more: Any) -> Any:
+    def refuse(name: str, globals: Any = None, *more: Any, **words: Any) -> Any:
         ours = str((globals or {}).get("__name__", "")).startswith("warpvox")
         if ours and name.partition(".")[0] in MISSING:
             raise ImportError(f"no {name} on {platform}")
-        return importing(name, globals, *more)
+        return importing(name, globals, *more, **words)
 
     builtins.__import__ = refuse
     for module, names in NAMES.items():
