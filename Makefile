@@ -15,7 +15,7 @@
 #   make tables      write the keys of all commands into docs/commands.md
 #   make notebooks   run the notebooks of examples/ and keep what they show
 #   make charts      draw the charts of docs/performance.md from docs/figures.md
-#   make results     renew docs/results.md from the zoo and from design searches (SEARCHES="FOLDER ...")
+#   make results     renew the pages of results from the zoo and the tables of docs/results
 #   make release     build both distributions, check them, and say what an upload would send
 #   make docs        build the documentation into site/ and test it
 #   make clean       remove what builds leave behind (make distclean: .venv as well)
@@ -174,9 +174,8 @@ charts: $(STAMP)
 pictures: $(STAMP)
 	$(BIN)/python docs/pictures.py
 
-# Renews the page of results from the zoo, and from design searches: SEARCHES="FOLDER ...", and the pages that compare searches.
+# Renews the pages of results and those that compare searches.
 results: $(STAMP)
-	$(BIN)/python docs/results.py export $(SEARCHES)
 	$(BIN)/python docs/results.py
 	$(BIN)/python docs/comparison.py
 	$(BIN)/python docs/paper_experiments.py

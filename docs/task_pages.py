@@ -10,14 +10,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from warpvox.design import load_design
 from warpvox.envs.about import UNITS
 from warpvox.envs.registry import get_task, known_returns, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.worlds import task_world
 from warpvox.io.reading import read_table
-from warpvox.robots.entry import zoo, zoo_tasks
-from warpvox.robots.gait import Gait
+from warpvox.robots.entry import zoo
 from warpvox.view.body_picture import draw_world
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -36,7 +34,7 @@ def pictures() -> dict[str, bytes]:
     made = {}
     for name in task_ids():
         file = io.BytesIO()
-        draw_world(task_world(get_task(name), _body(name))).save(file, "PNG", optimize=True)
+        draw_world(task_world(get_task(name), zoo(name))).save(file, "PNG", optimize=True)
         made[f"tasks/worlds/{name}.png"] = file.getvalue()
     return made
 
@@ -54,9 +52,7 @@ def _index() -> str:
 
 
 def _page(task: TaskSpec) -> str:
-    robot = zoo(task.id) if task.id in zoo_tasks() else None
-    kind = "a gait, without feedback" if robot and isinstance(robot.policy, Gait) else "a network"
-    film = f"The best robot so far, with {kind}:\n\n![The best robot at work](../images/tasks/{task.id}.webp)\n"
+    kind = "a network" if zoo(task.id).has_feedback else "a gait, without feedback"
     weights = (f"{'-' if term.weight < 0 else '+'} {abs(term.weight):g} ×" for term in task.rewards)
     units = {term.about.unit for term in task.observations} - {"number"}
     named = ", ".join(f"`{memory.name}`" for memory in task.memory)
@@ -64,8 +60,7 @@ def _page(task: TaskSpec) -> str:
     return PAGE.format(
         task=task,
         level=task.difficulty.capitalize(),
-        film=film if robot else "",
-        inside="with its body" if robot else "with a walker",
+        kind=kind,
         rewards=_table(("weight", "term"), zip(weights, (f"`{term.formula}`" for term in task.rewards), strict=True)),
         ends=_table(("when", "added to the reward"), _ends(task)),
         observations=_table(("entries", "what", "unit", "values"), _observations(task)),
@@ -97,26 +92,20 @@ def _observations(task: TaskSpec) -> Iterator[tuple[str, str, str, str]]:
 
 
 def _returns(task: str) -> Iterator[tuple[str, str]]:
-    known, ours = known_returns()[task], [row for row in _rows("returns.csv") if row["task"] == task]
-    noisy = [row for row in _rows("protocols.csv") if (row["task"], row["episodes"]) == (task, "noise")]
-    for row in noisy:
-        yield "our best robot, under noise", f"{float(row['mean']):.3f} ± {float(row['high']) - float(row['mean']):.3f}"
-    for row in ours:
-        yield "the same, undisturbed", f"{float(row['return'] or row['evaluation']):.3f}"
+    known = known_returns()[task]
+    (row,) = (row for row in _disturbed() if (row["task"], row["episodes"]) == (task, "noise"))
+    yield "our best robot, under noise", f"{float(row['mean']):.3f} ± {float(row['high']) - float(row['mean']):.3f}"
+    yield "the same, undisturbed", f"{zoo(task).mean_return:.3f}"
     published = f"best published ({known.method}: {known.protocol})"
     yield (published, f"{known.best:g}") if known.best is not None else ("best published", "none")
     yield "random bodies under random actions", f"{known.random:.3f}"
 
 
 @cache
-def _rows(file: str) -> list[dict[str, str]]:
-    return read_table(RESULTS / file)
+def _disturbed() -> list[dict[str, str]]:
+    return read_table(RESULTS / "protocols.csv")
 
 
 def _paper(task: TaskSpec) -> str:
     changed = ", ".join(key.replace("_", " ") for key in task.paper)
     return f"\nUnder `rules=paper` other: {changed} ([how](../paper.md#what-rulespaper-changes)).\n" if changed else ""
-
-
-def _body(task: str) -> Any:
-    return zoo(task).body if task in zoo_tasks() else load_design("walker")
