@@ -1,7 +1,7 @@
 """A page for each task of the benchmark, made while the site is built. Not part of the library.
 
-Formulas are those of the terms, returns those of ``docs/results`` and ``envs/known_returns.csv``; ``make zoo_picture``
-makes the films.
+Formulas are those of the terms, returns those of the zoo, ``docs/results`` and ``envs/known_returns.csv``; ``make
+zoo_picture`` makes the films.
 """
 
 import io
@@ -34,7 +34,7 @@ def pictures() -> dict[str, bytes]:
     made = {}
     for name in task_ids():
         file = io.BytesIO()
-        draw_world(task_world(get_task(name), zoo(name))).save(file, "PNG", optimize=True)
+        draw_world(task_world(get_task(name), zoo(name).body)).save(file, "PNG", optimize=True)
         made[f"tasks/worlds/{name}.png"] = file.getvalue()
     return made
 
