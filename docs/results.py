@@ -62,9 +62,9 @@ NOTES = """
   the best published return. Normal noise with a deviation of {sigma:g} is added to each action, which is clipped to
   0.6 to 1.6. All [protocols](protocols.md) are in exact arithmetic (`python docs/results.py protocols`,
   {processor}); `docs/results/protocols.csv` has their intervals and 10 % quantiles.
-- *IQM of 5*: the interquartile mean under noise of five trainings of this body with five seeds, this robot's among
-  them (`python docs/repeats.py`, `docs/results/repeats.csv`), for {repeated} robots so far. **A robot is the best of
-  some trials; this is what to expect of one.**
+- *IQM of 5*: the interquartile mean under noise of five trainings of this body with five seeds, among them this
+  robot's or the one that it went on from (`python docs/repeats.py`, `docs/results/repeats.csv`), for {repeated} robots
+  so far. **A robot is the best of some trials; this is what to expect of one.**
 - *Nominal*: what `warpvox play zoo=TASK` repeats in the released simulator's arithmetic ([the zoo](zoo.md)), the
   mean of eight episodes in BidirectionalWalker-v0 and Catcher-v0, which draw at random. ▼ is below the best published
   return. Where noise takes most of it away, the robot shows what its body can do once, not what it does reliably.

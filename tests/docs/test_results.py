@@ -71,10 +71,10 @@ def test_the_mean_of_five_trainings_leaves_the_best_and_the_worst_out() -> None:
     assert cells(made(9, 9), *five[:-1])[3] == ""
 
 
-def test_the_zoo_has_the_best_of_the_repeated_trainings_up_to_a_thousandth() -> None:
+def test_the_zoo_has_no_worse_robot_than_the_best_of_the_repeated_trainings() -> None:
     repeated: dict[str, dict[str, float]] = {}
     for row in results.read_table(results.REPEATED):
         repeated.setdefault(row["task"], {})[row["seed"]] = float(row["noise"])
     for task, means in repeated.items():
         assert len(means) == results.RUNS
-        assert max(means.values()) == pytest.approx(zoo(task).robust_return, rel=1e-3), task
+        assert max(means.values()) <= zoo(task).robust_return * (1 + 1e-3), task
