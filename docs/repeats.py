@@ -4,7 +4,7 @@
 
 The commands are those of an entry (``warpvox zoo task=TASK``) with another seed, for the same body, and the best policy
 is judged under noise as an entry is; the entry itself counts as one of five. Several processes may share a folder, in
-which the runs stay; what is interrupted begins anew. ``docs/results.md`` shows the table.
+which the runs stay; an interrupted one is started again from its beginning. ``docs/results.md`` shows the table.
 """
 
 from __future__ import annotations
@@ -15,20 +15,18 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from results import REPEATED, RUNS
+from results import REPEATED, RUNS, write_table
 
 import warpvox as wv
 from warpvox.algos.codesign.robots import robots_of
 from warpvox.envs.registry import task_ids
 from warpvox.errors import RunError
 from warpvox.io.reading import read_table
-from warpvox.io.writing import claimed, write_table
+from warpvox.io.writing import claimed
 from warpvox.robots import Robot
 from warpvox.robots.returns import recorded
 from warpvox.runs import BEST
 
-COLUMNS = ("task", "seed", "noise", "control_steps", "seconds", "processor", "commit")
-"""``noise``: the mean of 32 episodes with noise on the actions."""
 TRAIN = "warpvox train "
 
 
@@ -64,15 +62,14 @@ def repeat(robot: Robot, seed: int, folder: Path) -> Robot:
 
 
 def store(seed: int, robot: Robot) -> None:
-    """Add the row of a robot."""
+    """Add the row of a robot; ``noise`` is the mean of 32 episodes with noise on the actions."""
     about = robot.about
-    row = {"task": robot.task, "seed": seed, "noise": f"{robot.robust_return:.6g}", "seconds": f"{about['wall_s']:.0f}"}
-    row |= {name: about[name] for name in ("control_steps", "processor", "commit")}
+    row = {"task": robot.task, "seed": seed, "noise": f"{robot.robust_return:.6g}"}
+    row |= {"control_steps": about["control_steps"], "seconds": f"{about['wall_s']:.0f}"}
+    row |= {name: about[name] for name in ("processor", "commit")}
     print(*row.values(), flush=True)
     with claimed(REPEATED.parent, wait=True):
-        rows = [*read_table(REPEATED), row]
-        rows.sort(key=lambda one: (task_ids().index(one["task"]), int(one["seed"])))
-        write_table(REPEATED, COLUMNS, [[one[name] for name in COLUMNS] for one in rows])
+        write_table(REPEATED, sorted([*read_table(REPEATED), row], key=lambda one: int(one["seed"])))
 
 
 if __name__ == "__main__":
