@@ -277,19 +277,12 @@ class Archive(AbstractContextManager["Archive"]):
     @property
     def settings(self) -> dict[str, Any]:
         """The settings that :meth:`create` was given."""
-        settings = self._experiment("settings")
+        with self._reading():
+            (text,) = self._db.execute("SELECT value FROM experiment WHERE key='settings'").fetchone()
+            settings = json.loads(text)
         if not isinstance(settings, dict):
             raise RunError(f"{self.path} is damaged: its settings are {settings!r:.80}.")
         return settings
-
-    @property
-    def created_at(self) -> str:
-        """UTC, as ISO 8601."""
-        return self._experiment("created_at")
-
-    def _experiment(self, key: str) -> Any:
-        with self._reading():
-            return json.loads(self._db.execute("SELECT value FROM experiment WHERE key=?", (key,)).fetchone()[0])
 
     def _number(self, query: str) -> int:
         with self._reading():

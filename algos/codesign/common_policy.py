@@ -34,17 +34,20 @@ class SharedEvaluator:
     """One policy goes on learning from generation to generation, over all designs of each in one batch.
 
     It learns by PPO, or by gradients through the physics (``policy=cpg``). The fitness of a design is its
-    deterministic return after the iterations of its generation. What the policy has learned is kept beside the
-    checkpoints (``shared/<generation>.pt``), for an experiment that is resumed.
+    deterministic return after the iterations of its generation, if there are any. What the policy has learned is kept
+    beside the checkpoints (``shared/<generation>.pt``), for an experiment that is resumed.
 
     Attributes:
         factory: makes environments with ``obs="voxel"`` and a grid that has room for all designs.
         settings: how the policy is trained; ``settings.ppo`` has all values of :class:`Ppo`.
+        pretrained: checkpoint of a training with such a policy (:func:`load_checkpoint`), from whose weights every
+            generation begins; None: from those of the generation before.
     """
 
     factory: EnvFactory
     settings: CommonPolicy
     seed: int = 0
+    pretrained: Mapping[str, Any] | None = None
     _learned: dict[str, Any] | None = field(default=None, init=False, repr=False)
 
     def evaluate(
@@ -53,6 +56,8 @@ class SharedEvaluator:
         """The candidates are those of one generation, in turn; DivergenceError: the policy has diverged."""
         if not candidates:
             return []
+        if self.pretrained is not None:
+            return _Course(self, candidates, self.pretrained).run(report, checkpoint)
         before: list[Path] = []  # what the policy had learned after earlier generations, in their order
         if checkpoint is not None:
             file = checkpoint.parent / "shared" / f"{candidates[0].generation:06}.pt"
@@ -71,45 +76,19 @@ class SharedEvaluator:
         return outcomes
 
 
-@dataclass(frozen=True)
-class FewShotEvaluator:
-    """A pretrained policy is tuned for the designs of a generation, each time from the same weights.
-
-    The fitness of a design is its deterministic return after the tuning, or without any if there are no iterations.
-
-    Attributes:
-        factory, settings, seed: as of :class:`SharedEvaluator`.
-        pretrained: checkpoint of a training with such a policy (:func:`load_checkpoint`).
-    """
-
-    factory: EnvFactory
-    settings: CommonPolicy
-    seed: int
-    pretrained: Mapping[str, Any]
-
-    def evaluate(
-        self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
-    ) -> list[Outcome]:
-        """The candidates are tuned for together."""
-        course = _Course(self, candidates, self.pretrained, fresh=True)
-        return course.run(report, checkpoint) if candidates else []
-
-
 class _Course:
     """A generation of the policy: it learns on all designs, then each of them is evaluated.
 
     Args:
-        how: a :class:`SharedEvaluator` or :class:`FewShotEvaluator`.
         learned: networks and optimiser to begin with; None: new ones.
-        fresh: whether schedules begin again.
     """
 
     def __init__(
-        self, how: Any, candidates: Sequence[Candidate], learned: Mapping[str, Any] | None, fresh: bool = False
+        self, how: SharedEvaluator, candidates: Sequence[Candidate], learned: Mapping[str, Any] | None
     ) -> None:
         self.factory, self.settings, self.seed, self.candidates = how.factory, how.settings, how.seed, list(candidates)
         self.ppo, self.seeds = Ppo(**how.settings.ppo), [candidate_seed(how.seed, one.id) for one in candidates]
-        self.learned, self.fresh = learned, fresh
+        self.learned, self.fresh = learned, how.pretrained is not None  # then schedules begin again
         start = None if learned is None else policy_sha256(learned["actor_state_dict"])
         self.about = describe(how.factory, how.settings, how.seed, candidates) | {"start": start}
         self.hint = (

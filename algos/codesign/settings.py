@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation, Specialist
 from warpvox.algos.protocols import FITNESS, NOMINAL
-from warpvox.algos.search.settings import GA, SearchSettings, settings_from
+from warpvox.algos.search.settings import ALGORITHMS, GA, SearchSettings
 from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, physics_of, sim_of
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY, RULES, TASK, TORCH_THREADS, arithmetic_key
 from warpvox.checks import check_choice
@@ -99,9 +99,9 @@ class Codesign(Settings):
 
     def __post_init__(self) -> None:
         if isinstance(self.search, str | Mapping):
-            self.search = settings_from({"algorithm": self.search} if isinstance(self.search, str) else self.search)
+            self.search = _chosen("search", "algorithm", self.search, ALGORITHMS)
         if isinstance(self.evaluation, str | Mapping):
-            self.evaluation = _evaluation(self.evaluation)
+            self.evaluation = _chosen("evaluation", "name", self.evaluation, EVALUATIONS)
         self.physics = PhysicsConfig.of(self.physics)
         super().__post_init__()
         self.network = plain(self.network, "network")
@@ -137,9 +137,8 @@ class Codesign(Settings):
         return dataclasses.replace(self, evaluation=self.evaluation.resolved(self, folder), physics=physics)
 
 
-def _evaluation(values: str | Mapping[str, Any]) -> Evaluation:
-    """The evaluation that a name, or values with one, stand for."""
-    given = {"name": values} if isinstance(values, str) else dict(values)
-    name = given.get("name", "")
-    check_choice("evaluation", name, EVALUATIONS)
-    return EVALUATIONS[name](**given)
+def _chosen(group: str, name: str, values: str | Mapping[str, Any], kinds: Mapping[str, type]) -> Any:
+    """The settings that the name of a kind stands for, or values with it as their ``name``."""
+    given = {name: values} if isinstance(values, str) else dict(values)
+    check_choice(group, given.get(name), kinds)
+    return kinds[given[name]](**given)

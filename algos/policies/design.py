@@ -118,16 +118,6 @@ class DesignDistribution(Distribution):
     def _of_design(self, types: torch.Tensor) -> torch.Tensor:
         return (types * self._designing[:, None]).to(self._log_p.dtype)
 
-    def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
-        """Means of the actions and the most likely types."""
-        self.update(mlp_output)
-        return self.mean
-
-    @property
-    def input_dim(self) -> int:
-        """Entries that :meth:`update` takes."""
-        return self.layout.control + self.layout.revised * NUM_TYPES
-
     @property
     def mean(self) -> torch.Tensor:
         """``[rows, actions]``: of types, the most likely ones."""
@@ -220,10 +210,8 @@ class DesignModel(MLPModel):
         if self.distribution is None:
             return out
         self.distribution.look(self.layout.designing(flat))
-        if not stochastic_output:
-            return self.distribution.deterministic_output(out)
         self.distribution.update(out)
-        return self.distribution.sample()
+        return self.distribution.sample() if stochastic_output else self.distribution.mean
 
     def _outputs(self, obs: torch.Tensor) -> torch.Tensor:
         """Means and logits ``[rows, control + revised * 5]`` of an actor, values ``[rows, 1]`` of a critic."""

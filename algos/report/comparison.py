@@ -46,13 +46,6 @@ class Comparison:
     steps: Mapping[str, int]
     left_out: Sequence[str]
 
-    def measures(self) -> dict[str, list[tuple[str, Interval]]]:
-        """Each measure of each search, with its interval."""
-        return {
-            measure: [(name, interval(function, scores)) for name, scores in self.scores.items()]
-            for measure, function in MEASURES.items()
-        }
-
     def improvements(self) -> dict[tuple[str, str], Interval]:
         """The probability that a run of the first is better than one of the second, for all ordered pairs."""
         pairs = permutations(self.scores, 2)
@@ -77,8 +70,8 @@ def compare(groups: Mapping[str, Mapping[str, Sequence[SearchResult]]]) -> Compa
 def _charts(comparison: Comparison, looks: Mapping[str, Series]) -> list[str]:
     """The measures, then the profiles."""
     charts = [
-        intervals([(name, looks[name].colour, one) for name, one in rows], measure)
-        for measure, rows in comparison.measures().items()
+        intervals([(name, looks[name].colour, interval(of, one)) for name, one in comparison.scores.items()], measure)
+        for measure, of in MEASURES.items()
     ]
     values = np.concatenate([runs for scores in comparison.scores.values() for runs in scores.values()])
     thresholds = np.linspace(min(0.0, values.min()), max(1.0, values.max()), THRESHOLDS)

@@ -20,10 +20,9 @@ from warpvox.algos.search.settings import (
     MapElites,
     RandomDesigns,
     SearchSettings,
-    settings_from,
 )
 
 __all__ = [
     "ALGORITHMS", "BO", "GA", "BaseSearch", "CppnNeat", "CustomSearch", "MapElites", "Proposal", "RandomDesigns",
-    "SearchSettings", "make_search", "settings_from",
+    "SearchSettings", "make_search",
 ]  # fmt: skip

@@ -29,7 +29,7 @@ def make_search(
     """A fresh search.
 
     Args:
-        settings: their class says which algorithm; :func:`settings_from` makes them from plain values.
+        settings: their class says which algorithm.
         shape: ``(rows, columns)`` of the bodies.
         seed: of all random numbers; the same seed and fitness give the same proposals.
         start: different bodies, int8 ``[rows, columns]``, that the first generation begins with.

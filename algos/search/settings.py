@@ -5,11 +5,8 @@ They are what ``search=NAME`` stands for on the command line. One differs, becau
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
-from warpvox.checks import check_choice
 from warpvox.errors import ConfigError, listing
 from warpvox.keys import Settings, key
 
@@ -131,20 +128,3 @@ ALGORITHMS: dict[str, type[SearchSettings]] = {
     kind.algorithm: kind for kind in (GA, BO, CppnNeat, MapElites, RandomDesigns, CustomSearch)
 }
 """The settings of each algorithm, by its name."""
-
-
-def settings_from(values: Mapping[str, Any] | SearchSettings) -> SearchSettings:
-    """The settings that plain values stand for.
-
-    Args:
-        values: a mapping or a dataclass with the name of the ``algorithm`` and any of its settings; None stands
-            for the default.
-
-    Raises:
-        ConfigError: an unknown algorithm, a setting that this algorithm does not have, or a value that is not valid.
-    """
-    plain: Mapping[str, Any] = vars(values) if isinstance(values, SearchSettings) else values
-    given = {name: value for name, value in plain.items() if value is not None}
-    algorithm = given.pop("algorithm", None)
-    check_choice("search", algorithm, ALGORITHMS)
-    return ALGORITHMS[algorithm](**given)

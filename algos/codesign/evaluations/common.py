@@ -226,6 +226,6 @@ class FewShot(CommonPolicy):
         return known.get(STEPS)
 
     def screening(self, search: Codesign, known: Any) -> DesignEvaluator:
-        from warpvox.algos.codesign.common_policy import FewShotEvaluator
+        from warpvox.algos.codesign.common_policy import SharedEvaluator
 
-        return FewShotEvaluator(self.factory(search, observed_by(known["policy"])), self, search.seed, known)
+        return SharedEvaluator(self.factory(search, observed_by(known["policy"])), self, search.seed, known)

@@ -12,7 +12,7 @@ from population_cases import candidates, factory, small
 from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
 from warpvox.algos.checkpoints.files import Controller, build_actor, spec_of
 from warpvox.algos.codesign.archive import FILE, Archive
-from warpvox.algos.codesign.common_policy import FewShotEvaluator, SharedEvaluator
+from warpvox.algos.codesign.common_policy import SharedEvaluator
 from warpvox.algos.codesign.evaluations import FewShot
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.evaluate import evaluate
@@ -72,8 +72,8 @@ def pretrained_cpg() -> dict[str, Any]:
     return runner.state()
 
 
-def few_shot(pretrained: dict[str, Any], **changes: Any) -> FewShotEvaluator:
-    return FewShotEvaluator(FACTORY, how(**changes), 0, pretrained)
+def few_shot(pretrained: dict[str, Any], **changes: Any) -> SharedEvaluator:
+    return SharedEvaluator(FACTORY, how(**changes), 0, pretrained)
 
 
 def values(outcomes: list[Outcome]) -> list[float]:
@@ -110,7 +110,7 @@ def test_the_policy_goes_on_learning_from_generation_to_generation() -> None:
 def test_a_policy_without_feedback_is_tuned_by_gradients(pretrained_cpg: dict[str, Any]) -> None:
     found = candidates(3)
     before, after, again = (
-        FewShotEvaluator(TIMED, cpg(iterations), 0, pretrained_cpg).evaluate(found, {}) for iterations in (0, 4, 4)
+        SharedEvaluator(TIMED, cpg(iterations), 0, pretrained_cpg).evaluate(found, {}) for iterations in (0, 4, 4)
     )
     assert all(torch.equal(value, pretrained_cpg["actor_state_dict"][name]) for name, value in before[0].policy.items())
     assert not torch.equal(after[0].policy["network.wave"], before[0].policy["network.wave"])
@@ -143,7 +143,7 @@ def test_zero_shot_is_the_pretrained_policy_itself_in_any_company(pretrained: di
 def test_a_pretrained_policy_for_other_bodies_is_refused(pretrained: dict[str, Any]) -> None:
     larger = FACTORY.computed(grid=(3, 4))
     with pytest.raises(RunError, match="another layout"):
-        FewShotEvaluator(larger, how(), 0, pretrained).evaluate(candidates(1), {})
+        SharedEvaluator(larger, how(), 0, pretrained).evaluate(candidates(1), {})
 
 
 @pytest.mark.parametrize(

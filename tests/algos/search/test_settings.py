@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.search import (
     ALGORITHMS,
     BO,
@@ -19,7 +20,6 @@ from warpvox.algos.search import (
     MapElites,
     Proposal,
     make_search,
-    settings_from,
 )
 from warpvox.cli.config import load
 from warpvox.code import Code
@@ -72,7 +72,7 @@ def test_ga_defaults_are_those_of_table_3() -> None:
 )
 def test_mistakes_are_told_in_words(given: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
-        settings_from(given)
+        Codesign(search=given)
 
 
 @pytest.mark.parametrize(("settings", "kind"), [({"algorithm": "ga"}, "dict"), (GA, "type")])
