@@ -244,7 +244,7 @@ def spec_of(values: Mapping[str, Any]) -> PolicySpec:
     """The specification stored in a checkpoint. TypeError: it has other entries, or is none."""
     if not isinstance(values, Mapping):
         raise TypeError(f"it is described by {values!r:.40}")
-    return PolicySpec(**{name: value for name, value in values.items() if name != "width"})  # of earlier versions
+    return PolicySpec(**values)
 
 
 def spec_for(ppo: Ppo, num_obs: int, num_actions: int, **kind: Any) -> PolicySpec:

@@ -5,7 +5,7 @@ import binascii
 import copy
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -227,14 +227,12 @@ def parse_policy(text: str, source: object, network: str | None = None) -> Polic
     try:
         content = parse_json(text)
         version = content.get("version") if isinstance(content, dict) and content.get("format") == FORMAT else None
-        if version not in (1, VERSION):
+        if version != VERSION:
             raise ValueError(f"it is not a '{FORMAT}' of version {VERSION}")
         given, metadata = content.get("policy"), content.get("metadata")
         if not isinstance(given, dict) or not isinstance(metadata, dict):
             raise ValueError("it has no description of the network")
         spec = with_code(spec_of(given), network)
-        if version == 1 and spec.voxels is None:
-            spec = replace(spec, normalize_obs=False)  # eps is part of these deviations
         check_sizes(spec)
         with torch.device("meta"):  # without memory for the weights
             special = any(getattr(spec, name) is not None for name in KINDS)

@@ -292,6 +292,5 @@ class Bodies:
         env.set_designs(bodies, torch.ones(env.num_envs, dtype=torch.bool, device=env.device))
         self._which, self.seen = state["which"].cpu().numpy().copy(), state["seen"]
         self._returns = state["returns"].cpu().numpy().copy()
-        if "digests" in state:
-            self._digests = set(state["digests"].tolist())
+        self._digests = set(state["digests"].tolist())
         self._rng.bit_generator.state = json.loads(state["random"])

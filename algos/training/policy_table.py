@@ -70,22 +70,13 @@ class EvaluatedPolicy:
         return float(np.quantile(self.independent, 0.1))
 
 
-@dataclass(frozen=True)
-class PolicyTable(Sequence):
+class PolicyTable(tuple[EvaluatedPolicy, ...]):
     """Rows in the order in which policies were given; printed as a table."""
 
-    rows: list[EvaluatedPolicy]
-
-    def __getitem__(self, number: Any) -> Any:
-        return self.rows[number]
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
     def _cells(self) -> Iterator[tuple[str, ...]]:
-        percent = f"{100 * self.rows[0].level:g} % interval"
+        percent = f"{100 * self[0].level:g} % interval"
         yield "policy", "task", "episodes", "mean return", percent, "10 % quantile", "n"
-        for row in self.rows:
+        for row in self:
             low, high, n = row.interval.low, row.interval.high, row.interval.n
             interval = f"{low:.3f} to {high:.3f}" if n > 1 else "-"
             yield row.name, row.task, row.disturbance, f"{row.mean:.3f}", interval, f"{row.low_tenth:.3f}", str(n)

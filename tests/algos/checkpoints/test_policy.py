@@ -1,6 +1,5 @@
 """Policies as modules and as files: the same actions as in training, and no file is trusted."""
 
-import base64
 import io
 import json
 import zipfile
@@ -48,14 +47,6 @@ def test_it_is_the_policy_that_plays(activation: str, normalize: bool) -> None:
     assert torch.equal(again(obs), policy(obs))
     assert torch.equal(again.in_float64()(obs), controller(obs))  # bit for bit what a run of the checkpoint does
     assert again.spec == policy.spec
-
-
-def test_the_first_version_of_files_is_read() -> None:
-    """Its deviations have 0.01 added to them already."""
-    policy = policy_of(make_controller())
-    added = (policy.deviation.numpy() + np.float32(0.01)).tobytes()
-    old = parse_policy(card(version=1, weights=weights(deviation=base64.b64encode(added).decode())), "here")
-    assert torch.equal(old(some_obs()), policy(some_obs()))
 
 
 def test_actions_stay_in_the_range_and_shapes_are_free() -> None:
@@ -130,13 +121,14 @@ def weights(**changes: object) -> dict:
 
 
 SPEC = {"num_obs": 5, "num_actions": 3, "hidden": [8, 6], "activation": "tanh", "normalize_obs": True}
-SPEC |= {"action_scale": 0.5, "width": None}
+SPEC |= {"action_scale": 0.5}
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("{", "not valid JSON"),
+        (card(version=1), "version 2"),
         (card(version=3), "version 2"),
         (card(policy=None), "no description of the network"),
         (card(weights=[1]), "no weights"),
