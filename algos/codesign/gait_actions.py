@@ -17,8 +17,8 @@ from warpvox.types import Cell
 
 AT_ONCE = 1 << 20
 """Actions that are computed at once, about: those of many control steps, if environments are few."""
-NOISE = DISTURBANCES["noise"].noise
-"""Deviation of the noise on disturbed actions."""
+NOISE = float(np.float32(DISTURBANCES["noise"].noise))
+"""Deviation of the noise on disturbed actions, rounded as in episodes of other policies."""
 CHECK_EVERY = 25
 """Control steps between checks whether all episodes have ended."""
 

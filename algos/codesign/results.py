@@ -18,6 +18,7 @@ from warpvox import __version__
 from warpvox.algos.candidate import FINALIST, Listener
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.algos.evaluate import evaluate
+from warpvox.algos.protocols import NOMINAL
 from warpvox.algos.report import FILE as REPORT, FILM, write_report
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.algos.training.playing import Playing, load_result, load_trained, own_code
@@ -142,19 +143,20 @@ def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
     """Mean return of a search's best design over episodes that its training never met.
 
     Each design is judged by few episodes, always the same, and the best of many is chosen by them: that return is too
-    good for what else the task may draw.
+    good for what else the task, or the noise of ``fitness=robust``, may draw.
 
     Returns:
         ``mean``, ``low`` and ``high`` (95 % interval, Student's t), ``episodes``, ``seed``; empty if nothing is
         random, or no design has a policy.
     """
-    if not get_task(settings.task).under(settings.rules).is_random:
+    if settings.fitness == NOMINAL and not get_task(settings.task).under(settings.rules).is_random:
         return {}
     if not any(best.policy for best in results.archive.best()):
         return {}
     seed = FRESH_SEED + (settings.seed == FRESH_SEED)  # which the search has compared its designs by
     device = settings.device if settings.executor == "local" else "cpu"
-    play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **own_code(settings))
+    how = {"protocol": NOMINAL if settings.fitness == NOMINAL else "noise"} | own_code(settings)
+    play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **how)
     env, policy = load_trained(find_run(str(results.folder), settings.output_dir), play)
     found = mean_interval(evaluate(env, policy).returns.tolist())
     return {"mean": found.mean, "low": found.low, "high": found.high, "episodes": FRESH, "seed": seed}

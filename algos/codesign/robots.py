@@ -130,8 +130,11 @@ def _of_training(run: Run) -> dict[str, Any]:
     """Facts from the files of a training; what it has cost includes the one whose policy it began with."""
     about: dict[str, Any] = _about(run) | {"control_steps": read_summary(run.folder).get("steps")}
     if source := run.config.get("pretrained"):
-        known = _of_training(find_run(source, ""))
         about["config"]["pretrained"] = "/".join(Path(source).parts[-3:])
+        try:
+            known = _of_training(find_run(source, ""))
+        except RunError:  # a file by itself, or of a run that is gone: nobody knows what it has cost
+            return about | {"control_steps": None, "wall_s": None}
         for name in "control_steps", "wall_s":
             spent = about[name], known[name]
             about[name] = None if None in spent else sum(spent)

@@ -105,7 +105,7 @@ class SearchResult:
 
     @property
     def fresh(self) -> Mapping[str, Any]:
-        """The winner's returns on fresh seeds, where the task is random: mean, low, high, episodes."""
+        """The winner's returns on fresh seeds, where the task or ``fitness`` draws: mean, low, high, episodes."""
         return self.summary.get("fresh_seeds", {})
 
     def ranked(self, generation: int) -> list[Record]:

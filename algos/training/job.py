@@ -46,8 +46,8 @@ from warpvox.system import usable_cores
 from warpvox.trust import as_stored, keep_code
 
 CHANGEABLE = (
-    "max_iterations", "eval_interval", "eval_envs", "stop_return", "save_interval", "device", "threads",
-    "torch_threads", "logger", "nan_guard", "memory_check", "export", "resume", "output_dir",
+    "max_iterations", "eval_interval", "stop_return", "save_interval", "device", "threads", "torch_threads", "logger",
+    "nan_guard", "memory_check", "export", "resume", "output_dir",
 )  # fmt: skip
 """Keys that may differ when a run is resumed: they do not change what is learned.
 

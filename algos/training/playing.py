@@ -111,7 +111,7 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
     parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=controller.spec.has_feedback)
     judged, drawn = bodies.judged, config.stochastic or parts != (NOMINAL,) or get_task(trained.task).is_random
     if trained.is_many:
-        judged = judged if designs is None else read_bodies(designs, trained.seed, "designs")
+        judged = judged if designs is None else read_bodies(designs, trained.seed, "designs", bodies.trained)
         count = config.num_envs or min(SHOWN, len(judged))
         if every:
             count = len(judged) * max(1, count // len(judged))

@@ -23,14 +23,19 @@ from warpvox.runs import Run
 
 @dataclass(frozen=True)
 class EvaluatedPolicy:
-    """A row: the returns of all episodes, and of those that are independent; of equal ones of a body the mean."""
+    """A row: the returns of all episodes, and of those that are independent.
+
+    Of many bodies, of which another policy would meet others, these are the means of the bodies; so is that of equal
+    episodes. ``drawn``: episodes with a body differ by chance.
+    """
 
     name: str
     task: str
     returns: list[float]
     independent: list[float]
     level: float
-    disturbance: str = NOMINAL
+    disturbance: str
+    drawn: bool
 
     @classmethod
     def each(
@@ -50,8 +55,8 @@ class EvaluatedPolicy:
         for part, block in zip(parts, blocks.tolist(), strict=True):
             returns = [value for body in block for value in body]
             differ = drawn or part != NOMINAL or env.spec.is_random
-            independent = returns if differ else [sum(body) / len(body) for body in block]
-            rows.append(cls(name, env.spec.id, returns, independent, level, part))
+            independent = returns if differ and designs == 1 else [sum(body) / len(body) for body in block]
+            rows.append(cls(name, env.spec.id, returns, independent, level, part, differ))
         return rows
 
     @property

@@ -82,11 +82,13 @@ def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) 
     assert read_summary(played)["mean_return"] == pytest.approx(other.fitness, abs=ROUNDING)
 
 
-def test_the_winner_of_a_random_task_is_judged_again_on_fresh_seeds(search: Callable, warpvox, monkeypatch) -> None:
+@pytest.mark.parametrize("words", [["task=Catcher-v0"], ["fitness=robust", "training.eval_envs=2"]])
+def test_a_winner_among_random_episodes_is_judged_again_on_fresh_seeds(words, search, warpvox, monkeypatch) -> None:
     monkeypatch.setattr(results_of, "FRESH", 12)  # of 64
-    folder = search("task=Catcher-v0", "search.max_evaluations=5", "seed=3")
+    folder = search(*words, "search.max_evaluations=5", "seed=3")
     fresh, text = read_summary(folder)["fresh_seeds"], (folder / "report.html").read_text()
-    warpvox("evaluate", f"runs=[{folder}]", "episodes=12", "device=cpu", "threads=1")
+    how = "protocol=noise" if "fitness=robust" in words else "protocol=nominal"
+    warpvox("evaluate", f"runs=[{folder}]", how, "episodes=12", "device=cpu", "threads=1")
     (judged,) = Path("outputs/evaluate").glob("*/*")
     (again,) = read_summary(judged)["runs"]
     assert [fresh[name] for name in ("mean", "low", "high")] == [again[name] for name in ("mean", "low", "high")]

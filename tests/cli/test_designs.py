@@ -112,9 +112,11 @@ def test_a_run_over_many_bodies_is_trained_evaluated_and_played(tmp_path: Path) 
     folder = evaluate_runs(load("evaluate", [*words, f"runs={run.folder}", "checkpoint=last"]), console)
     found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     assert found["mean_return"] == pytest.approx(sum(last) / 3, rel=1e-4)
-    folder = evaluate_runs(load("evaluate", [*words, f"runs={run.folder}", "designs=random:5:3x3"]), console)
-    (found,) = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["runs"]
-    assert (len(found["returns"]), found["n"]) == (30, 5)  # six copies of one episode say no more about a body
+    for protocol in "nominal", "noise":  # episodes with a body say less about the policy than other bodies do
+        given = [*words, f"runs={run.folder}", "designs=random:5:3x3", f"protocol={protocol}"]
+        folder = evaluate_runs(load("evaluate", given), console)
+        (found,) = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["runs"]
+        assert (len(found["returns"]), found["n"]) == (30, 5)
     assert Image.open(run.folder / "held_out.png").size[0] > 3 * 60
     played = play(load("play", [*words, f"run={run.folder}", "num_envs=3", "steps=3", "export=[png,html]"]), console)
     shown = json.loads((played / "summary.json").read_text(encoding="utf-8"))

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -148,6 +149,13 @@ def test_a_deterministic_policy_in_a_task_without_chance_has_one_episode(train: 
     assert (run["n"], run["low"]) == (1, None)
     assert len(run["returns"]) == 8
     assert math.isfinite(run["mean"])
+    young = Path(shutil.copytree(folder, "outputs/train/Walker-v0/young"))
+    for checkpoint in young.glob("model_*.pt"):
+        checkpoint.unlink()
+    both = warpvox("evaluate", "runs=outputs/train/Walker-v0/*", "episodes=1", *FAST)
+    assert "left out: outputs/train/Walker-v0/young: The run" in both.out
+    assert f"{run['mean']:.3f}" in both.out
+    warpvox("evaluate", "runs=outputs/train/Walker-v0/young", *FAST, fails="no checkpoint yet")
     played = warpvox("play", f"run={folder}", "num_envs=8", "steps=3", "export=[]", "window=off", *FAST)
     assert "the task draws nothing at random" in played.out
     assert "deterministic" in played.out

@@ -17,7 +17,7 @@ from warpvox.cli.run_groups import group_runs
 from warpvox.code import Code, is_code
 from warpvox.configs.show import EvaluateConfig
 from warpvox.design import zoo_tasks
-from warpvox.errors import ConfigError, counted
+from warpvox.errors import ConfigError, WarpvoxError, counted
 from warpvox.io.console import echo, literal, shown
 from warpvox.io.writing import to_yaml, write_table
 from warpvox.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
@@ -39,8 +39,10 @@ def run(words: list[str]) -> None:
 def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
     """Evaluate the runs, print and write tables; returns the folder of the results.
 
+    Of several runs those that cannot be evaluated are left out, with a line each.
+
     Raises:
-        WarpvoxError: a run that does not exist or cannot be evaluated as asked; nothing is written then.
+        WarpvoxError: a run that does not exist, or none can be evaluated as asked; nothing is written then.
     """
     from warpvox.algos.training.policy_table import judged_groups
 
@@ -51,8 +53,14 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
     found = find_runs([*runs, *robots], config.output_dir)
     rows = {}
     for number, each_run in enumerate(found):
-        with console.status(f"evaluating run {number + 1} of {len(found)}"):
-            rows[id(each_run)] = _evaluate(each_run, config)
+        try:
+            with console.status(f"evaluating run {number + 1} of {len(found)}"):
+                rows[id(each_run)] = _evaluate(each_run, config)
+        except WarpvoxError as error:
+            if number == len(found) - 1 and not rows:
+                raise
+            echo(console, f"left out: {shown(each_run.folder)}: {error}")
+    found = [each_run for each_run in found if id(each_run) in rows]
     judged = judged_groups(group_runs(found), lambda each_run: rows[id(each_run)])
     tasks = {str(each_run.config["task"]) for each_run in found}
     place = as_name(tasks.pop()) if len(tasks) == 1 else SEVERAL
@@ -83,7 +91,9 @@ def _evaluate(found: Run, config: EvaluateConfig) -> list[EvaluatedPolicy]:
 def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> None:
     percent = f"{100 * config.level:g} %"
     kind = "sampled actions" if config.stochastic else "deterministic"
-    title = f"mean return, {kind}, {counted(config.episodes, 'episodes')} of each run"
+    counts = sorted({len(row.returns) for entry in judged for row in entry.rows})
+    many = counted(counts[0], "episodes") if len(counts) == 1 else f"{counts[0]} to {counts[-1]} episodes"
+    title = f"mean return, {kind}, {many} of each run"
     headings = "settings", "run", "episodes", "mean", f"{percent} interval", "10 % quantile", "n", "over"
     sections, before = [], None
     for entry in judged:
@@ -131,7 +141,8 @@ def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]
 
 def _say_alike(rows: list[EvaluatedPolicy], config: EvaluateConfig, console: Console) -> None:
     """Report runs whose episodes with a body are all the same, so that more of them add no information."""
-    alike = [row for row in rows if len(row.independent) < len(row.returns)] if config.protocol == NOMINAL else []
+    alike = [row for row in rows if not row.drawn and len(row.independent) < len(row.returns)]
+    alike = alike if config.protocol == NOMINAL else []
     if alike:
         which = "all runs" if len(alike) == len(rows) else f"{len(alike)} of {len(rows)} runs"
         echo(
