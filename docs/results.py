@@ -46,8 +46,8 @@ BODIES = 64
 Row = Mapping[str, str]
 HEAD = """# Results
 
-The best robots found so far, chosen by their mean return under noise, beside the best published returns with bodies
-of 5 x 5 cells.
+The best robots found so far, chosen by their mean return under noise (in other episodes than those shown), beside the
+best published returns with bodies of 5 x 5 cells.
 {sizes}
 {summary}
 

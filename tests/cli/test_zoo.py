@@ -73,13 +73,14 @@ def test_a_run_becomes_an_entry_and_only_a_better_one_replaces_it(warpvox: Calla
     assert "ppo.steps=4" in robot.about["command"]
     before = Path("mine/Walker-v0.npz").read_bytes()
     again = warpvox("zoo", f"add={run}", "folder=mine")
-    known = robot.robust_return
-    assert f"{known:.6f} under noise ({robot.mean_return:.6f} nominal), the entry has {known:.6f}; kept" in again.out
+    known, figures = robot.choosing_return, f"{robot.robust_return:.6f} under noise, {robot.mean_return:.6f} nominal"
+    assert f"{figures}; {known:.6f} in the episodes that choose, the entry has {known:.6f} in them; kept" in again.out
+    assert not {*robot.about["noise"]["returns"]} & {*robot.about["chosen_by"]}
     assert Path("mine/Walker-v0.npz").read_bytes() == before
-    save_robot(
-        "mine/Walker-v0.npz", type(robot)(**{**vars(robot), "about": {**robot.about, "noise": {"return": -100.0}}})
+    save_robot("mine/Walker-v0.npz", type(robot)(**{**vars(robot), "about": {**robot.about, "chosen_by": [-100.0]}}))
+    assert (
+        "the entry has -100.000000 in them; written" in warpvox("zoo", f"add=[{run}/model_best.pt]", "folder=mine").out
     )
-    assert "the entry has -100.000000; written" in warpvox("zoo", f"add=[{run}/model_best.pt]", "folder=mine").out
     Path("empty").mkdir()
     warpvox("zoo", f"add=[empty,{run}]", "folder=other", fails="1 of 2 could not be added")
     assert Path("other/Walker-v0.npz").is_file()
@@ -99,7 +100,7 @@ def test_an_entry_waits_until_another_process_has_written_its_own(
     run, waits = train("task=Walker-v0", "max_iterations=1"), Event()
     warpvox("zoo", f"add={run}", "folder=mine")
     robot = read_robot("mine/Walker-v0.npz")
-    better = dataclasses.replace(robot, about={**robot.about, "noise": {"return": 100.0}})
+    better = dataclasses.replace(robot, about={**robot.about, "chosen_by": [100.0]})
 
     def evaluated(*_: object) -> object:
         waits.set()
@@ -116,9 +117,9 @@ def test_an_entry_waits_until_another_process_has_written_its_own(
     monkeypatch.setattr("warpvox.cli.robot_entries.recorded", evaluated)
     other.start()
     begun.wait()
-    assert "the entry has 100.000000; kept" in warpvox("zoo", f"add={run}", "folder=mine").out
+    assert "the entry has 100.000000 in them; kept" in warpvox("zoo", f"add={run}", "folder=mine").out
     other.join()
-    assert read_robot("mine/Walker-v0.npz").robust_return == 100
+    assert read_robot("mine/Walker-v0.npz").choosing_return == 100
 
 
 def test_an_entry_has_cost_what_its_pretrained_policy_has(warpvox: Callable, train: Callable) -> None:
@@ -131,6 +132,10 @@ def test_an_entry_has_cost_what_its_pretrained_policy_has(warpvox: Callable, tra
     (before,) = about["start"]
     assert (before["control_steps"], "max_iterations=2" in before["command"]) == (steps[0], True)
     assert about["command"].endswith(f"pretrained=Walker-v0/{first.name}/model_best.pt")
+    first.rename("elsewhere")
+    warpvox("zoo", f"add={second}", "folder=other")
+    about = read_robot("other/Walker-v0.npz").about
+    assert (about["control_steps"], "start" in about) == (None, False)
 
 
 def test_a_gait_is_listed_shown_played_and_loaded(warpvox: Callable) -> None:

@@ -75,7 +75,7 @@ def test_feedback_is_preferred_to_a_gait_that_is_not_better() -> None:
 
     def entry(task: str, mean: float) -> Robot:
         returns = mean + noise - noise.mean()
-        return dataclasses.replace(zoo(task), about={"noise": {"return": mean, "returns": returns.tolist()}})
+        return dataclasses.replace(zoo(task), about={"chosen_by": returns.tolist()})
 
     gait = entry("Jumper-v0", 10.0)
     for mean, taken in (9.98, False), (9.999, True), (10.1, True):

@@ -61,7 +61,7 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[
         if "config" in before:  # of a training whose policy the next one began with
             before["command"] = _command(before)
     judged = (recorded(robot, {**robot.about, "command": command}) for robot in robots)
-    best = max(judged, key=lambda robot: robot.robust_return)
+    best = max(judged, key=lambda robot: robot.choosing_return)
     best = dataclasses.replace(best, task=get_task(best.task).id)
     path = folder / f"{as_name(best.task)}.npz"
     with writing(folder):

@@ -76,9 +76,15 @@ class Robot:
 
     @property
     def robust_return(self) -> float:
-        """The recorded mean return under noise, by which the zoo ranks; NaN: none is known."""
+        """The recorded mean return under noise; NaN: none is known."""
         value = self.about.get("noise", {}).get("return")
         return float("nan") if value is None else float(value)
+
+    @property
+    def choosing_return(self) -> float:
+        """The same of other episodes, by which the zoo chooses its entries."""
+        returns = self.about.get("chosen_by") or [float("nan")]
+        return sum(returns) / len(returns)
 
     @property
     def has_feedback(self) -> bool:

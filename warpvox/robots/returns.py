@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from typing import Any, cast
 
-from warpvox.algos.disturbance import Disturbed
+from warpvox.algos.disturbance import CHOOSING, JUDGED, Disturbed
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.protocols import ROBUST, parts_of
 from warpvox.algos.statistics import difference
@@ -16,8 +16,8 @@ from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
 from warpvox.robots.replay import SEEDS, check_sizes, robot_env
 
-EPISODES = 32
-"""Disturbed episodes of a robot."""
+EPISODES, CANDIDATE = 32, 128
+"""Disturbed episodes of a robot, and those that entries are chosen by: a few do not show a rare fall."""
 EQUAL = 1e-3
 """Share of a mean under noise by which a policy with feedback may be below that of a gait and still be preferred."""
 
@@ -54,18 +54,23 @@ def judge(robot: Robot, seeds: Sequence[int] | None = None) -> Judgement:
     return Judgement(list(returns), list(lengths), seeds)
 
 
-def judge_robust(robot: Robot, protocol: str = ROBUST, episodes: int = EPISODES) -> dict[str, list[float]]:
+def judge_robust(
+    robot: Robot, protocol: str = ROBUST, episodes: int = EPISODES, stream: int = JUDGED
+) -> dict[str, list[float]]:
     """Returns of ``robot`` in disturbed episodes in exact arithmetic: ``episodes`` of each disturbance.
 
-    Those of :data:`warpvox.algos.protocols.PROTOCOLS`, side by side; :func:`judge` gives the nominal ones.
+    Those of :data:`warpvox.algos.protocols.PROTOCOLS`, side by side; :func:`judge` gives the nominal ones. The best of
+    many robots owes a part of its return to chance: it is chosen by the episodes of the ``stream`` CHOOSING, and its
+    return is that of others.
 
     Raises:
         RunError: it has no policy, or one for other environments. ConfigError: no disturbance of ``protocol`` concerns
             its policy.
     """
     parts = parts_of(protocol, feedback=robot.has_feedback)
-    env = robot_env(robot, [SEEDS[0] + number for number in range(episodes)] * len(parts))
-    found = evaluate(env, Disturbed(cast(Any, robot.own_policy), env, parts, SEEDS[0])).returns
+    first = SEEDS[0] if stream == JUDGED else 2 * SEEDS[0]
+    env = robot_env(robot, list(range(first, first + episodes)) * len(parts))
+    found = evaluate(env, Disturbed(cast(Any, robot.own_policy), env, parts, SEEDS[0], stream)).returns
     return {
         part: [round(value, DIGITS) for value in row.tolist()]
         for part, row in zip(parts, found.view(len(parts), -1), strict=True)
@@ -90,10 +95,10 @@ def is_better(robot: Robot, entry: Robot) -> bool:
     """
     if robot.has_feedback != entry.has_feedback:
         seeing, gait = (robot, entry) if robot.has_feedback else (entry, robot)
-        one, other = (each.about.get("noise", {}).get("returns") for each in (seeing, gait))
-        if one and other and difference(one, other).low >= -EQUAL * abs(gait.robust_return):
+        one, other = (each.about.get("chosen_by") for each in (seeing, gait))
+        if one and other and difference(one, other).low >= -EQUAL * abs(gait.choosing_return):
             return robot.has_feedback
-    return not robot.robust_return <= entry.robust_return  # than an entry's NaN anything is better
+    return not robot.choosing_return <= entry.choosing_return  # than an entry's NaN anything is better
 
 
 def recorded(robot: Robot, about: dict[str, Any]) -> Robot:
@@ -102,5 +107,6 @@ def recorded(robot: Robot, about: dict[str, Any]) -> Robot:
     found = {"return": result.mean_return, "returns": result.returns, "lengths": result.lengths, "seeds": result.seeds}
     noisy = judge_robust(robot, "noise")["noise"]
     found["noise"] = {"return": round(sum(noisy) / len(noisy), DIGITS), "returns": noisy}
+    found["chosen_by"] = judge_robust(robot, "noise", CANDIDATE, CHOOSING)["noise"]
     date = datetime.now(timezone.utc).strftime("%Y-%m-%d")
     return replace(robot, about=found | about | {"date": date})

@@ -139,9 +139,10 @@ def _add(config: ZooConfig, folder: Path, console: Console) -> None:
             failed.append(error)
             echo(console, f"{source}: {error}")
             continue
-        known = "no entry before" if before is None else f"the entry has {before.robust_return:.6f}"
+        known = "no entry before" if before is None else f"the entry has {before.choosing_return:.6f} in them"
         done = "kept as it is" if written is None else f"written to {written}"
-        figures = f"{robot.robust_return:.6f} under noise ({robot.mean_return:.6f} nominal)"
-        echo(console, f"{robot.task}: {figures}, {known}; {done}")
+        figures = f"{robot.robust_return:.6f} under noise, {robot.mean_return:.6f} nominal"
+        choice = f"{robot.choosing_return:.6f} in the episodes that choose"
+        echo(console, f"{robot.task}: {figures}; {choice}, {known}; {done}")
     if failed:
         raise RunError(f"{len(failed)} of {len(sources)} could not be added; the first: {failed[0]}")
