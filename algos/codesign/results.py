@@ -155,7 +155,7 @@ def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
         return {}
     seed = FRESH_SEED + (settings.seed == FRESH_SEED)  # which the search has compared its designs by
     device = settings.device if settings.executor == "local" else "cpu"
-    how = {"protocol": NOMINAL if settings.fitness == NOMINAL else "noise"} | own_code(settings)
+    how: dict[str, Any] = {"protocol": NOMINAL if settings.fitness == NOMINAL else "noise"} | own_code(settings)
     play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **how)
     env, policy = load_trained(find_run(str(results.folder), settings.output_dir), play)
     found = mean_interval(evaluate(env, policy).returns.tolist())
