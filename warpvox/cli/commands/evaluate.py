@@ -51,15 +51,17 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
     robots = [f"{ZOO}{name}" for name in (zoo_tasks() if config.zoo == ["all"] else config.zoo)]
     runs = ([] if robots else ["latest"]) if config.runs is None else config.runs
     found = find_runs([*runs, *robots], config.output_dir)
-    rows = {}
+    rows, failed = {}, []
     for number, each_run in enumerate(found):
         try:
             with console.status(f"evaluating run {number + 1} of {len(found)}"):
                 rows[id(each_run)] = _evaluate(each_run, config)
         except WarpvoxError as error:
-            if number == len(found) - 1 and not rows:
-                raise
-            echo(console, f"left out: {shown(each_run.folder)}: {error}")
+            failed.append((each_run, error))
+    if not rows:
+        raise failed[0][1]
+    for each_run, error in failed:
+        echo(console, f"left out: {shown(each_run.folder)}: {error}")
     found = [each_run for each_run in found if id(each_run) in rows]
     judged = judged_groups(group_runs(found), lambda each_run: rows[id(each_run)])
     tasks = {str(each_run.config["task"]) for each_run in found}
