@@ -32,7 +32,7 @@ class Draws:
     """Random numbers of disturbed episodes, functions of the seed, the copy, the control step and the purpose.
 
     Args:
-        seed: with the stream, :data:`JUDGED` or :data:`SEARCHED`.
+        seed: with the stream, :data:`JUDGED`, :data:`SEARCHED` or :data:`CHOOSING`.
         copies: episodes with numbers of their own; whatever is compared meets the same ones.
         device: of the numbers.
     """

@@ -16,7 +16,7 @@ from warpvox.algos.candidate import candidate_seed
 from warpvox.algos.checkpoints.files import Controller, build_actor, load_controller, spec_of
 from warpvox.algos.codesign.evaluations import Gaits
 from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
-from warpvox.algos.disturbance import JUDGED, NOISE, SEARCHED, Disturbed, Draws
+from warpvox.algos.disturbance import CHOOSING, JUDGED, NOISE, SEARCHED, Disturbed, Draws
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.protocols import COPIES, DISTURBANCES, PROTOCOLS
 from warpvox.algos.training.pretrained import UNIVERSAL_FILE
@@ -229,4 +229,6 @@ def test_a_robot_gets_the_recorded_returns_under_noise(task: str, episodes: int)
     robot = wv.zoo(task)
     recorded = robot.about["noise"]["returns"]
     assert judge_robust(robot, "noise", episodes)["noise"] == recorded[:episodes]
+    assert judge_robust(robot, "noise", episodes, CHOOSING)["noise"] == robot.about["chosen_by"][:episodes]
     assert (len(recorded), robot.robust_return) == (EPISODES, pytest.approx(np.mean(recorded)))
+    assert len(robot.about["chosen_by"]) == 128

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.algos.codesign.robots import robots_of
+from warpvox.algos.disturbance import CHOOSING
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, options_of
 from warpvox.configs.schema import PRESET
@@ -16,7 +17,7 @@ from warpvox.envs.registry import get_task
 from warpvox.errors import RunError
 from warpvox.io.writing import claimed, writing
 from warpvox.robots.entry import Robot, read_robot, save_robot
-from warpvox.robots.returns import is_better, recorded
+from warpvox.robots.returns import CANDIDATE, is_better, judge_robust, recorded
 from warpvox.runs import as_name
 from warpvox.trust import allowed
 
@@ -60,8 +61,9 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[
     for before in robots[0].about.get("start", ()):
         if "config" in before:  # of a training whose policy the next one began with
             before["command"] = _command(before)
-    judged = (recorded(robot, {**robot.about, "command": command}) for robot in robots)
-    best = max(judged, key=lambda robot: robot.choosing_return)
+    tried = [(judge_robust(robot, "noise", CANDIDATE, CHOOSING)["noise"], robot) for robot in robots]
+    returns, best = max(tried, key=lambda one: sum(one[0]))
+    best = recorded(best, {**best.about, "command": command, "chosen_by": returns})
     best = dataclasses.replace(best, task=get_task(best.task).id)
     path = folder / f"{as_name(best.task)}.npz"
     with writing(folder):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from typing import Any, cast
 
-from warpvox.algos.disturbance import CHOOSING, JUDGED, Disturbed
+from warpvox.algos.disturbance import JUDGED, Disturbed
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.protocols import ROBUST, parts_of
 from warpvox.algos.statistics import difference
@@ -68,7 +68,7 @@ def judge_robust(
             its policy.
     """
     parts = parts_of(protocol, feedback=robot.has_feedback)
-    first = SEEDS[0] if stream == JUDGED else 2 * SEEDS[0]
+    first = SEEDS[0] if stream == JUDGED else 2 * SEEDS[0]  # what the task itself draws differs, too
     env = robot_env(robot, list(range(first, first + episodes)) * len(parts))
     found = evaluate(env, Disturbed(cast(Any, robot.own_policy), env, parts, SEEDS[0], stream)).returns
     return {
@@ -107,6 +107,5 @@ def recorded(robot: Robot, about: dict[str, Any]) -> Robot:
     found = {"return": result.mean_return, "returns": result.returns, "lengths": result.lengths, "seeds": result.seeds}
     noisy = judge_robust(robot, "noise")["noise"]
     found["noise"] = {"return": round(sum(noisy) / len(noisy), DIGITS), "returns": noisy}
-    found["chosen_by"] = judge_robust(robot, "noise", CANDIDATE, CHOOSING)["noise"]
     date = datetime.now(timezone.utc).strftime("%Y-%m-%d")
     return replace(robot, about=found | about | {"date": date})

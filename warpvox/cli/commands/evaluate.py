@@ -144,8 +144,7 @@ def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]
 def _say_alike(rows: list[EvaluatedPolicy], config: EvaluateConfig, console: Console) -> None:
     """Report runs whose episodes with a body are all the same, so that more of them add no information."""
     alike = [row for row in rows if not row.drawn and len(row.independent) < len(row.returns)]
-    alike = alike if config.protocol == NOMINAL else []
-    if alike:
+    if alike and config.protocol == NOMINAL:
         which = "all runs" if len(alike) == len(rows) else f"{len(alike)} of {len(rows)} runs"
         echo(
             console,
