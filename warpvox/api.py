@@ -225,14 +225,19 @@ def evaluate(
             known = dataclasses.replace(known, arithmetic=None) if options.get("dtype") else known
             sim = {"dtype": known.dtype, "arithmetic": known.arithmetic, "physics": physics_of(known)}
             sim |= {key: value for key, value in options.items() if value is not None}
+            bodies, spec = load_bodies(body, seed), getattr(one, "spec", None)
+            if layout := (getattr(spec, "voxels", None) or {}).get("layout"):
+                grid = layout["rows"], layout["columns"]
+                if any(getattr(each, "shape", grid) != grid for each in bodies):
+                    sim["grid"] = grid
             given: dict[str, Any] = {"rules": known.rules, "obs": obs or about.get("obs") or "task"} | sim
-            parts = parts_of(protocol, feedback=getattr(getattr(one, "spec", None), "has_feedback", True))
+            parts = parts_of(protocol, feedback=getattr(spec, "has_feedback", True))
             if hasattr(one, "in_float64"):
                 if stochastic:
                     raise ConfigError(f"stochastic=True samples actions of runs; policy {number} acts without chance.")
                 one = one.in_float64()
             count = episodes * len(parts)
-            env = make_vec(where, load_bodies(body, seed), count, seed=seed, auto_reset=False, **given)
+            env = make_vec(where, bodies, count, seed=seed, auto_reset=False, **given)
             name = getattr(one, "__name__", f"policy {number}")
             rows.extend(EvaluatedPolicy.each(name, env, disturbed(one, env, parts, seed), level, parts, stochastic))
     return PolicyTable(rows)

@@ -23,6 +23,7 @@ from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError, first_line
 from warpvox.io.writing import atomic_path
 from warpvox.robots.network import WIDEST
+from warpvox.runs import BEST
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
 
 RNN = {"rnn_type": "lstm", "rnn_hidden_dim": 256, "rnn_num_layers": 1}
@@ -128,7 +129,9 @@ def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
             raise zipfile.BadZipFile(f"{damaged} is damaged")
         content = torch.load(path, map_location=device, weights_only=True)
     except Exception as error:  # whatever torch and pickle raise for what they cannot read
-        raise RunError(f"{path} is not a readable checkpoint ({first_line(error):.120}).") from None
+        others = path.name == BEST and any(path.parent.glob("model_[0-9]*.pt"))
+        hint = " The run has others: checkpoint=last takes the newest." if others else ""
+        raise RunError(f"{path} is not a readable checkpoint ({first_line(error):.120}).{hint}") from None
     if not isinstance(content, dict):
         raise RunError(f"{path} is not a checkpoint of warpvox.")
     return content

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
 from warpvox.design import Design
 from warpvox.envs.registry import known_returns
+from warpvox.io.reading import Unreadable, read_table
 from warpvox.io.writing import write_table
 
 if TYPE_CHECKING:
     from warpvox.algos.evaluate import EpisodeReturns, Evaluator
+
+COLUMNS = "body", "last_return", "best_return", "cells"
 
 
 def shades(task: str, returns: np.ndarray) -> list[float]:
@@ -41,7 +44,6 @@ class HeldOut:
     def __init__(self, judge: Evaluator, bodies: Sequence[Design], name: str = "held_out", task: str = "") -> None:
         self.judge, self.bodies, self.name, self.task = judge, list(bodies), name, task
         self.folder: Path | None = None
-        self.best = np.full(len(self.bodies), -np.inf)
 
     @property
     def about(self) -> str:
@@ -53,22 +55,21 @@ class HeldOut:
         """Evaluate ``policy``."""
         result = self.judge(policy)
         last = result.fitness.numpy()
-        self.best = np.maximum(self.best, last)
         if self.folder is not None:
+            file = self.folder / f"{self.name}.csv"
             cells = ["/".join("".join(map(str, row)) for row in body.tolist()) for body in self.bodies]
-            figures = [[f"{value:.6g}" for value in values] for values in (last, self.best)]
-            rows = zip(range(len(cells)), *figures, cells, strict=True)
-            write_table(self.folder / f"{self.name}.csv", ("body", "last_return", "best_return", "cells"), rows)
+            figures = [[f"{value:.6g}" for value in values] for values in (last, np.maximum(last, self._best(file)))]
+            write_table(file, COLUMNS, zip(range(len(cells)), *figures, cells, strict=True))
             self._draw(last, self.folder / f"{self.name}.png")
         return result
 
-    def state(self) -> dict[str, Any]:
-        """Best returns so far, for :meth:`set_state`."""
-        return {"best": torch.from_numpy(self.best.copy())}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from :meth:`state`."""
-        self.best = state["best"].cpu().numpy().copy()
+    def _best(self, file: Path) -> np.ndarray:
+        """The best returns that the table has, as it goes with the best policy of the folder; -inf: it has none."""
+        with suppress(Unreadable, KeyError, TypeError, ValueError):  # of a file that somebody else has written
+            best = np.array([row["best_return"] for row in read_table(file)], float)
+            if len(best) == len(self.bodies):
+                return best
+        return np.full(len(self.bodies), -np.inf)
 
     def _draw(self, last: np.ndarray, file: Path) -> None:
         """The bodies, the best first, on paper that is the greener the better they are: see :func:`shades`."""

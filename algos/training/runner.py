@@ -31,7 +31,6 @@ from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
-from warpvox.algos.training.held_out import HeldOut
 from warpvox.algos.training.metrics import Metrics, read_metrics
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
@@ -109,8 +108,7 @@ class Runner(OnPolicyRunner):
     Args:
         env: see :func:`adapt`.
         folder: of the run; must exist.
-        evaluator: says how good the policy is without exploration; None: no evaluations. The state of a
-            :class:`HeldOut` is saved and restored with that of training.
+        evaluator: says how good the policy is without exploration; None: no evaluations.
         on_save: called where ``state.pt`` would be written, instead; :meth:`state` is what there is to save.
         logger: where metrics go besides ``metrics.csv``, :data:`warpvox.algos.settings.LOGGERS`.
         group: the processes that train this policy together, each with its own ``env``. The first evaluates, writes
@@ -384,8 +382,6 @@ class Runner(OnPolicyRunner):
         }
         if self.bodies is not None:
             own["bodies"] = self.bodies.state(self.env)
-        if isinstance(self.evaluator, HeldOut):
-            own["evaluator"] = self.evaluator.state()
         return self._policy_content() | own
 
     def state_file(self, path: Path) -> Path:
@@ -448,7 +444,5 @@ class Runner(OnPolicyRunner):
         torch.set_rng_state(content["random"]["cpu"].cpu())
         if "cuda" in content["random"] and torch.device(self.device).type == "cuda":
             torch.cuda.set_rng_state(content["random"]["cuda"].cpu(), self.device)
-        if isinstance(self.evaluator, HeldOut) and "evaluator" in content:
-            self.evaluator.set_state(content["evaluator"])
         self.elapsed = content["elapsed"]
         self.best_return, self.best_iteration = content["best_return"], content["best_iteration"]

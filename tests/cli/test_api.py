@@ -267,7 +267,9 @@ def test_policies_are_loaded_by_whatever_names_them(train: Callable[..., Path], 
     for name in ("policy.onnx", "policy.pt"):
         assert torch.equal(wv.load_policy(out / name)(obs), last)
 
-    for source, words in (("nowhere", "no run at nowhere"), ("text.pt", "not a readable checkpoint")):
-        Path("text.pt").write_text("nothing")
+    (folder / "model_best.pt").write_bytes(b"nothing")
+    Path("text.pt").write_text("nothing")
+    wrong = {"nowhere": "no run at nowhere", "text.pt": r"not a readable checkpoint \([^()]*\)\.$"}
+    for source, words in (wrong | {folder: "not a readable checkpoint .* checkpoint=last takes the newest"}).items():
         with pytest.raises(wv.RunError, match=words):
             wv.load_policy(source)

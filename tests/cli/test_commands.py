@@ -1,6 +1,7 @@
 """Commands from end to end, on runs of a second."""
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -49,6 +50,19 @@ def test_resuming_refuses_what_would_be_another_run(train: Callable, warpvox: Ca
     }.items():
         warpvox("train", f"resume={folder}", *word.split(), fails=phrase)
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("value", "phrase"), [("0", "num_envs must be at least 1, got 0."), ("many", "could not be converted to Integer")]
+)
+def test_a_stored_value_that_is_not_valid_names_its_file(
+    train: Callable, warpvox: Callable, value: str, phrase: str
+) -> None:
+    config = train("max_iterations=1") / "config.yaml"
+    config.write_text(re.sub("num_envs: .*", f"num_envs: {value}", config.read_text()))
+    for key in "resume", "config":
+        error = warpvox("train", f"{key}={config.parent}", "max_iterations=2", fails=phrase).err
+        assert str(config if key == "resume" else config.parent) in error
 
 
 def test_several_designs_train_together_and_play(train: Callable, warpvox: Callable) -> None:

@@ -130,3 +130,12 @@ def test_a_run_over_many_bodies_is_trained_evaluated_and_played(tmp_path: Path) 
     assert '"name":"body 2"' in (played / "rollout.html").read_text(encoding="utf-8")
     with_body = [*words, f"run={run.folder}", "design=[[3,3],[4,0]]", "num_envs=1", "steps=3", "export=[]"]
     assert (play(load("play", with_body), console) / "rollout.npz").is_file()
+    policy, options = wv.load_policy(run.folder), {"design": [[3, 3], [4, 0]], "episodes": 1, "threads": 1}
+    alone, of_run = wv.evaluate(policy, "Walker-v0", **options), wv.evaluate(run, **options)
+    assert alone[0].mean == of_run[0].mean  # of a body that is smaller than the grid
+    table = run.folder / "held_out.csv"
+    table.write_text(table.read_text().replace(f"1,{rows[1]['last_return']},{rows[1]['best_return']}", "1,0,99"))
+    wv.train(resume=run.folder / "model_2.pt", max_iterations=3, progress=False)
+    resumed = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+    assert resumed[1]["best_return"] == "99"
+    assert resumed[0]["best_return"] == max(resumed[0]["last_return"], rows[0]["best_return"], key=float)

@@ -147,6 +147,7 @@ def test_budgets_by_task() -> None:
         ({"control_steps": 10}, "must be at least"),
         ({"codesign": ["seed=3"]}, "seed is set by the suite for each search. Did you mean 'seeds'"),
         ({"codesign": ["search.max_evaluations=3"]}, "set by the suite for each search. Did you mean 'evaluations'"),
+        ({"codesign": ["search.max_evaluation=3"]}, "a suite says how much each search may do, evaluations="),
     ],
 )
 def test_mistakes_in_what_members_are(quick_keys: Any, changes: dict[str, Any], phrase: str) -> None:

@@ -85,6 +85,7 @@ def test_a_run_becomes_an_entry_and_only_a_better_one_replaces_it(warpvox: Calla
     warpvox("zoo", f"add=[empty,{run}]", "folder=other", fails="1 of 2 could not be added")
     assert Path("other/Walker-v0.npz").is_file()
     warpvox("zoo", "add=nowhere", "folder=other", fails="There is no design search")
+    warpvox("zoo", f"add={run}", "task=Climber-v0", "folder=other", fails="is of Walker-v0, got task=Climber-v0")
     warpvox("zoo", f"add={run}", "folder=mine/Walker-v0.npz", fails="Walker-v0.npz is a file, not a folder.")
     config = OmegaConf.load(run / "config.yaml")
     config.design = {"robot": config.design, "mate": config.design}

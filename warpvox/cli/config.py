@@ -47,10 +47,15 @@ def load(
         if f"{PRESET}/{command}" in named:
             raise ConfigError(f"config={file} and {preset_key(command)} both say where to start: give one of them.")
         base, home = _read_file(Path(str(file)).expanduser())
+    origin = f"{file or home / CONFIG}: " if file or home else ""
     # OmegaConf's clean-up turns an interrupt into errors of its own
     with hydras_errors(f"{file}: " if file else ""), uninterrupted():
-        result: Any = OmegaConf.to_object(_composed(command, parsed, config_dir, base))
-    check_values(result)
+        whole = _composed(command, parsed, config_dir, base, origin)
+        try:
+            result: Any = OmegaConf.to_object(whole)
+            check_values(result)
+        except ConfigError as error:  # the overrides have been checked one by one
+            raise ConfigError(f"{origin}{error}") from None
     if base is None:
         return with_code(result, typed(result))
     result = dataclasses.replace(result, config=None) if file else result
@@ -95,8 +100,10 @@ def _read_file(path: Path) -> tuple[dict[str, Any], Path]:
     return {name: value for name, value in values.items() if name not in NOT_TAKEN}, path.parent
 
 
-def _composed(command: str, parsed: list[Override], config_dir: Path | None, stored: dict | None) -> DictConfig:
-    """The configuration of a command, unchecked."""
+def _composed(
+    command: str, parsed: list[Override], config_dir: Path | None, stored: dict | None, origin: str
+) -> DictConfig:
+    """The configuration of a command, unchecked; ``origin`` of the stored values begins what is said of them."""
     groups = [override for override in parsed if override.key_or_group in groups_of(command)]
     choices = [f"{one.get_key_element()}={quoted(key_and_value(one)[1])}".replace("${", "\\${") for one in groups]
     named, with_nodes = {override.key_or_group for override in groups}, nodes_of(command)
@@ -113,7 +120,8 @@ def _composed(command: str, parsed: list[Override], config_dir: Path | None, sto
         if not _has(defaults, key):
             raise _unknown(command, key, defaults)
     now, usual = (flat_values(command, cast(Any, OmegaConf.to_container(one))) for one in (config, defaults))
-    below = cast(DictConfig, OmegaConf.merge(defaults, stored))
+    with hydras_errors(origin):
+        below = cast(DictConfig, OmegaConf.merge(defaults, stored))
     changed = [key for key in now if now[key] != usual.get(key)]
     for key in [*changed, *(override.key_or_group for override in parsed if _has(config, override.key_or_group))]:
         OmegaConf.update(below, key, OmegaConf.select(config, key), merge=False)

@@ -12,6 +12,7 @@ from warpvox.algos.codesign.robots import robots_of
 from warpvox.algos.disturbance import CHOOSING
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, options_of
+from warpvox.code import is_code
 from warpvox.configs.schema import PRESET
 from warpvox.envs.registry import get_task
 from warpvox.errors import RunError
@@ -55,7 +56,9 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[
     robots = list(robots_of(source, top))
     if not robots:
         raise RunError(f"The design search {source} has no design with a policy yet.")
-    home = source if source.is_dir() else source.parent
+    home, own = source if source.is_dir() else source.parent, robots[0].task
+    if task not in (None, own) and not is_code(own):
+        raise RunError(f"{source} is of {own}, got task={task}; only the code of a task of your own is named so.")
     robots = [dataclasses.replace(robot, task=allowed("task", robot.task, task, home)) for robot in robots]
     command = _command(robots[0].about)
     for before in robots[0].about.get("start", ()):

@@ -97,6 +97,8 @@ def _searches(config: SuiteConfig, config_dir: Path | None) -> dict[str, Codesig
         found[name] = Codesign.of(vars(load("codesign", [*base, *groups, *(words[key] for key in own)], config_dir)))
     for key in words:
         if "." in key and key not in taken:
+            if did_you_mean(key, OF_SUITES[-1:]):
+                raise ConfigError(f"Unknown key '{key}': a suite says how much each search may do, evaluations=... .")
             load("codesign", [f"search={name}", *groups, words[key]], config_dir)  # which says what is wrong
     return found
 
