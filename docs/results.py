@@ -56,24 +56,27 @@ best published returns with bodies of 5 x 5 cells.
 """
 SUMMARY = """\
 With normal noise of 1 % of the action range on every action, {held} of {known} robots are at or above the best
-published return (mean of {episodes} episodes); {networks} of the {known} have feedback, {gaits} are open loop."""
+published return (mean of {episodes} episodes): {networks} with feedback, {gaits} open loop. With sticky actions
+{sticky} are, after random starts {start}."""
 NOTES = """
 - *Under noise*: the mean of {episodes} episodes with its 95 % interval (Student's t), in bold where it is at or above
   the best published return. Normal noise with a deviation of {sigma:g} is added to each action, which is clipped to
   0.6 to 1.6. All [protocols](protocols.md) are in exact arithmetic (`python docs/results.py protocols`,
   {processor}); `docs/results/protocols.csv` has their intervals and 10 % quantiles.
-- *IQM of 5*: the interquartile mean under noise of five trainings of this body with five seeds, among them this
-  robot's or the one that it went on from (`python docs/repeats.py`, `docs/results/repeats.csv`), for {repeated} robots
-  so far. **A robot is the best of some trials; this is what to expect of one.**
+- *IQM of 5*: the interquartile mean under noise (that of the middle three) of five trainings of this body with five
+  seeds, among them this robot's, the one that it went on from or, of DownStepper-v0, one that went on from it
+  (`python docs/repeats.py`, `docs/results/repeats.csv`), for {repeated} robots so far. **A robot is the best of some
+  trials; this is what to expect of one.**
 - *Nominal*: what `warpvox play zoo=TASK` repeats in the released simulator's arithmetic ([the zoo](zoo.md)), the
   mean of eight episodes in BidirectionalWalker-v0 and Catcher-v0, which draw at random. ▼ is below the best published
   return. Where noise takes most of it away, the robot shows what its body can do once, not what it does reliably.
 - ○ is an open-loop [gait](zoo.md#gaits), whose actions depend on the time alone; all others are networks with
   feedback, which see what the task observes; *sensors* concerns them alone.
-- *Control steps*, *time* (wall): of the whole search or training, and of those that it started from; one thread of a
-  busy machine, so that the time is an upper bound. A training for one body does not include the search that found it.
-  `warpvox zoo task=TASK` shows its commands, commit and processor. Equal seeds give equal results on equal machines,
-  by the commit of a command: some keys have other names today, and folders that a command names are not in the
+- *Control steps*, *time* (wall): of the whole search or training, and of those that it started from, on one or two
+  cores of a busy machine, so that the time says no more than its order. A training for one body does not include the
+  search that found it. `warpvox zoo task=TASK` shows all commands. Equal seeds give equal results on equal machines, by
+  the commit of a command (`wv.zoo(TASK).about["start"]` has those of the earlier ones, as far as they are known): some
+  keys have other names today, `zoo:TASK` is the robot of that time, and folders that a command names are not in the
   repository.
 
 ## Sources
@@ -102,18 +105,20 @@ def page(robots: Sequence[Robot], disturbed: Sequence[Row], repeated: Sequence[R
     processors = ", ".join(sorted({row["processor"] for row in disturbed}))
     known = {"episodes": EPISODES, "sigma": DISTURBANCES[NOISE].noise, "processor": processors}
     notes = NOTES.format(**known, repeated=len(again))
-    head = HEAD.format(sizes=sizes, summary=summary(robots))
+    head = HEAD.format(sizes=sizes, summary=summary(robots, disturbed))
     return "".join([head, *lines, notes, *_sources(known_returns().values())])
 
 
-def summary(robots: Sequence[Robot]) -> str:
-    """The sentence that README repeats."""
+def summary(robots: Sequence[Robot], disturbed: Sequence[Row]) -> str:
+    """The sentences that README repeats."""
     best = {task: one.best for task, one in known_returns().items() if one.best is not None}
     ours = [robot for robot in robots if robot.task in best]
-    networks = sum(robot.has_feedback for robot in ours)
-    held = sum(robot.robust_return >= best[robot.task] for robot in ours)
-    counts = {"known": len(ours), "networks": networks, "gaits": len(ours) - networks}
-    return SUMMARY.format(**counts, held=held, episodes=EPISODES)
+    held = [robot for robot in ours if robot.robust_return >= best[robot.task]]
+    networks = sum(robot.has_feedback for robot in held)
+    rows = [row for row in disturbed if row["task"] in best and float(row["mean"]) >= best[row["task"]]]
+    others = {part: sum(row["episodes"] == part for row in rows) for part in ("sticky", "start")}
+    counts = {"known": len(ours), "held": len(held), "networks": networks, "gaits": len(held) - networks}
+    return SUMMARY.format(**counts, **others, episodes=EPISODES)
 
 
 def _line(robot: Robot, judged: Mapping[str, Row], again: Sequence[float] | None) -> str:

@@ -70,15 +70,6 @@ def _copies(folder: Path) -> list[Robot]:
     return [read_robot(path) for path in sorted(own, key=lambda path: int(path.stem))]
 
 
-def _history(folder: Path) -> list[dict[str, Any]]:
-    """The zoo's notes on the robots that a search began with."""
-    names = ("return", "control_steps", "wall_s", "processor")
-    return [
-        {"task": robot.task, "sha256": robot.sha256} | {name: robot.about.get(name) for name in names}
-        for robot in _copies(folder)
-    ]
-
-
 def robots_of(source: Path, top: int) -> Iterator[Robot]:
     """The robots that a search or training has left, with what its files say of them.
 
@@ -100,10 +91,16 @@ def _of_search(folder: Path, choose: Callable[[Archive], list[Record]]) -> Itera
         records = choose(archive)
         steps = sum(row["steps"] or 0 for row in archive.generations())
     about = _about(run) | {"control_steps": steps}
-    if start := _history(folder):  # what a robot has cost includes those that it was made from
-        about["start"] = start
+    start: list[dict[str, Any]] = []
+    for robot in _copies(folder):  # what a robot has cost includes those that it was made from
+        names = ["return", "control_steps", "wall_s", "processor", "commit"]
+        names += ["command" if "command" in robot.about else "config"]  # of the zoo, or of a search as it is
+        known = {name: robot.about[name] for name in names if name in robot.about}
+        start += [*robot.about.get("start", ()), {"task": robot.task, "sha256": robot.sha256} | known]
         for name in "control_steps", "wall_s":
-            about[name] = (about[name] or 0) + sum(known[name] or 0 for known in start)
+            about[name] = (about[name] or 0) + (known.get(name) or 0)
+    if start:
+        about["start"] = start
     for record in records:
         if record.policy is None:
             raise RunError(f"Design {record.id} of {folder} has no policy of its own.")
@@ -138,7 +135,7 @@ def _of_training(run: Run) -> dict[str, Any]:
         for name in "control_steps", "wall_s":
             spent = about[name], known[name]
             about[name] = None if None in spent else sum(spent)
-        names = ("control_steps", "wall_s", "processor", "config")
+        names = ("control_steps", "wall_s", "processor", "commit", "config")
         about["start"] = [*known.get("start", ()), {name: known[name] for name in names}]
     return about
 

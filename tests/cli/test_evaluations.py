@@ -174,6 +174,7 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
     (known,) = better.about["start"]
     assert (known["sha256"], known["return"]) == (robot.sha256, robot.mean_return)
     assert (better.about["processor"], known["processor"]) == (processor_name(), robot.about["processor"])
+    assert (known["command"], known["commit"]) == (robot.about["command"], robot.about["commit"])
     assert better.about["control_steps"] == read_summary(folder)["steps"] + robot.about["control_steps"]
     # a design of a search, which need not be its best
     words = f"start=[{folder}/designs/{records[1].id},{first}]", "evaluation.stages=6", "search.max_evaluations=3"
@@ -185,6 +186,8 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
     assert (known[1].candidate.body == robot.body).all()
     warpvox("zoo", f"add={again}/designs/0", "folder=other")
     assert (read_robot(Path("other/Walker-v0.npz")).body == known[0].candidate.body).all()
+    commands = [before["command"] for before in read_robot(Path("other/Walker-v0.npz")).about["start"]]
+    assert ["start=[zoo:" in command for command in commands] == [False, True, False]  # the first of the first search
     # with trainings a body is one like any other
     folder = search(warpvox, f"start=[zoo:{file}]", "search.max_evaluations=3", "name=trained")
     assert records_of(folder)[0].candidate.origin == START

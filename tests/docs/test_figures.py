@@ -67,7 +67,7 @@ def phrases() -> Iterator[tuple[str, str]]:
     page = " ".join(text_of("docs/paper_experiments.md").split())
     yield (
         "README.md",
-        f"with {re.search('([0-9]+) design searches', page)[1]} design searches of 20 million control steps",
+        f"budgets: {re.search('([0-9]+) design searches', page)[1]} design searches of 20 million control steps",
     )
     ga, bo, neat = re.search(r"under noise on (\d+) \(BO (\d+), CPPN-NEAT (\d+)\)", page).groups()
     yield "README.md", f"mean on {ga} of 10 tasks (Bayesian optimisation on {bo}, CPPN-NEAT on {neat})"

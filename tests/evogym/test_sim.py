@@ -233,6 +233,7 @@ def test_orientation_of_the_past_is_that_of_its_time() -> None:
         (lambda sim: sim.translate_object(1, 0, None), ValueError, "None is not a valid object name"),
         (lambda sim: sim.revert(3), ValueError, "between 0 and 0, got 3"),
         (lambda sim: Sim.set_action(sim, "robot", [[1, 1.0]]), ValueError, "no actuator at index 1"),
+        (lambda _: EvoSim("world.json"), TypeError, r"got 'world.json'; EvoWorld.from_json\(FILE\)"),
     ],
 )
 def test_mistakes_are_explained(ask, kind: type[Exception], words: str) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from warpvox.evogym.errors import ArgumentError
+from warpvox.evogym.errors import ArgumentError, ArgumentTypeError
 from warpvox.evogym.simulator_cpp import Sim
 from warpvox.evogym.utils import *  # noqa: F403  # as in the release, scripts may take them from here
 from warpvox.evogym.world import EvoWorld
@@ -34,12 +34,14 @@ class EvoSim(Sim):
     the top.
 
     Raises:
-        WorldError: an object is not valid. SimulationError: the world is empty.
+        ArgumentTypeError: no world. WorldError: an object is not valid. SimulationError: the world is empty.
     """
 
     VOXEL_SIZE = VOXEL
 
     def __init__(self, world: EvoWorld) -> None:
+        if not isinstance(world, EvoWorld):
+            raise ArgumentTypeError(f"EvoSim takes an EvoWorld, got {world!r:.80}; EvoWorld.from_json(FILE) reads one.")
         super().__init__()
         self.init(world.grid_size.x, world.grid_size.y)
         for obj in world.objects.values():
