@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import torch
 
@@ -42,12 +41,8 @@ class EpisodeReturns:
         return sums / torch.bincount(self.design_index, minlength=designs)
 
 
-class Evaluator(Protocol):
-    """Evaluates policies during training."""
-
-    def __call__(self, policy: Policy) -> EpisodeReturns:
-        """Evaluate ``policy``; must not touch the environments that it is trained in."""
-        ...
+Evaluator = Callable[[Policy], EpisodeReturns]
+"""Evaluates policies during training; must not touch the environments that they are trained in."""
 
 
 def evaluate(env: VoxelVecEnv, policy: Policy, seed: int | Sequence[int] | None = None) -> EpisodeReturns:

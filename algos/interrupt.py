@@ -15,17 +15,12 @@ class Terminated(KeyboardInterrupt):
     """A request to end: treated as Ctrl-C is.
 
     SIGTERM, as schedulers of clusters send it before they kill; SIGHUP, when the window or connection is closed.
-    ``number`` is the signal's, ``name`` its name.
+    ``number`` is the signal's.
     """
 
     def __init__(self, number: int = signal.SIGTERM) -> None:
         super().__init__(number)
         self.number = int(number)
-
-    @property
-    def name(self) -> str:
-        """``SIGTERM``, for instance."""
-        return signal.Signals(self.number).name
 
 
 class Interrupt:

@@ -24,9 +24,6 @@ from warpvox.errors import ConfigError, did_you_mean, listing
 SHAPE, SHAPES = (5, 5), {"Lifter-v0": (5, 7)}
 """Rows and columns of the paper's bodies (Table 2): one task has a larger grid, for a body designed by hand."""
 
-DESIGN, DESIGNS = "walker", {"Lifter-v0": "lifter"}
-"""An example body of that shape."""
-
 
 def composed(command: str, overrides: Sequence[str] = (), config_dir: Path | None = None) -> DictConfig:
     """The configuration of a command as Hydra composes it.
@@ -95,18 +92,14 @@ def register(command: str) -> None:
     for group, nodes in nodes_of(command).items():
         for name, node in nodes.items():
             store.store(group=group, name=name, node=node)
-    for name, resolver in {"paper_shape": shape_of, "paper_design": design_of}.items():
+    designs = lambda task: "lifter" if task in SHAPES else "walker"  # noqa: E731  (examples of the paper's shapes)
+    for name, resolver in {"paper_shape": shape_of, "paper_design": designs}.items():
         OmegaConf.register_new_resolver(name, resolver, replace=True)
 
 
 def shape_of(task: str) -> list[int]:
     """Rows and columns of the bodies that a search on a task proposes: ``${paper_shape:${task}}`` in YAML files."""
     return list(SHAPES.get(task, SHAPE))
-
-
-def design_of(task: str) -> str:
-    """The example design that is trained on a task unless another is named."""
-    return DESIGNS.get(task, DESIGN)
 
 
 def training_preset(name: str, ppo: dict[str, Any] | None = None, **changes: Any) -> DesignTraining:

@@ -93,17 +93,13 @@ def _observations(task: TaskSpec) -> Iterator[tuple[str, str, str, str]]:
 
 def _returns(task: str) -> Iterator[tuple[str, str]]:
     known = known_returns()[task]
-    (row,) = (row for row in _disturbed() if (row["task"], row["episodes"]) == (task, "noise"))
+    rows = read_table(RESULTS / "protocols.csv")
+    (row,) = (row for row in rows if (row["task"], row["episodes"]) == (task, "noise"))
     yield "our best robot, under noise", f"{float(row['mean']):.3f} ± {float(row['high']) - float(row['mean']):.3f}"
     yield "the same, undisturbed", f"{zoo(task).mean_return:.3f}"
     published = f"best published ({known.method}: {known.protocol})"
     yield (published, f"{known.best:g}") if known.best is not None else ("best published", "none")
     yield "random bodies under random actions", f"{known.random:.3f}"
-
-
-@cache
-def _disturbed() -> list[dict[str, str]]:
-    return read_table(RESULTS / "protocols.csv")
 
 
 def _paper(task: TaskSpec) -> str:

@@ -77,20 +77,16 @@ def compile_world(world: World, physics: Physics, loose: Sequence[str] = ()) -> 
 
     SimulationError: the world has no object that can move.
     """
-    compiled = _compile(world.objects.values(), (world.width, world.height), physics, loose)
+    compiled = compile_objects(world.objects.values(), (world.width, world.height), physics, loose)
     if not compiled.bodies:
         raise SimulationError(NOTHING_MOVES)
     return compiled
 
 
-def compile_others(world: World, size: tuple[int, int], physics: Physics, loose: Sequence[str] = ()) -> CompiledWorld:
-    """The same for the objects that are no robots, on a grid of ``size`` (columns, rows)."""
-    return _compile([obj for obj in world.objects.values() if not obj.is_robot], size, physics, loose)
-
-
-def _compile(
+def compile_objects(
     objects: Iterable[WorldObject], size: tuple[int, int], physics: Physics, loose: Sequence[str]
 ) -> CompiledWorld:
+    """The same of some objects, on a grid of ``size`` (columns, rows); there may be nothing that moves."""
     ordered = sorted(objects, key=lambda o: (not o.is_robot, o.name))
     terrain = {o.name for o in ordered if o.is_static and o.name not in loose}
     bodies = [mesh(o, physics) for o in ordered if o.name not in terrain]

@@ -10,7 +10,7 @@ import os
 from collections.abc import Collection, Mapping
 from dataclasses import field
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -71,6 +71,19 @@ class Settings:
     def __new__(cls, *_: Any, **given: Any) -> Self:
         check_known(given, cls.__init__)
         return super().__new__(cls)
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any], origin: object = "The stored configuration") -> Self:
+        """The settings that a stored configuration holds; other keys are left out.
+
+        Raises:
+            ConfigError: values that are not valid; ``origin``, such as the file that they are from, is named.
+        """
+        names = {item.name for item in dataclasses.fields(cast(Any, cls))}
+        try:
+            return cls(**{name: value for name, value in values.items() if name in names})
+        except ConfigError as error:
+            raise ConfigError(f"{origin} is not valid: {error}") from None
 
     def __post_init__(self) -> None:
         convert(self, self.prefix)

@@ -6,7 +6,6 @@ import copy
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,6 @@ from warpvox.algos.checkpoints.files import (
     build_actor,
     check_sizes,
     check_spec,
-    load_controller,
     spec_of,
     with_code,
 )
@@ -195,18 +193,6 @@ def policy_of(controller: Controller, metadata: Mapping[str, Any] | None = None)
             weights |= {"mean": normalizer.mean, "deviation": normalizer.std}
         policy.load_state_dict(policy.state_dict() | weights)
     return policy.to(next(iter(state.values())).device)
-
-
-def read_policy(
-    path: Path, metadata: Mapping[str, Any] | None = None, device: str = "cpu", network: str | None = None
-) -> Policy:
-    """The policy of a checkpoint file.
-
-    Raises:
-        RunError: the file is missing or not a checkpoint, or needs code that ``network`` does not name, see
-            :func:`warpvox.algos.checkpoints.files.load_controller`.
-    """
-    return policy_of(load_controller(path, device, network), metadata)
 
 
 def policy_text(policy: Policy) -> str:

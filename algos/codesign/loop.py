@@ -233,7 +233,7 @@ class Executor(Protocol):
         """Release the workers."""
 
 
-class LocalExecutor:
+class LocalExecutor(Executor):
     """Evaluates in this process, in order."""
 
     def __init__(self, evaluator: DesignEvaluator) -> None:
@@ -242,9 +242,6 @@ class LocalExecutor:
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
         for place, batch in enumerate(work):
             yield place, self.evaluator.evaluate(batch.candidates, parents, partial(report, place), batch.checkpoint)
-
-    def close(self) -> None:
-        """Nothing to release."""
 
 
 def batches(candidates: Sequence[Candidate], size: int | None, folder: Path | None = None) -> list[Batch]:

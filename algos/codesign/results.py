@@ -19,16 +19,16 @@ from warpvox.algos.candidate import FINALIST, Listener
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.protocols import NOMINAL
-from warpvox.algos.report import FILE as REPORT, FILM, write_report
+from warpvox.algos.report import FILE as REPORT, FILM, report_page
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.algos.training.playing import Playing, load_result, load_trained, own_code
 from warpvox.envs.registry import get_task
 from warpvox.errors import WarpvoxError, counted
 from warpvox.io.console import duration
-from warpvox.io.writing import atomic_path
+from warpvox.io.writing import atomic_path, write_text
 from warpvox.runs import find_run, read_summary, write_summary
-from warpvox.view.body_picture import write_bodies
-from warpvox.view.painter import Painter
+from warpvox.view.body_picture import draw_bodies
+from warpvox.view.painter import Painter, save_png
 from warpvox.view.rollout import record
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class Results(Listener):
             return path
         captions = [(f"{one.fitness:.3f}", f"#{one.id}  generation {one.candidate.generation}") for one in best]
         title = f"{self.settings.task} · {self.search} · best designs after generation {generation}"
-        return write_bodies(path, [record.candidate.body for record in best], captions, title)
+        return save_png(draw_bodies([record.candidate.body for record in best], captions, title), path)
 
     def write(self, status: str) -> dict[str, Any]:
         """Write report and summary; returns the summary."""
@@ -120,7 +120,7 @@ class Results(Listener):
             "pretraining_steps": self.pretraining,
         }
 
-    def report(self, summary: Mapping[str, Any]) -> Path:
+    def report(self, summary: Mapping[str, Any]) -> None:
         """Write the report alone."""
         facts = {
             "task": self.settings.task,
@@ -136,7 +136,7 @@ class Results(Listener):
             facts["evaluation"] = self.settings.evaluation.name
         if self.pretraining is not None:
             facts["pretraining"] = f"{self.pretraining:,} control steps, not counted"
-        return write_report(self.archive, self.folder / REPORT, facts)
+        write_text(self.folder / REPORT, report_page(self.archive, facts, self.folder))
 
 
 def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:

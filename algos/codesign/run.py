@@ -25,7 +25,7 @@ from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.protocols import episodes_of
 from warpvox.algos.search import BaseSearch, make_search
 from warpvox.algos.search.factory import start_with
-from warpvox.algos.settings import MLP
+from warpvox.algos.settings import MLP, sim_of
 from warpvox.algos.training.job import own_torch, task_name
 from warpvox.algos.training.metrics import check_logger
 from warpvox.algos.training.pretrained import observed_by
@@ -88,7 +88,7 @@ def check(
             search.ask()  # of some shapes hardly any random body holds together
     else:
         start_with(search, start)
-    settings.sim  # noqa: B018  (constants out of range are found)
+    sim_of(settings)  # constants out of range are found
     settings.evaluation.check(settings)
     settings = settings.resolved(folder)
     if settings.executor == "local" and here:
@@ -111,7 +111,7 @@ def _ask_for_memory(settings: Codesign) -> None:
     """Raise MemoryLimitError, with what fits, where a search would take too much with bodies that fill their grid."""
     spec = get_task(settings.task).under(settings.rules)
     grid = None if settings.dtype == "float64" else tuple(settings.shape)
-    sim = dataclasses.replace(settings.sim, grid=grid).resolved(environments(settings))
+    sim = dataclasses.replace(sim_of(settings), grid=grid).resolved(environments(settings))
     worlds = [task_world(spec, full_body(settings.shape))]
     for batch in settings.evaluation.workloads(settings):
         designs, envs, value = batch.designs, batch.envs, batch.value

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from warpvox.algos.env_factory import EnvFactory
-    from warpvox.batch.options import SimOptions
 
 CHANGEABLE = (
     "executor", "address", "workers", "device", "threads", "torch_threads", "top", "name", "training.save_interval",
@@ -106,26 +105,11 @@ class Codesign(Settings):
         super().__post_init__()
         self.network = plain(self.network, "network")
 
-    @classmethod
-    def of(cls, values: Mapping[str, Any]) -> Codesign:
-        """The settings that the configuration of a search holds; other keys are left out."""
-        names = {item.name for item in dataclasses.fields(Codesign)}
-        return Codesign(**{name: value for name, value in values.items() if name in names})
-
-    @property
-    def sim(self) -> SimOptions:
-        """How designs are simulated.
-
-        Raises:
-            ConfigError: a constant of the physics out of range.
-        """
-        return sim_of(self)
-
     def factory(self, obs: str = "task") -> EnvFactory:
         """Makes the environments; ``device`` may still be auto."""
         from warpvox.algos.env_factory import EnvFactory
 
-        return EnvFactory(self.task, self.rules, obs, sim=self.sim, fitness=self.fitness)
+        return EnvFactory(self.task, self.rules, obs, sim=sim_of(self), fitness=self.fitness)
 
     def resolved(self, folder: Path | None = None) -> Codesign:
         """A copy with what its names stand for: settings of the evaluation, and all constants.

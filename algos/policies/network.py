@@ -88,18 +88,18 @@ class VoxelGaussian(GaussianDistribution):
         self._is_present, self._present = kinds > 0, kinds.clamp(max=1)
         self._vertical = kinds - self._present
 
-    def by_kind(self, values: torch.Tensor, absent: float) -> torch.Tensor:
-        """Values ``[kinds]`` by action, ``[rows, actions]``."""
+    def by_kind(self, values: torch.Tensor) -> torch.Tensor:
+        """Values ``[kinds]`` by action, ``[rows, actions]``; 0 where a body has none."""
         horizontal, vertical = values.to(self._vertical.dtype).unbind()
         of_actions = torch.lerp(
             horizontal.expand_as(self._vertical), vertical.expand_as(self._vertical), self._vertical
         )
-        return torch.where(self._is_present, of_actions, absent)
+        return torch.where(self._is_present, of_actions, 0.0)
 
     def update(self, mlp_output: torch.Tensor) -> None:
         """Make ``mlp_output`` ``[rows, actions]`` the mean; what it says of absent actions does not matter."""
         self._mean = torch.where(self._is_present, mlp_output, 0.0)
-        self._log_std = self.by_kind(self.log_std_param.clamp(*self.log_std_range), 0.0)
+        self._log_std = self.by_kind(self.log_std_param.clamp(*self.log_std_range))
         self._std = self._log_std.exp()
 
     def sample(self) -> torch.Tensor:

@@ -17,12 +17,9 @@ from warpvox.algos.report.charts import Series, chart, sparkline
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.errors import RunError
 from warpvox.io.console import shell_argument
-from warpvox.io.writing import write_text
 from warpvox.runs import CONFIG, find_run
 from warpvox.trust import again
 from warpvox.view.palette import body_svg
-
-__all__ = ["FILE", "FILM", "report_page", "write_report"]
 
 FILE, FILM = "report.html", "film.webp"
 """The report in the folder of a search, and an episode of a robot in that of its design."""
@@ -30,18 +27,13 @@ BEST, CURVES = 10, 5
 """Designs that are shown large, and with their learning curves."""
 
 
-def write_report(archive: Archive, path: Path, facts: Mapping[str, str]) -> Path:
-    """Write the page to ``path``, whole or not at all; returns the path.
+def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str:
+    """The page as text.
 
     Args:
         facts: what stands under the title, by name: status, search, version, ...
+        folder: of the search, with policies and films of designs.
     """
-    write_text(path, report_page(archive, facts, path.parent))
-    return path
-
-
-def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str:
-    """The page as text; see :func:`write_report`. ``folder``: of the search, with policies and films of designs."""
     records = archive.records()
     done = [record for record in records if record.fitness is not None]
     best = archive.best(BEST)

@@ -16,14 +16,15 @@ import numpy as np
 from warpvox.algos.codesign.archive import Record
 from warpvox.algos.report import FILE
 from warpvox.algos.report.charts import COLOURS, PANEL, Series, chart, legend, sheet
-from warpvox.algos.report.comparison import compare, comparison_html, comparison_sheet
+from warpvox.algos.report.comparison import charts_of, compare, comparison_html
 from warpvox.algos.report.gallery import write_gallery
 from warpvox.algos.report.members import SearchResult, fitness_of, progress, read_members
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.algos.statistics import Interval
 from warpvox.envs.registry import known_returns, task_ids
 from warpvox.io.writing import write_table, write_text
-from warpvox.view.body_picture import write_bodies
+from warpvox.view.body_picture import draw_bodies
+from warpvox.view.painter import save_png
 
 TOP = 4
 """Designs of a generation that are shown."""
@@ -45,11 +46,12 @@ def write_benchmark(folder: Path, archives: Sequence[Path], facts: Mapping[str, 
     groups = _groups(members)
     comparison, best = compare(groups), _winners(groups)
     series = _names(groups)
+    compared = charts_of(comparison, series)
     panels = {x: [_panel(task, runs, x, series) for task, runs in groups.items()] for x in ("evaluations", "steps")}
     if groups:
         for x, charts in panels.items():
             write_text(folder / f"{x}.svg", sheet(charts, [*series.values(), KNOWN], min(4, len(charts))))
-        write_text(folder / "comparison.svg", comparison_sheet(comparison, series))
+        write_text(folder / "comparison.svg", sheet(compared, list(series.values())))
         _write_generations(folder / "generations", groups)
     slots = {
         "facts": fact_list(_figures(members, groups) | dict(facts or {})),
@@ -57,7 +59,7 @@ def write_benchmark(folder: Path, archives: Sequence[Path], facts: Mapping[str, 
         "winners": "".join(_card(task, one, one.winner) for task, one in best.items() if one.winner) or NOTHING,
         "gallery": _gallery(folder / "winners.png", groups),
         "names": legend([*series.values(), KNOWN]),
-        "comparison": comparison_html(comparison, series),
+        "comparison": comparison_html(comparison, compared),
         "generations": "".join(_generations(task, best[task]) for task in groups) or NOTHING,
     } | {x: "".join(f"<div>{one}</div>" for one in charts) or NOTHING for x, charts in panels.items()}
     _write_table(folder / "results.csv", members)
@@ -222,4 +224,4 @@ def _write_generations(folder: Path, groups: Groups) -> None:
         bodies = [record.candidate.body for _, record in shown]
         title = f"{task} · {member.search}"
         name = "".join(letter if letter.isalnum() or letter in "._-" else "_" for letter in task)
-        write_bodies(folder / f"{name}.png", bodies, captions, title, columns=len(columns))
+        save_png(draw_bodies(bodies, captions, title, columns=len(columns)), folder / f"{name}.png")

@@ -12,7 +12,7 @@ from itertools import permutations
 
 import numpy as np
 
-from warpvox.algos.report.charts import PANEL, Series, chart, intervals, sheet
+from warpvox.algos.report.charts import PANEL, Series, chart, intervals
 from warpvox.algos.report.members import SearchResult
 from warpvox.algos.report.page import row
 from warpvox.algos.statistics import (
@@ -67,8 +67,10 @@ def compare(groups: Mapping[str, Mapping[str, Sequence[SearchResult]]]) -> Compa
     return Comparison(scores, steps, [task for task in groups if task not in tasks])
 
 
-def _charts(comparison: Comparison, looks: Mapping[str, Series]) -> list[str]:
-    """The measures, then the profiles."""
+def charts_of(comparison: Comparison, looks: Mapping[str, Series]) -> list[str]:
+    """The measures, then the profiles; none without scores."""
+    if not comparison.scores:
+        return []
     charts = [
         intervals([(name, looks[name].colour, interval(of, one)) for name, one in comparison.scores.items()], measure)
         for measure, of in MEASURES.items()
@@ -84,17 +86,11 @@ def _charts(comparison: Comparison, looks: Mapping[str, Series]) -> list[str]:
     return [*charts, chart(series, "score", "share of runs above it", PANEL, names=False)]
 
 
-def comparison_sheet(comparison: Comparison, looks: Mapping[str, Series]) -> str:
-    """The charts as the text of an SVG file."""
-    return sheet(_charts(comparison, looks) if comparison.scores else [], list(looks.values()))
-
-
-def comparison_html(comparison: Comparison, looks: Mapping[str, Series]) -> str:
-    """The charts, the probabilities of improvement and what they are of."""
+def comparison_html(comparison: Comparison, charts: Sequence[str]) -> str:
+    """The charts of :func:`charts_of`, the probabilities of improvement and what they are of."""
     if not comparison.scores:
         return '<p class="faint">No task with a published return has runs of every search yet.</p>'
-    charts = "".join(f"<div>{one}</div>" for one in _charts(comparison, looks))
-    parts = [f'<div class="panels">{charts}</div>']
+    parts = [f'<div class="panels">{"".join(f"<div>{one}</div>" for one in charts)}</div>']
     pairs = comparison.improvements()
     if pairs:
         body = "".join(

@@ -11,10 +11,9 @@ from PIL import Image, ImageDraw
 from warpvox.design import Design, load_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.worlds import task_world
-from warpvox.io.writing import atomic_path
 from warpvox.types import VOXEL
 from warpvox.view.body_picture import scene_of_world
-from warpvox.view.painter import BELOW, INK, Canvas, font
+from warpvox.view.painter import BELOW, INK, Canvas, font, save_png
 
 COLUMNS, TILE, SCALE = 4, (324, 150), 8
 LABEL, GAP = 24, 10
@@ -62,7 +61,4 @@ def _tile(task: Any, body: np.ndarray) -> Image.Image:
 def write_gallery(path: str | os.PathLike[str], shown: Sequence[tuple[str, Design, str]]) -> Path:
     """Write what :func:`draw_gallery` draws as PNG; returns the path."""
     # Few colours: as a palette the picture takes a fraction of the room, without a visible difference.
-    sheet = draw_gallery(shown).quantize(128, dither=Image.Dither.NONE)
-    with atomic_path(path) as temporary:
-        sheet.save(temporary, "PNG", optimize=True)
-    return Path(path)
+    return save_png(draw_gallery(shown).quantize(128, dither=Image.Dither.NONE), path, optimize=True)

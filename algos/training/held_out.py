@@ -73,13 +73,13 @@ class HeldOut:
 
     def _draw(self, last: np.ndarray, file: Path) -> None:
         """The bodies, the best first, on paper that is the greener the better they are: see :func:`shades`."""
-        from warpvox.view.body_picture import write_bodies
+        from warpvox.view.body_picture import draw_bodies
+        from warpvox.view.painter import save_png
 
         order = np.argsort(-last, kind="stable")
         low, middle, high = np.quantile(last, (0.1, 0.5, 0.9))
         title = f"{self.about}: mean {last.mean():.2f}, quantiles 10, 50, 90 %: {low:.2f}, {middle:.2f}, {high:.2f}"
-        write_bodies(
-            file,
+        picture = draw_bodies(
             [self.bodies[number] for number in order],
             [(f"{last[number]:.2f}", f"body {number}") for number in order],
             title,
@@ -87,3 +87,4 @@ class HeldOut:
             shades=shades(self.task, last[order]),
             columns=8,
         )
+        save_png(picture, file)

@@ -12,7 +12,8 @@ import numpy as np
 import torch
 
 from warpvox.algos.checkpoints.export import read_exported
-from warpvox.algos.checkpoints.policy import Policy, read_policy
+from warpvox.algos.checkpoints.files import load_controller
+from warpvox.algos.checkpoints.policy import Policy, policy_of
 from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.training.metrics import COLUMNS, read_metrics
 from warpvox.algos.training.playing import SHOWN, Playing, disturbed, load_trained
@@ -64,7 +65,7 @@ def load_policy(
         if exported is not None:
             return exported.to(device)
         if is_alone(path):
-            return read_policy(path, device=device, network=network)
+            return policy_of(load_controller(path, device, network))
     run = find_run(str(source), str(output_dir))
     if run.robot is not None:
         return torch_policy(run.robot, device)
@@ -72,7 +73,7 @@ def load_policy(
     known = {name: run.config.get(name) for name in names} | ({"design": None} if run.is_many else {})
     file = run.find_checkpoint(str(checkpoint))
     network = allowed("policy", run.config.get("policy"), network, run.folder)
-    return read_policy(file, known | {"source": str(file)}, device, network)
+    return policy_of(load_controller(file, device, network), known | {"source": str(file)})
 
 
 def is_alone(path: Path) -> bool:

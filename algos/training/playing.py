@@ -83,7 +83,7 @@ class SampledController:
         noise = torch.randn(mean.shape, generator=self._generator, device=mean.device)
         deviation = self._std
         if isinstance(self._distribution, VoxelGaussian):  # of the types of actuators
-            deviation = self._distribution.by_kind(deviation, 0.0).to(deviation.dtype)
+            deviation = self._distribution.by_kind(deviation).to(deviation.dtype)
         return actions_of(mean + deviation * noise, self.spec.action_scale)
 
 

@@ -396,10 +396,9 @@ class Runner(OnPolicyRunner):
         learning begins. The best policy of its folder stays until there is a better one.
         """
         content = load_checkpoint(path, self.device)
-        processes = content.get("processes", 1)
-        if "env" in content and processes != self.group.size:
-            raise RunError(f"{path} was made by {processes} process(es) and can only go on with as many.")
         if "env" in content:
+            if (processes := content["processes"]) != self.group.size:
+                raise RunError(f"{path} was made by {processes} process(es) and can only go on with as many.")
             content = load_checkpoint(self.state_file(path), self.device)
         if (found := spec_of(content["policy"])) != self.spec:
             raise RunError(f"{path} holds another kind of policy: {found}, not {self.spec}.")
@@ -439,8 +438,7 @@ class Runner(OnPolicyRunner):
         if self.bodies is not None and "bodies" in content:
             self.bodies.set_state(content["bodies"], self.env)
         self.env.set_state(content["env"])
-        if "memory" in content:
-            self.alg.set_memory(content["memory"])
+        self.alg.set_memory(content["memory"])
         torch.set_rng_state(content["random"]["cpu"].cpu())
         if "cuda" in content["random"] and torch.device(self.device).type == "cuda":
             torch.cuda.set_rng_state(content["random"]["cuda"].cpu(), self.device)

@@ -4,14 +4,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.settings import LOGGERS, PRESETS, REFRESH, PhysicsConfig, Ppo
-from warpvox.errors import ConfigError
 from warpvox.examples import design_for
 from warpvox.keys import Settings, check_values, convert, key, plain
 
@@ -156,19 +153,6 @@ class Training(Settings):
         for name in ("bodies", "held_out"):
             setattr(self.designs, name, plain(getattr(self.designs, name), f"designs.{name}"))
         check_values(self)
-
-    @classmethod
-    def of(cls, values: Mapping[str, Any], origin: object = "The stored configuration") -> Training:
-        """The settings that the configuration of a run holds; other keys are left out.
-
-        Raises:
-            ConfigError: values that are not valid; ``origin``, such as the file that they are from, is named.
-        """
-        names = {item.name for item in dataclasses.fields(Training)}
-        try:
-            return Training(**{name: value for name, value in values.items() if name in names})
-        except ConfigError as error:
-            raise ConfigError(f"{origin} is not valid: {error}") from None
 
     @property
     def is_many(self) -> bool:

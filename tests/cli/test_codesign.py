@@ -167,15 +167,15 @@ def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
 
 def test_a_report_that_is_made_while_its_search_ends_tells_the_end(search: Callable, warpvox, monkeypatch) -> None:
     folder = search("search.max_evaluations=5")
-    page, summary, made = (folder / "report.html").read_text(), folder / "summary.json", results_of.write_report
+    page, summary, made = (folder / "report.html").read_text(), folder / "summary.json", results_of.report_page
     ended = summary.read_text()
 
-    def late(*given: Any) -> Path:
+    def late(*given: Any) -> str:
         summary.write_text(ended)
         return made(*given)
 
     summary.write_text(ended.replace('"done"', '"running"'))
-    monkeypatch.setattr(results_of, "write_report", late)
+    monkeypatch.setattr(results_of, "report_page", late)
     warpvox("codesign", "report=latest")
     assert (folder / "report.html").read_text() == page
 

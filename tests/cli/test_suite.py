@@ -194,8 +194,9 @@ class HerePool:
 def quick(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> Callable:
     """``warpvox suite`` whose members take a moment, on 2 tasks x 1 search x 2 seeds unless told otherwise."""
     monkeypatch.setattr(search_run, "make_evaluator", lambda *_: Evaluator())
-    monkeypatch.setattr(results, "write_bodies", lambda path, *_: path)
-    monkeypatch.setattr(results, "write_report", lambda archive, path, facts: path)
+    monkeypatch.setattr(results, "draw_bodies", lambda *_: None)
+    monkeypatch.setattr(results, "save_png", lambda _, path: path)
+    monkeypatch.setattr(results, "report_page", lambda *_: "")
     monkeypatch.setattr(making, "LocalPool", HerePool)
 
     def call(*words: str, **ends: Any) -> Any:

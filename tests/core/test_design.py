@@ -10,7 +10,8 @@ from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
 import warpvox as wv
-from warpvox.design import are_valid, full_connections, is_connected
+from warpvox.design import are_valid, full_connections
+from warpvox.evogym.utils import is_connected
 
 GRIDS = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=7), elements=st.integers(0, 4))
 # Mostly filled: random grids of this size are hardly ever connected.

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from warpvox.batch.grid_mesh import TWIN_PAIRS, GridMesh, RobotBodies, most_points, pack_bits
-from warpvox.compile import NOTHING_MOVES, CompiledWorld, compile_others, join, pack_drives, world_arrays
+from warpvox.compile import NOTHING_MOVES, compile_objects, join, pack_drives, world_arrays
 from warpvox.errors import SimulationError
 from warpvox.types import Physics
 from warpvox.world import World, WorldObject
@@ -54,7 +54,8 @@ class Frame:
         self.places = [(first.objects[name].x, first.objects[name].y) for name in self.names]
         self.bodies = [RobotBodies.of([world.objects[name] for world in worlds], grid) for name in self.names]
         size = max(world.width for world in worlds), max(world.height for world in worlds)
-        self.others: CompiledWorld = compile_others(first, size, physics, loose)
+        others = [obj for obj in first.objects.values() if not obj.is_robot]
+        self.others = compile_objects(others, size, physics, loose)
         if not self.names and not self.others.bodies:
             raise SimulationError(NOTHING_MOVES)
         self.arrays = _by_first_end(world_arrays(self.others))

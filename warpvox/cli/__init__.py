@@ -9,6 +9,7 @@ Exit codes: 0 done, 2 bad usage, bad input or a machine that will not (one line 
 """
 
 import errno
+import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -67,7 +68,7 @@ def _run(arguments: list[str]) -> int:
     except WarpvoxError as error:
         return _complain(error)
     except Terminated as request:
-        print(f"warpvox: asked to end ({request.name})", file=sys.stderr)
+        print(f"warpvox: asked to end ({signal.Signals(request.number).name})", file=sys.stderr)
         return SIGNALLED + request.number
     except KeyboardInterrupt:
         print("warpvox: interrupted", file=sys.stderr)

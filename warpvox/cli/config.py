@@ -47,7 +47,8 @@ def load(
         if f"{PRESET}/{command}" in named:
             raise ConfigError(f"config={file} and {preset_key(command)} both say where to start: give one of them.")
         base, home = _read_file(Path(str(file)).expanduser())
-    origin = f"{file or home / CONFIG}: " if file or home else ""
+    place = file or (home and home / CONFIG)
+    origin = f"{place}: " if place else ""
     # OmegaConf's clean-up turns an interrupt into errors of its own
     with hydras_errors(f"{file}: " if file else ""), uninterrupted():
         whole = _composed(command, parsed, config_dir, base, origin)

@@ -91,7 +91,7 @@ def sample_robot(robot_shape: tuple[int, int], pd: np.ndarray | None = None) -> 
 
 def is_connected(robot: np.ndarray) -> bool:
     """Whether all cells that are not empty hang together along edges; False for an empty body."""
-    return design.is_connected(robot)
+    return bool(design.count_pieces(design.as_grid(robot)) == 1)
 
 
 def has_actuator(robot: np.ndarray) -> bool:

@@ -1,8 +1,6 @@
 """Bodies and worlds as they begin, as pictures: nothing is simulated."""
 
-import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +11,7 @@ from warpvox.compile import compile_world
 from warpvox.design import Design, as_grid
 from warpvox.errors import DesignError
 from warpvox.types import Physics
-from warpvox.view.painter import BELOW, INK, Canvas, font, save_png
+from warpvox.view.painter import BELOW, INK, Canvas, font
 from warpvox.view.palette import cell_colour
 from warpvox.view.scene import Scene, scene_of
 from warpvox.world import World
@@ -72,17 +70,6 @@ def draw_bodies(
         for place, text in enumerate(caption):
             pen.text((left, upper + high + 8 + place * line), text, INK if place == 0 else FAINT, font(16))
     return image
-
-
-def write_bodies(
-    path: str | os.PathLike[str],
-    bodies: Sequence[Design],
-    captions: Sequence[Sequence[str]],
-    title: str = "",
-    **options: Any,
-) -> Path:
-    """Write what :func:`draw_bodies` draws as PNG, whole or not at all; returns the path."""
-    return save_png(draw_bodies(bodies, captions, title, **options), path)
 
 
 LONGEST = 1600

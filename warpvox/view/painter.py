@@ -42,10 +42,10 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 
 
-def save_png(image: Image.Image, path: str | os.PathLike[str]) -> Path:
+def save_png(image: Image.Image, path: str | os.PathLike[str], optimize: bool = False) -> Path:
     """Write a picture as PNG, whole or not at all; returns the path."""
     with atomic_path(path) as temporary:
-        image.save(temporary, "PNG")
+        image.save(temporary, "PNG", optimize=optimize)
     return Path(path)
 
 

@@ -60,9 +60,9 @@ class Specialist(Evaluation):
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float]:
         return steps_of_training(search.training, search.search.population), 0
 
-    def workloads(self, search: Codesign, designs: int | None = None) -> list[Workload]:
-        """The batch of so many designs' own trainings; None: of a generation."""
-        training, count = search.training, designs or search.search.population
+    def workloads(self, search: Codesign) -> list[Workload]:
+        """The batch of the trainings of a generation, or of the finalists where they alone have some."""
+        training, count = search.training, self.finalists or search.search.population
         together = 1 if training.method == "sequential" else min(search.batch or count, count)
         obs = "task" if search.policy == MLP else "voxel"
         return [Workload(together, training.envs, "training.envs", training.envs, obs, training.ppo)]
@@ -105,6 +105,3 @@ class Screened(Specialist):
                 f"training.inherit does not go with evaluation={self.name}: the trainings of the finalists begin with"
                 " new networks."
             )
-
-    def workloads(self, search: Codesign) -> list[Workload]:
-        return super().workloads(search, self.finalists)

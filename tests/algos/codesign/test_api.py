@@ -19,6 +19,7 @@ from warpvox.algos.codesign.evaluations.custom import Custom
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.search.base import RandomSearch
+from warpvox.algos.settings import sim_of
 from warpvox.cli.config import load
 from warpvox.design_search import _without_names
 from warpvox.types import Physics
@@ -196,5 +197,5 @@ def test_names_of_sets_are_those_of_the_command() -> None:
 def test_physics_are_a_preset_by_name_or_constants() -> None:
     chosen = Physics.preset("paper", gravity=80.0)
     for given in (chosen, {"preset": "paper", "gravity": 80.0}):
-        assert Codesign(physics=given).sim.physics == chosen
-    assert Codesign(physics="paper").sim.physics == Physics.preset("paper")
+        assert sim_of(Codesign(physics=given)).physics == chosen
+    assert sim_of(Codesign(physics="paper")).physics == Physics.preset("paper")

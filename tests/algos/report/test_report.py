@@ -17,7 +17,7 @@ from hypothesis import given, settings, strategies as st
 
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.codesign.archive import FILE, Archive, Finished, Record, archives_in
-from warpvox.algos.report import family_tree, places, report_page, write_report
+from warpvox.algos.report import family_tree, places, report_page
 from warpvox.algos.report.benchmark import write_benchmark
 from warpvox.algos.report.charts import Series, chart, ticks
 from warpvox.algos.report.comparison import compare
@@ -68,7 +68,7 @@ def test_nothing_comes_from_elsewhere(archive: Archive) -> None:
 
 def test_an_empty_archive_has_a_report(tmp_path: Path) -> None:
     with Archive.create(tmp_path / "a.sqlite", {"x": "{{rows}}"}) as archive:
-        text = write_report(archive, tmp_path / "report.html", {"task": "Walker-v0"}).read_text()
+        text = report_page(archive, {"task": "Walker-v0"}, tmp_path)
         assert "No design is evaluated yet" in text
         assert "{{rows}}" in text  # a setting, not a slot
         archive.propose([Candidate(0, sample_design((3, 3), 0))], 0)
@@ -136,7 +136,9 @@ def test_a_long_line_is_cut_and_says_so() -> None:
 
 
 def test_the_page_runs_in_a_browser(archive: Archive, tmp_path: Path, open_page: Callable) -> None:
-    page = open_page(write_report(archive, tmp_path / "report.html", {"task": "Walker-v0"}).as_uri())
+    file = tmp_path / "report.html"
+    file.write_text(report_page(archive, {"task": "Walker-v0"}, tmp_path), encoding="utf-8")
+    page = open_page(file.as_uri())
     page.locator("th button").nth(1).click()
     page.click("#theme")
     assert page.evaluate("document.documentElement.dataset.theme") == "dark"

@@ -46,15 +46,20 @@ def in_use(runner: Runner) -> list[bytes]:
 
 @pytest.mark.parametrize("refresh", ["new", "random", "performance"])
 def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path, refresh: str) -> None:
+    for name in "whole", "cut":
+        (tmp_path / name).mkdir()
     whole = make_runner(refresh, 4)
+    whole.evaluator.folder = tmp_path / "whole"
     whole.run()
-    first = make_runner(refresh, 2, tmp_path)
+    first = make_runner(refresh, 2, tmp_path / "cut")
+    first.evaluator.folder = tmp_path / "cut"
     first.run()
     second = make_runner(refresh, 4, seed=5)
-    second.resume(tmp_path / STATE)
-    assert second.evaluator.best.tolist() == first.evaluator.best.tolist()  # of each held-out body
+    second.evaluator.folder = tmp_path / "cut"
+    second.resume(tmp_path / "cut" / STATE)
     second.run()
-    assert second.evaluator.best.tolist() == whole.evaluator.best.tolist()
+    tables = [(tmp_path / name / "held_out.csv").read_text() for name in ("whole", "cut")]
+    assert tables[0] == tables[1]  # the best return of each held-out body
     assert in_use(whole) == in_use(second)
     assert_same_weights(whole, second)
     assert whole.last_return == second.last_return
