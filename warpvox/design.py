@@ -287,8 +287,7 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
     if text.startswith("["):
         return check_design(_parse_list(text, source=f"The text '{_shorten(text)}'"))
     if text.startswith("zoo:"):
-        name = text.removeprefix("zoo:")
-        return _read_file(Path(name).expanduser() if name.lower().endswith(".npz") else zoo_file(name, DesignError))
+        return _read_file(zoo_file(text.removeprefix("zoo:"), DesignError))
     if text.lower().endswith(_FILE_SUFFIXES):
         return _read_file(Path(text))
     if text == "random" or text.startswith("random:"):
@@ -307,12 +306,14 @@ def zoo_tasks() -> list[str]:
     return sorted(path.stem for path in ZOO_FOLDER.glob("[!.]*.npz"))
 
 
-def zoo_file(task: str, error: type[Exception]) -> Path:
-    """The file of the zoo's robot for a task, or an ``error`` that lists those that there are."""
+def zoo_file(text: str, error: type[Exception]) -> Path:
+    """The file of the zoo's robot for a task, or the ``.npz`` that is named; an ``error`` lists the tasks there are."""
     known = zoo_tasks()
-    if task not in known:
-        raise error(f"The zoo has no robot for {task!r:.80}.{did_you_mean(task, known)} It has {listing(known, 40)}.")
-    return ZOO_FOLDER / f"{task}.npz"
+    if text.lower().endswith(".npz"):
+        return Path(text).expanduser()
+    if text not in known:
+        raise error(f"The zoo has no robot for {text!r:.80}.{did_you_mean(text, known)} It has {listing(known, 40)}.")
+    return ZOO_FOLDER / f"{text}.npz"
 
 
 def save_design(path: str | os.PathLike[str], body: object) -> Path:

@@ -24,7 +24,7 @@ from warpvox.checks import is_number
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.reading import Unreadable, parse_yaml, read_facts, read_text
 from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
-from warpvox.robots.entry import Robot, find_robot
+from warpvox.robots.entry import Robot, zoo
 from warpvox.robots.gait import Gait
 from warpvox.system import processor_name
 
@@ -109,7 +109,7 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
         resume: ``latest`` may be a run that was stopped before it had a checkpoint to play.
     """
     if text.startswith(ZOO) and not resume:
-        robot = find_robot(text.removeprefix(ZOO))
+        robot = zoo(text.removeprefix(ZOO))
         policy = "gait" if isinstance(robot.policy, Gait) else "mlp"
         known = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "obs": robot.obs}
         return Run(Path(text), known | {"policy": policy}, robot=robot)

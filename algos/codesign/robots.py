@@ -15,7 +15,7 @@ from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.algos.training.bodies import has_designs, read_bodies
 from warpvox.design import check_design, full_connections
 from warpvox.errors import ConfigError, RunError
-from warpvox.robots.entry import Robot, find_robot, read_robot, save_robot
+from warpvox.robots.entry import Robot, read_robot, save_robot, zoo
 from warpvox.robots.network import Network
 from warpvox.robots.replay import policy_of_checkpoint
 from warpvox.runs import ZOO, Run, find_codesign, find_run, read_summary
@@ -46,7 +46,7 @@ def read_start(settings: Codesign, folder: Path | None = None) -> list[Robot]:
 
 def _robots(text: str, settings: Codesign) -> list[Robot]:
     if text.startswith(ZOO):
-        return [find_robot(text.removeprefix(ZOO))]
+        return [zoo(text.removeprefix(ZOO))]
     folder = Path(text).expanduser()
     if folder.is_dir() and not has_designs(folder):
         robot = next(robots_of(folder, 1), None)

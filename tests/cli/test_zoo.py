@@ -91,6 +91,7 @@ def test_a_run_becomes_an_entry_and_only_a_better_one_replaces_it(warpvox: Calla
     config.design = {"robot": config.design, "mate": config.design}
     (run / "config.yaml").write_text(OmegaConf.to_yaml(config) + "...\n")
     warpvox("zoo", f"add={run}", "folder=other", fails="the zoo has single robots")
+    assert zoo("mine/Walker-v0.npz").sha256 == robot.sha256
     warpvox("evaluate", "zoo=[mine/Walker-v0.npz]")
     assert summary("evaluate/*/*/summary.json")["mean_return"] == pytest.approx(robot.mean_return, abs=1e-9)
 

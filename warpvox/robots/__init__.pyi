@@ -2,7 +2,6 @@
 
 from .entry import (
     Robot as Robot,
-    find_robot as find_robot,
     read_robot as read_robot,
     save_robot as save_robot,
     zoo as zoo,

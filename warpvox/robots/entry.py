@@ -122,23 +122,13 @@ class Robot:
 def zoo(task: str) -> Robot:
     """The robot of the zoo for a task: ``zoo("Thrower-v0").policy(obs)`` gives its actions.
 
+    Args:
+        task: its id, or a file of a zoo of your own (``.npz``).
+
     Raises:
-        RunError: the zoo has none for it; the message lists those that there are.
+        RunError: the zoo has none for it; the message lists those that there are. Or a file that cannot be read.
     """
     return read_robot(zoo_file(task, RunError))
-
-
-def find_robot(text: str) -> Robot:
-    """The robot that ``text`` names.
-
-    Args:
-        text: a task of the zoo, or a file that :func:`save_robot` has written (``.npz``).
-
-    Raises:
-        RunError: there is none, or a file that cannot be read.
-    """
-    path = Path(text).expanduser()
-    return read_robot(path) if path.suffix.lower() == ".npz" else zoo(text)
 
 
 def save_robot(path: str | os.PathLike[str], robot: Robot) -> Path:
