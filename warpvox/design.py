@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from warpvox.checks import check_shape
-from warpvox.errors import DesignError, WorldError, did_you_mean, listing
+from warpvox.errors import DesignError, did_you_mean, listing
 from warpvox.examples import EXAMPLES
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json, read_npy, read_text
 from warpvox.io.writing import atomic_path, write_text
@@ -407,24 +407,30 @@ def _parse_list(text: str, source: str) -> object:
     return value
 
 
-def _robot_of(world: dict, source: str) -> np.ndarray:
+def _robot_of(world: dict, source: str) -> list[list[int]]:
     """The cells of the robot of a world in EvoGym's format: its only object with an actuator."""
-    from warpvox.world import World
-
     try:
-        robots = [one for one in World.from_json(world).objects.values() if one.is_robot]
-    except WorldError as error:
-        raise DesignError(f"{source} has no entry 'body' and is no world in EvoGym's format. {error}") from None
-    if len(robots) != 1:
-        raise DesignError(f"{source} is a world with {len(robots)} robots; a design is a world with one.")
-    grid = robots[0].grid
-    cuts = len(full_connections(grid)) - len(robots[0].connections)
+        width, objects = world["grid_width"], world["objects"]
+        robots = [name for name, one in objects.items() if {Cell.H_ACT, Cell.V_ACT} & {*one["types"]}]
+        if len(robots) != 1:
+            raise DesignError(f"{source} is a world with {len(robots)} robots; a design is a world with one.")
+        robot = objects[robots[0]]
+        cells, near = dict(zip(robot["indices"], robot["types"], strict=True)), robot["neighbors"]
+        places = [divmod(index, width) for index in cells]
+        rows, columns = (range(min(axis), max(axis) + 1) for axis in zip(*places, strict=True))
+        if len(rows) * len(columns) > LARGEST_BODY:
+            raise DesignError(f"{source} holds a robot of {len(rows)}x{len(columns)} cells, which is too large.")
+        touching = [(a, b) for a in cells for b in (a + 1, a + width) if b in cells and (b == a + width or b % width)]
+        cuts = sum(b not in near[str(a)] for a, b in touching)
+    except DesignError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError):
+        raise DesignError(f"{source} is no world in EvoGym's format and has no entry 'body'.") from None
     if cuts:
         raise DesignError(
             f"{source} leaves {cuts} pair(s) of neighbouring cells unconnected, which a design cannot say."
         )
-    rows, columns = (np.flatnonzero(grid.any(axis)) for axis in (1, 0))  # a world of ours may keep an empty border
-    return grid[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    return [[cells.get(row * width + column, 0) for column in columns] for row in reversed(rows)]
 
 
 def _parse_size(text: str) -> tuple[int, int]:
