@@ -130,7 +130,7 @@ def _dotted(given: Mapping[str, Any]) -> Iterator[str]:
         yield name
         if isinstance(value, Mapping):
             yield from (f"{name}.{key}" for key in value)
-        elif dataclasses.is_dataclass(value) and name != "task":
+        elif isinstance(value, Settings):
             yield from (f"{name}.{key}" for key, own in vars(value).items() if own != getattr(type(value)(), key))
 
 
@@ -237,6 +237,8 @@ def evaluate(
                     raise ConfigError(f"stochastic=True samples actions of runs; policy {number} acts without chance.")
                 one = one.in_float64()
             count = episodes * len(parts)
+            if episodes % len(bodies):
+                raise ConfigError(f"{len(bodies)} bodies need a multiple of that of episodes; got {episodes}.")
             env = make_vec(where, bodies, count, seed=seed, auto_reset=False, **given)
             name = getattr(one, "__name__", f"policy {number}")
             rows.extend(EvaluatedPolicy.each(name, env, disturbed(one, env, parts, seed), level, parts, stochastic))

@@ -146,9 +146,9 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
         if (paths := _matches(text)) is not None:
             homes = ((path, path.parent if path.match("model_*.pt") else path) for path in paths)
             runs, keys = ((path, home) for path, home in homes if (home / CONFIG).is_file()), NEEDED["train"][1]
-            names = [str(path) for path, home in runs if keys <= _read(home).keys()]
+            names = [str(path) for path, home in runs if keys <= _read(home).keys() or (home / ARCHIVE).is_file()]
             if not names:
-                raise RunError(f"No run of `warpvox train` matches {text}.")
+                raise RunError(f"No run of `warpvox train` or `warpvox codesign` matches {text}.")
         found |= {(run.folder.resolve(), run.checkpoint): run for run in (find_run(one, output_dir) for one in names)}
     if not found:
         raise RunError("There are no runs: runs=[] names none.")

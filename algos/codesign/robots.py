@@ -127,7 +127,7 @@ def _of_training(run: Run) -> dict[str, Any]:
     """Facts from the files of a training; what it has cost includes the one whose policy it began with."""
     about: dict[str, Any] = _about(run) | {"control_steps": read_summary(run.folder).get("steps")}
     if source := run.config.get("pretrained"):
-        about["config"]["pretrained"] = "/".join(Path(source).parts[-3:])
+        about["config"]["pretrained"] = _place(source)
         try:
             known = _of_training(find_run(source, ""))
         except RunError:  # a file by itself, or of a run that is gone: nobody knows what it has cost
@@ -154,9 +154,16 @@ def _shorter(values: np.ndarray) -> np.ndarray:
     return (bits & ~np.uint64((1 << WEIGHT_BITS) - 1)).astype(np.uint32).view(np.float32)
 
 
+def _place(path: str) -> str:
+    """The end of a path, which says as much elsewhere as the whole."""
+    return "/".join(Path(path).parts[-3:])
+
+
 def _about(run: Run) -> dict[str, Any]:
     """Facts from the files of a search or training."""
     summary = read_summary(run.folder)
     known = {name: summary.get(name) for name in ("version", "commit", "processor")}
     config = {name: value for name, value in run.config.items() if name not in ("output_dir", "name")}
+    if "start" in config:
+        config["start"] = [text if ":" in text else _place(text) for text in config["start"]]
     return {"wall_s": summary.get("elapsed_seconds"), **known, "config": config}

@@ -28,19 +28,19 @@ from warpvox.algos.training.pretrained import OBS_OF_VOXELS, adopted
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.algos.training.settings import Designs, Training
 from warpvox.batch.options import SimOptions
-from warpvox.design import zoo_tasks
 from warpvox.devices.names import resolve_device
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.devices.startup import start_warp
 from warpvox.envs.dumps import DivergenceDump
 from warpvox.envs.memory import ask, environment_bytes
-from warpvox.envs.registry import get_task
+from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.console import shell_argument
 from warpvox.io.writing import check_writable, to_yaml
+from warpvox.robots.entry import zoo
 from warpvox.runs import STATE, ZOO, Run, check_unchanged, read_summary, run_folder, write_summary
 from warpvox.system import usable_cores
 from warpvox.trust import as_stored, keep_code
@@ -94,9 +94,14 @@ class Job:
             if any(key.startswith("designs") for key in named):
                 raise ConfigError("design is one body, designs are many for one policy: give one of the two.")
             settings = dataclasses.replace(settings, designs=Designs())
-        robot = str(settings.design).partition(ZOO)[2]
-        if source is None and "task" not in named and settings.task == Training.task and robot in zoo_tasks():
-            settings = dataclasses.replace(settings, task=robot)
+        unnamed = source is None and "task" not in named and settings.task == Training.task
+        if unnamed and str(settings.design).startswith(ZOO):
+            task = zoo(settings.design.removeprefix(ZOO)).task
+            if task not in task_ids():
+                raise ConfigError(
+                    f"{settings.design} is a robot for {task}, a task of your own: name it, task=FILE.py:NAME."
+                )
+            settings = dataclasses.replace(settings, task=task)
         if source is None and settings.pretrained is not None:
             settings, self.learned = adopted(settings, settings.pretrained, named)
         if settings.method == "gradients" and settings.nan_guard == "dump":

@@ -11,7 +11,8 @@ import pytest
 import yaml
 
 from warpvox.algos.training.metrics import COLUMNS, read_metrics
-from warpvox.design import example_design
+from warpvox.design import example_design, zoo_file
+from warpvox.errors import RunError
 from warpvox.runs import read_summary
 from warpvox.view.rollout import Rollout
 
@@ -83,6 +84,7 @@ def test_a_body_of_the_zoo_brings_its_task_unless_one_is_given() -> None:
         (["design=zoo:Climber-v0"], "Climber-v0"),
         (["design=zoo:Climber-v0", "task=Walker-v0"], "Walker-v0"),
         (["design=worm"], "Walker-v0"),
+        ([f"design=zoo:{zoo_file('Climber-v1', RunError)}"], "Climber-v1"),
     ):
         job = Job(load("train", words), {word.partition("=")[0] for word in words})
         assert job.settings.task == task

@@ -188,6 +188,8 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
     assert (read_robot(Path("other/Walker-v0.npz")).body == known[0].candidate.body).all()
     commands = [before["command"] for before in read_robot(Path("other/Walker-v0.npz")).about["start"]]
     assert ["start=[zoo:" in command for command in commands] == [False, True, False]  # the first of the first search
+    told = read_robot(Path("other/Walker-v0.npz")).about["command"]
+    assert f" start=[{folder.name}/designs/{records[1].id},codesign/Walker-v0/{first.name}] " in told
     # with trainings a body is one like any other
     folder = search(warpvox, f"start=[zoo:{file}]", "search.max_evaluations=3", "name=trained")
     assert records_of(folder)[0].candidate.origin == START

@@ -15,6 +15,7 @@ from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.codesign.archive import Archive, Finished
 from warpvox.algos.codesign.robots import trained
 from warpvox.algos.training.loading import load_policy
+from warpvox.algos.training.settings import Training
 from warpvox.cli.config import load
 from warpvox.cli.robot_entries import command_of
 from warpvox.design import full_connections, load_design
@@ -23,6 +24,7 @@ from warpvox.robots.entry import Robot, read_robot, save_robot, zoo, zoo_tasks
 from warpvox.robots.gait import Gait
 from warpvox.robots.returns import recorded
 from warpvox.runs import read_summary
+from warpvox.types import Physics
 from warpvox.view.rollout import Rollout
 
 TASK = min(zoo_tasks(), key=lambda task: sum(zoo(task).about["lengths"]))
@@ -81,6 +83,10 @@ def test_a_run_becomes_an_entry_and_only_a_better_one_replaces_it(warpvox: Calla
     assert (
         "the entry has -100.000000 in them; written" in warpvox("zoo", f"add=[{run}/model_best.pt]", "folder=mine").out
     )
+    elsewhere = dataclasses.replace(zoo("Walker-v0"), about={"return": 10.6})  # without the episodes that choose
+    save_robot("mine/Walker-v0.npz", elsewhere)
+    assert "; kept as it is" in warpvox("zoo", f"add={run}", "folder=mine").out
+    assert read_robot("mine/Walker-v0.npz").sha256 == zoo("Walker-v0").sha256
     Path("empty").mkdir()
     warpvox("zoo", f"add=[empty,{run}]", "folder=other", fails="1 of 2 could not be added")
     assert Path("other/Walker-v0.npz").is_file()
@@ -91,6 +97,7 @@ def test_a_run_becomes_an_entry_and_only_a_better_one_replaces_it(warpvox: Calla
     config.design = {"robot": config.design, "mate": config.design}
     (run / "config.yaml").write_text(OmegaConf.to_yaml(config) + "...\n")
     warpvox("zoo", f"add={run}", "folder=other", fails="the zoo has single robots")
+    save_robot("mine/Walker-v0.npz", robot)
     assert zoo("mine/Walker-v0.npz").sha256 == robot.sha256
     warpvox("evaluate", "zoo=[mine/Walker-v0.npz]")
     assert summary("evaluate/*/*/summary.json")["mean_return"] == pytest.approx(robot.mean_return, abs=1e-9)
@@ -161,12 +168,24 @@ def test_a_gait_is_listed_shown_played_and_loaded(warpvox: Callable) -> None:
         "warpvox codesign search=bo task=Hurdler-v0 seed=1 training.rungs=[0.2,0.5] training.keep=0.4",
         "warpvox codesign evaluation=gaits fitness=robust evaluation.episodes=16",
         "warpvox train ppo=evogym task=Thrower-v0 design=[[3,3],[4,4]] stop_return=2.5",
+        "warpvox train rules=paper physics.gravity=50.0 ppo.rnn={rnn_type:gru,rnn_num_layers:2} memory_check=false",
+        "warpvox codesign evaluation=shared evaluation.network={width:8,heads:null} start=[zoo:Thrower-v0,walker]",
     ],
 )
 def test_the_command_of_a_configuration_is_the_shortest(line: str) -> None:
     command, *words = line.split()[1:]
     told = command_of(command, dataclasses.asdict(load(command, words)))
     assert sorted(told.split()) == sorted(line.split())
+
+
+def test_of_all_constants_of_a_run_its_command_has_those_that_differ() -> None:
+    for preset, words in (("evogym", []), ("paper", ["physics.preset=paper"])):
+        config = dataclasses.asdict(Training(physics=Physics.preset(preset, gravity=50.0)))
+        assert command_of("train", config).split()[2:] == [*words, "physics.gravity=50.0"]
+    robot = command_of("train", dataclasses.asdict(Training(design="my robots/a, b.json"))).removeprefix(
+        "warpvox train "
+    )
+    assert load("train", [robot]).design == "my robots/a, b.json"
 
 
 def test_designs_that_were_only_compared_give_no_entry(tmp_path: Path) -> None:

@@ -79,6 +79,8 @@ def say(arrays: dict[str, np.ndarray], **about: object) -> None:
         (lambda arrays: say(arrays, lengths=500), "the lengths in its header is 500, not a list"),
         (lambda arrays: say(arrays, seeds=["a"]), "the seeds in its header is .'a'., not a list"),
         (lambda arrays: say(arrays, start=[1]), "the start in its header"),
+        (lambda arrays: say(arrays, chosen_by=["a"]), "the chosen_by in its header is .'a'., not a list"),
+        (lambda arrays: say(arrays, wall_s=10**400), "the wall_s in its header is 1000.*, not a number"),
         (lambda arrays: say(arrays, control_steps="1"), "the control_steps in its header is '1', not a number"),
         (lambda arrays: say(arrays, noise=0.9), "the noise in its header is 0.9, not a return and returns"),
         (lambda arrays: say(arrays, noise={"return": [1]}), r"the return in its header is \[1\], not a number"),

@@ -10,9 +10,12 @@ from typing import Any
 
 from warpvox.algos.codesign.robots import robots_of
 from warpvox.algos.disturbance import CHOOSING
+from warpvox.algos.settings import physics_of
+from warpvox.algos.training.settings import Training
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, options_of
 from warpvox.code import is_code
+from warpvox.configs.composition import quoted
 from warpvox.configs.schema import PRESET
 from warpvox.envs.registry import get_task
 from warpvox.errors import RunError
@@ -73,6 +76,9 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[
         folder.mkdir(parents=True, exist_ok=True)
     with claimed(folder, wait=True):  # from the comparison on: another process may have a better one
         before = read_robot(path) if path.is_file() else None
+        if before is not None and before.policy is not None and not before.about.get("chosen_by"):  # made elsewhere
+            returns = judge_robust(before, "noise", CANDIDATE, CHOOSING)["noise"]
+            before = dataclasses.replace(before, about={**before.about, "chosen_by": returns})
         return best, before, None if before is not None and not is_better(best, before) else save_robot(path, best)
 
 
@@ -82,7 +88,17 @@ def _command(about: Mapping[str, Any]) -> str:
 
 def command_of(command: str, config: dict[str, Any]) -> str:
     """The shortest command line that ``config``, the content of a ``config.yaml``, comes from: what is no default."""
-    values = {name: value for name, value in flat_values(command, config).items() if not name.startswith("physics.")}
+    values, physics = (
+        flat_values(command, config),
+        Training.of({k: config[k] for k in ("physics", "rules") if k in config}),
+    )
+    usual = dataclasses.asdict(physics_of(dataclasses.replace(physics, physics=physics.physics.preset)))
+    usual |= {"preset": physics.rules}  # all constants are written, those of the preset, too
+    values = {
+        name: value
+        for name, value in values.items()
+        if not name.startswith("physics.") or value not in (None, "auto", usual[name.removeprefix("physics.")])
+    }
     words: list[str] = []
     for group, key in GROUPS[command].items():
         only, known = values.get(key), _values(command, tuple(words))
@@ -109,5 +125,11 @@ def _values(command: str, words: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _text(value: Any) -> str:
-    words = {None: "null", True: "true", False: "false"}
-    return words[value] if value is None or isinstance(value, bool) else str(value).replace(" ", "").replace("'", "")
+    """A value as it is typed."""
+    if isinstance(value, Mapping):
+        return f"{{{','.join(f'{name}:{_text(one)}' for name, one in value.items())}}}"
+    if isinstance(value, list):
+        return f"[{','.join(map(_text, value))}]"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    return quoted(value) if isinstance(value, str) and set(value) & set(" ,'\"[]{}()") else str(value)

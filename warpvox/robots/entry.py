@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from warpvox.checks import is_number
 from warpvox.design import Design, check_design, full_connections, zoo_file, zoo_tasks as zoo_tasks
 from warpvox.errors import RunError
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
@@ -31,8 +32,8 @@ DIGITS = 9
 """Decimals of recorded returns. Rewards are sums over points, which round differently (about 1e-15) on other CPUs."""
 GAIT = {"kind": "gait"}
 """The header of a file with an open-loop policy, whose numbers are in the arrays."""
-LISTED: dict[str, Any] = {"returns": int | float, "lengths": int | float, "seeds": int | float, "start": dict}
-"""Entries of ``about`` that are lists, and of what."""
+LISTED = ("returns", "lengths", "seeds", "chosen_by", "start")
+"""Entries of ``about`` that are lists: of numbers, and of what is known of other robots."""
 LARGEST, LARGEST_HEADER = 1 << 26, 1 << 20
 """Bytes of a file's arrays, and of its header."""
 
@@ -179,10 +180,10 @@ def _check_header(header: Any) -> None:
     if not isinstance(about["noise"], dict):
         raise Unreadable(f"the noise in its header is {about['noise']!r:.40}, not a return and returns")
     for name, value in [*about.items(), *about["noise"].items()]:
-        if name in ("return", "control_steps", "wall_s") and not isinstance(value, int | float | None):
+        if name in ("return", "control_steps", "wall_s") and not (value is None or is_number(value)):
             raise Unreadable(f"the {name} in its header is {value!r:.40}, not a number")
-        kind = LISTED.get(name)
-        if kind and not (isinstance(value, list) and all(isinstance(one, kind) for one in value)):
+        fits = (lambda one: isinstance(one, dict)) if name == "start" else is_number
+        if name in LISTED and not (isinstance(value, list) and all(map(fits, value))):
             raise Unreadable(f"the {name} in its header is {value!r:.40}, not a list")
 
 

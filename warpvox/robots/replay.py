@@ -74,7 +74,7 @@ def policy_of_checkpoint(checkpoint: Path) -> Network | Gait:
 def torch_policy(robot: Robot, device: str = "cpu") -> Policy:
     """The policy of ``robot`` as a torch module, float32 and without the rounding of its actions."""
     network = robot.own_policy
-    about = {"task": robot.task, "rules": "evogym", "obs": robot.obs, "design": robot.body.tolist()}
+    about = {"task": robot.task, "rules": "evogym", "obs": robot.obs, "design": robot.body.tolist(), "dtype": "float64"}
     if isinstance(network, Gait):
         return _gait_module(robot, network, about).to(device)
     hidden = [len(bias) for bias in network.biases[:-1]]

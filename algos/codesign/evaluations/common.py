@@ -101,7 +101,9 @@ class CommonPolicy(Screened):
         designs = min(search.batch or search.search.population, search.search.population)
         ppo = self.ppo_of(search)
         batch = Workload(designs, self.envs, "evaluation.envs", self.envs, "voxel", ppo, self.fewer)
-        return [*super().workloads(search), batch]
+        judged = episodes_of(self.eval_envs, search.fitness)
+        evaluated = Workload(designs, judged, "evaluation.eval_envs", judged, "voxel", fewer=self.fewer)
+        return [*super().workloads(search), batch, evaluated]
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
         if candidate.origin == FINALIST:

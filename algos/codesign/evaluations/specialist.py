@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.codesign.evaluations.base import Evaluation, Workload, probe, steps_of_training
+from warpvox.algos.protocols import episodes_of
 from warpvox.algos.settings import MLP
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -65,7 +66,9 @@ class Specialist(Evaluation):
         training, count = search.training, self.finalists or search.search.population
         together = 1 if training.method == "sequential" else min(search.batch or count, count)
         obs = "task" if search.policy == MLP else "voxel"
-        return [Workload(together, training.envs, "training.envs", training.envs, obs, training.ppo)]
+        learning = Workload(together, training.envs, "training.envs", training.envs, obs, training.ppo)
+        judged = episodes_of(training.eval_envs, search.fitness)
+        return [learning, Workload(together, judged, "training.eval_envs", judged, obs)]
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
         from warpvox.algos.codesign.population_evaluator import PopulationEvaluator

@@ -101,7 +101,8 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
     for entry in judged:
         label, before, rows = "" if entry.group is before else entry.group.label, entry.group, []
         for each_run, row in zip(entry.group.runs, entry.rows, strict=True):
-            name = (label, each_run.folder.name, entry.disturbance)
+            folder, inner = each_run.folder, each_run.folder.parent.name == "designs"  # of a search
+            name = (label, f"{folder.parents[1].name}/{folder.name}" if inner else folder.name, entry.disturbance)
             rows.append((*name, *_cells(row.interval), f"{row.low_tenth:.3f}", str(row.interval.n), "episodes"))
         if entry.over == "runs":
             interval = mean_interval(entry.values, config.level)

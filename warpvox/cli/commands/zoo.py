@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from warpvox.cli.application import run_command
 from warpvox.configs.tools import ZooConfig
@@ -95,7 +95,7 @@ def _print_one(path: Path, console: Console) -> None:
         ("SHA-256", robot.sha256),
         ("file", path),
     ]
-    table = Table(box=None, show_header=False)
+    table = Table("", Column(overflow="fold"), box=None, show_header=False)
     for name, value in rows:
         table.add_row(name, literal(value))
     console.print(table)
