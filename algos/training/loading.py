@@ -17,7 +17,7 @@ from warpvox.algos.checkpoints.policy import Policy, policy_of
 from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.training.metrics import COLUMNS, read_metrics
 from warpvox.algos.training.playing import SHOWN, Playing, disturbed, load_trained
-from warpvox.code import Code
+from warpvox.code import Code, is_code
 from warpvox.devices.names import resolve_device
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
@@ -148,6 +148,8 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
     task = config.task if isinstance(config.task, TaskSpec) else allowed("task", robot.task, config.task, file)
     if isinstance(config.task, Code) and task not in task_ids():  # an entry for a task of the user's own has its id
         task = config.task
+    if isinstance(task, str) and not is_code(task) and task not in task_ids():
+        raise ConfigError(f"The robot is for {task}, a task of your own: name its code, task=FILE.py:NAME.")
     robot = dataclasses.replace(robot, task=task)
     parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=robot.has_feedback)
     alike = parts == (NOMINAL,) and not get_task(robot.task).is_random

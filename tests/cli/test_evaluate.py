@@ -3,12 +3,14 @@
 import csv
 import json
 import math
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
+from tiny import tiny
 
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.statistics import difference, mean_interval
@@ -203,3 +205,11 @@ def test_robots_of_different_tasks_are_not_compared(warpvox: Callable, monkeypat
     assert outcome.code == 0, outcome.err
     assert "mean return" in outcome.out
     assert "differences of mean returns" not in outcome.out
+
+
+def test_design_searches_that_match_a_pattern_are_told_apart(warpvox: Callable) -> None:
+    for seed in range(2):
+        warpvox(*tiny("codesign", f"seed={seed}", f"name=s{seed}"))
+    outcome = warpvox("evaluate", "runs=[outputs/codesign/*/*]", "episodes=1", *FAST)
+    assert all(re.search(rf"_s{seed}/\d+ ", outcome.out) for seed in range(2)), outcome.out
+    warpvox("evaluate", "runs=[outputs/none*]", *FAST, fails="No run of `warpvox train` or `warpvox codesign` matches")

@@ -200,7 +200,9 @@ def test_a_run_of_a_custom_task_plays_from_anywhere(train, warpvox, own_task: st
     warpvox("play", f"run={run}", f"task={own_task}", *PLAY)
     entry = warpvox("zoo", f"add={run}", "folder=entries", "task=stored")
     assert "written to entries/Mine-v0.npz" in entry.out, entry.err
-    refused = warpvox("play", "zoo=entries/Mine-v0.npz", *PLAY, fails="Unknown task 'Mine-v0'")
+    refused = warpvox(
+        "play", "zoo=entries/Mine-v0.npz", *PLAY, fails="The robot is for Mine-v0, a task of your own: name its code"
+    )
     assert "'task=mine/own.py:MINE'" not in refused.err
     warpvox("play", "zoo=entries/Mine-v0.npz", f"task={own_task}", *PLAY)
     place = tmp_path / "far" / "away"

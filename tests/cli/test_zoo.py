@@ -87,6 +87,12 @@ def test_a_run_becomes_an_entry_and_only_a_better_one_replaces_it(warpvox: Calla
     save_robot("mine/Walker-v0.npz", elsewhere)
     assert "; kept as it is" in warpvox("zoo", f"add={run}", "folder=mine").out
     assert read_robot("mine/Walker-v0.npz").sha256 == zoo("Walker-v0").sha256
+    Path("mine/Jumper-v0.npz").write_bytes(b"cut")
+    listed = warpvox("zoo", "folder=mine").out
+    assert "left out: mine/Jumper-v0.npz" in " ".join(listed.split())
+    assert "Walker-v0" in listed
+    save_robot("mine/Jumper-v0.npz", dataclasses.replace(robot, task="Kick-v0"))
+    warpvox("evaluate", "zoo=[mine/Jumper-v0.npz]", fails="The robot is for Kick-v0, a task of your own: name its code")
     Path("empty").mkdir()
     warpvox("zoo", f"add=[empty,{run}]", "folder=other", fails="1 of 2 could not be added")
     assert Path("other/Walker-v0.npz").is_file()

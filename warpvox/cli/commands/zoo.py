@@ -55,8 +55,13 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
     for heading in ("task", "under noise", "nominal", "", "steps", "trained", "body"):
         side = "left" if heading in ("task", "body") else "right"
         table.add_column(heading, justify=side, no_wrap=heading != "body", overflow="fold")
+    failed = []
     for name, path in entries.items():
-        robot = read_robot(path)
+        try:
+            robot = read_robot(path)
+        except RunError as error:
+            failed.append(error)
+            continue
         about, lengths = robot.about, robot.about.get("lengths") or []
         mean = f"{sum(lengths) / len(lengths):.0f}" if lengths else "-"
         spent = about.get("control_steps")
@@ -65,6 +70,8 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
         returns = figure(robot.robust_return), figure(robot.mean_return)
         table.add_row(*map(literal, (name, *returns, "" if robot.has_feedback else "○", mean, trained, body)))
     console.print(table)
+    for error in failed:
+        echo(console, f"left out: {error}")
     total = sum(path.stat().st_size for path in entries.values())
     echo(console, f"{counted(len(entries), 'robots')} in {folder}, {total / 1e6:.2f} MB")
     echo(console, "under noise: mean of 32 episodes with noise of 0.01 on every action; nominal: as EvoGym gives it")
