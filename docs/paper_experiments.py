@@ -176,8 +176,8 @@ NOTES = """
 *Nominal* is the return of a search's best body, as an entry of [the zoo](zoo.md) states it; *under
 noise* its mean in 32 [episodes with noise on the actions](protocols.md). Means over seeds, in brackets the lowest and
 the highest. Published returns are the best of anybody ([results](results.md#sources)). A search took in the median,
-several at once and most with one thread each: {minutes}. A search of two processors was stopped on one and went on on
-the other; {dirty} searches were made with uncommitted changes (`-dirty`).
+several at once and most with one thread each: {minutes}. A search of two processors was stopped on the first and
+finished on the second; {dirty} searches were made with uncommitted changes (`-dirty`).
 
     python docs/paper_experiments.py run   # makes searches without a row in the tables; several may run at once
     python docs/paper_experiments.py       # this page, of docs/results/paper_members.csv and paper_curves.csv

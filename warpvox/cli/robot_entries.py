@@ -77,7 +77,8 @@ def add(source: Path, folder: Path, top: int, task: str | None = None) -> tuple[
     with claimed(folder, wait=True):  # from the comparison on: another process may have a better one
         before = read_robot(path) if path.is_file() else None
         if before is not None and before.policy is not None and not before.about.get("chosen_by"):  # made elsewhere
-            returns = judge_robust(before, "noise", CANDIDATE, CHOOSING)["noise"]
+            same = dataclasses.replace(before, task=robots[0].task)  # which may be code
+            returns = judge_robust(same, "noise", CANDIDATE, CHOOSING)["noise"]
             before = dataclasses.replace(before, about={**before.about, "chosen_by": returns})
         return best, before, None if before is not None and not is_better(best, before) else save_robot(path, best)
 
@@ -88,15 +89,12 @@ def _command(about: Mapping[str, Any]) -> str:
 
 def command_of(command: str, config: dict[str, Any]) -> str:
     """The shortest command line that ``config``, the content of a ``config.yaml``, comes from: what is no default."""
-    values, physics = (
-        flat_values(command, config),
-        Training.of({k: config[k] for k in ("physics", "rules") if k in config}),
-    )
-    usual = dataclasses.asdict(physics_of(dataclasses.replace(physics, physics=physics.physics.preset)))
-    usual |= {"preset": physics.rules}  # all constants are written, those of the preset, too
+    own = Training.of({name: config[name] for name in ("physics", "rules") if name in config})
+    usual = dataclasses.asdict(physics_of(dataclasses.replace(own, physics=own.physics.preset)))
+    usual |= {"preset": own.rules}  # all constants are written, those of the preset, too
     values = {
         name: value
-        for name, value in values.items()
+        for name, value in flat_values(command, config).items()
         if not name.startswith("physics.") or value not in (None, "auto", usual[name.removeprefix("physics.")])
     }
     words: list[str] = []

@@ -73,7 +73,7 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
     for error in failed:
         echo(console, f"left out: {error}")
     total = sum(path.stat().st_size for path in entries.values())
-    echo(console, f"{counted(len(entries), 'robots')} in {folder}, {total / 1e6:.2f} MB")
+    echo(console, f"{counted(len(entries) - len(failed), 'robots')} in {folder}, {total / 1e6:.2f} MB")
     echo(console, "under noise: mean of 32 episodes with noise of 0.01 on every action; nominal: as EvoGym gives it")
     echo(console, "steps: control steps of the nominal episode; both in exact arithmetic")
     echo(console, "trained: control steps of the whole search; body: cell types, rows from the top")
