@@ -182,7 +182,7 @@ def evaluate(
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.job import own_torch
     from warpvox.algos.training.loading import TrainedRun, is_alone, load_policy
-    from warpvox.algos.training.playing import Playing, disturbed
+    from warpvox.algos.training.playing import Playing, check_episodes, disturbed
     from warpvox.algos.training.policy_table import EvaluatedPolicy, PolicyTable, evaluate_run
     from warpvox.algos.training.settings import Training
     from warpvox.code import Code, is_code
@@ -237,8 +237,7 @@ def evaluate(
                     raise ConfigError(f"stochastic=True samples actions of runs; policy {number} acts without chance.")
                 one = one.in_float64()
             count = episodes * len(parts)
-            if episodes % len(bodies):
-                raise ConfigError(f"{len(bodies)} bodies need a multiple of that of episodes; got {episodes}.")
+            check_episodes(episodes, len(bodies))  # before make_vec counts environments
             env = make_vec(where, bodies, count, seed=seed, auto_reset=False, **given)
             name = getattr(one, "__name__", f"policy {number}")
             rows.extend(EvaluatedPolicy.each(name, env, disturbed(one, env, parts, seed), level, parts, stochastic))

@@ -308,9 +308,9 @@ def zoo_tasks() -> list[str]:
 
 def zoo_file(text: str, error: type[Exception]) -> Path:
     """The file of the zoo's robot for a task, or the ``.npz`` that is named; an ``error`` lists the tasks there are."""
-    known = zoo_tasks()
     if text.lower().endswith(".npz"):
         return Path(text).expanduser()
+    known = zoo_tasks()
     if text not in known:
         raise error(f"The zoo has no robot for {text!r:.80}.{did_you_mean(text, known)} It has {listing(known, 40)}.")
     return ZOO_FOLDER / f"{text}.npz"

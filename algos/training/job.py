@@ -33,7 +33,7 @@ from warpvox.devices.out_of_memory import enough_memory
 from warpvox.devices.startup import start_warp
 from warpvox.envs.dumps import DivergenceDump
 from warpvox.envs.memory import ask, environment_bytes
-from warpvox.envs.registry import get_task, task_ids
+from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.envs.worlds import task_world
@@ -41,6 +41,7 @@ from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.console import shell_argument
 from warpvox.io.writing import check_writable, to_yaml
 from warpvox.robots.entry import zoo
+from warpvox.robots.replay import known_task
 from warpvox.runs import STATE, ZOO, Run, check_unchanged, read_summary, run_folder, write_summary
 from warpvox.system import usable_cores
 from warpvox.trust import as_stored, keep_code
@@ -96,12 +97,7 @@ class Job:
             settings = dataclasses.replace(settings, designs=Designs())
         unnamed = source is None and "task" not in named and settings.task == Training.task
         if unnamed and str(settings.design).startswith(ZOO):
-            task = zoo(settings.design.removeprefix(ZOO)).task
-            if task not in task_ids():
-                raise ConfigError(
-                    f"{settings.design} is a robot for {task}, a task of your own: name it, task=FILE.py:NAME."
-                )
-            settings = dataclasses.replace(settings, task=task)
+            settings = dataclasses.replace(settings, task=known_task(zoo(settings.design.removeprefix(ZOO))))
         if source is None and settings.pretrained is not None:
             settings, self.learned = adopted(settings, settings.pretrained, named)
         if settings.method == "gradients" and settings.nan_guard == "dump":

@@ -24,7 +24,7 @@ from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 from warpvox.robots.entry import Robot
-from warpvox.robots.replay import SEEDS, robot_env, torch_policy
+from warpvox.robots.replay import SEEDS, known_task, robot_env, torch_policy
 from warpvox.runs import CONFIG, Run, find_run
 from warpvox.trust import STORED, allowed
 
@@ -148,8 +148,8 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
     task = config.task if isinstance(config.task, TaskSpec) else allowed("task", robot.task, config.task, file)
     if isinstance(config.task, Code) and task not in task_ids():  # an entry for a task of the user's own has its id
         task = config.task
-    if isinstance(task, str) and not is_code(task) and task not in task_ids():
-        raise ConfigError(f"The robot is for {task}, a task of your own: name its code, task=FILE.py:NAME.")
+    if isinstance(task, str) and not is_code(task):
+        known_task(robot)
     robot = dataclasses.replace(robot, task=task)
     parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=robot.has_feedback)
     alike = parts == (NOMINAL,) and not get_task(robot.task).is_random

@@ -141,13 +141,18 @@ def load_result(run: Run, settings: Any, device: str = "cpu") -> tuple[VoxelVecE
     return load_trained(run, Playing(count, **how, **own_code(settings)))
 
 
+def check_episodes(episodes: int, bodies: int) -> None:
+    """Raise ConfigError unless all bodies have equally many episodes."""
+    if episodes % bodies:
+        raise ConfigError(f"{bodies} bodies need a multiple of that of episodes; got {episodes}.")
+
+
 def disturbed(policy: Any, env: VoxelVecEnv, parts: Sequence[str], seed: int) -> Any:
     """The policy as it acts in the blocks of disturbances of ``env``, which from the next reset on draw the same."""
     if parts == (NOMINAL,):
         return policy
     episodes = env.num_envs // len(parts)
-    if episodes % env.num_designs:
-        raise ConfigError(f"{env.num_designs} bodies need a multiple of that of episodes; got {episodes}.")
+    check_episodes(episodes, env.num_designs)
     # the numbers of as many environments as a single disturbance has
     numbers = torch.arange(episodes).view(env.num_designs, 1, -1)
     env.draw_as(numbers.expand(-1, len(parts), -1).flatten())

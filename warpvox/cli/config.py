@@ -104,7 +104,7 @@ def _read_file(path: Path) -> tuple[dict[str, Any], Path]:
 def _composed(
     command: str, parsed: list[Override], config_dir: Path | None, stored: dict | None, origin: str
 ) -> DictConfig:
-    """The configuration of a command, unchecked; ``origin`` of the stored values begins what is said of them."""
+    """The configuration of a command, unchecked; errors in stored values begin with ``origin``, their file."""
     groups = [override for override in parsed if override.key_or_group in groups_of(command)]
     choices = [f"{one.get_key_element()}={quoted(key_and_value(one)[1])}".replace("${", "\\${") for one in groups]
     named, with_nodes = {override.key_or_group for override in groups}, nodes_of(command)

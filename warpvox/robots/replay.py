@@ -11,8 +11,9 @@ from warpvox.algos.checkpoints.files import PolicySpec, load_controller
 from warpvox.algos.checkpoints.policy import Policy, make_policy, policy_of
 from warpvox.algos.policies.gait import AMPLITUDE
 from warpvox.design import Design
+from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
-from warpvox.errors import RunError
+from warpvox.errors import ConfigError, RunError
 from warpvox.robots.entry import Robot
 from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
@@ -69,6 +70,13 @@ def policy_of_checkpoint(checkpoint: Path) -> Network | Gait:
     biases = tuple(state[name.removesuffix("weight") + "bias"] for name in layers)
     spec, deviation = policy.spec, (policy.deviation + policy.eps).numpy()
     return Network(weights, biases, state["mean"], deviation, spec.activation, float(spec.action_scale), ACTION_CENTER)
+
+
+def known_task(robot: Robot) -> str:
+    """The id of the robot's task; ConfigError: it is a task of the user's own, whose code has to be named."""
+    if robot.task not in task_ids():
+        raise ConfigError(f"The robot is for {robot.task}, a task of your own: name its code, task=FILE.py:NAME.")
+    return robot.task
 
 
 def torch_policy(robot: Robot, device: str = "cpu") -> Policy:
