@@ -161,8 +161,9 @@ class VoxelEnv(Adapter, gymnasium.Env):
                 self.sim.take(action[None])  # names an entry that is not finite
             obs, terms, terminated, unstable, diverged = self._fast.step(action)
         else:
-            obs, terms, terminated, unstable, diverged = self.vec.step_one(action[None])
-            obs = obs.cpu().numpy()
+            row, _, done, _, info = self.vec.step(action[None])
+            obs, terms = row[0].cpu().numpy(), {name: value.item() for name, value in info["reward_terms"].items()}
+            terminated, unstable, diverged = bool(done), bool(info["unstable"]), bool(info["diverged"])
         if terminated:
             self._ended = obs.copy()
         self._show()

@@ -196,7 +196,12 @@ class SingleStepper:
         return self._terms.observe(state), self._terms.judge(self._before, state, False)
 
     def step(self, action: np.ndarray) -> Result:
-        """One control step: what :meth:`warpvox.envs.vec_env.VoxelVecEnv.step_one` returns; ``action`` is finite."""
+        """One control step with a finite ``action``.
+
+        Returns:
+            Observation ``[num_obs]``, what each term has added to the reward, terminated, whether the step was
+            stopped, and whether by divergence. After a termination results are undefined until a reset.
+        """
         if self._times_set != self._episodes.times_set:
             self.begin()
         self._actions[:] = action
