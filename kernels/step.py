@@ -1,6 +1,8 @@
 """The control step: all stages of 30 sub-steps in one kernel, so that a pack stays in the cache.
 
-The stage functions are those that the other files launch alone; this file is their order.
+The stage functions are those of the other files; this file is their order. A stage is a Warp function
+``(model, data, mesh, pack, lane, unit, dt)`` that serves the ``width`` environments at ``lane`` of a pack. A *unit* is
+the thread that does so.
 """
 
 import functools
@@ -14,7 +16,6 @@ from warpvox.kernels.exact import order, springs as exact_springs
 from warpvox.kernels.folding import check
 from warpvox.kernels.group import record_group
 from warpvox.kernels.kit import Kit, builder, kit_of
-from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.reset import save, settle
 from warpvox.kernels.springs import goals, limit, runge_kutta
 
@@ -66,6 +67,20 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
     return control_step
 
 
+@functools.cache
+def stage_kernel(build, precision: str, width: int) -> wp.Kernel:
+    """The kernel that runs one stage alone; launch over (units of a pack, packs)."""
+    kit = kit_of(precision, width)
+    stage = build(kit)
+
+    @kernel
+    def run_stage(model: kit.Model, data: kit.Data, units: int, dt: wp.float64):
+        pack, part = wp.tid()
+        stage(model, data, model.pack_mesh[pack], pack, part * width, pack * units + part, dt)
+
+    return run_stage
+
+
 @builder
 def action_kernel(kit: Kit) -> wp.Kernel:
     """Kernel over (environments, actions): clip the actions and sort them into the lanes."""
@@ -82,13 +97,6 @@ def action_kernel(kit: Kit) -> wp.Kernel:
         data.action[env_pack[env], a, env_lane[env]] = goal
 
     return place_actions
-
-
-def launch(state, *names: str) -> None:
-    """Run stages of a sub-step alone, by their names in the order given; without names all of them."""
-    stages = {build.__name__: build for build in STAGES[state.arithmetic]}
-    for name in names or stages:
-        launch_stage(stages[name], state)
 
 
 def record_actions(state, actions, low: float, high: float) -> wp.Launch | Command:

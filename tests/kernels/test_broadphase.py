@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from stages import launch_stage
 from worlds import ground, world
 
 from warpvox.batch.arrays import MARGIN
@@ -16,7 +17,6 @@ from warpvox.kernels.broadphase import (
     mark_all,
     mark_grid,
 )
-from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.state import DISTANT
 from warpvox.simulation import Simulation
 

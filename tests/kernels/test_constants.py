@@ -5,12 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from stages import launch_stage, launch_stages
 from worlds import fixed_rows, ground, world
 
 from warpvox.design import sample_design
 from warpvox.errors import ConfigError
-from warpvox.kernels import step
-from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.springs import goals
 from warpvox.simulation import STATE_FIELDS, Simulation
 from warpvox.types import Physics
@@ -145,9 +144,9 @@ def test_strain_is_limited_as_the_plain_formula_does(dtype, arithmetic: str, tol
         noise = torch.as_tensor(rng.normal(0, 0.02, state["pos"].shape))
         sim.set_state(state | {"pos": state["pos"] + noise * moving})
         launch_stage(goals, sim._state)
-        step.launch(sim._state, "runge_kutta")
+        launch_stages(sim._state, "runge_kutta")
         begun = displaced(sim, lane)
-        step.launch(sim._state, "limit")
+        launch_stages(sim._state, "limit")
         assert np.isfinite(begun).all()
         found = sim._state.arrays["pos"].numpy()[0, :, lane].reshape(-1, 2)
         np.testing.assert_allclose(found, limited(sim, begun), rtol=0, atol=tolerance)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import torch
+from stages import launch_stages
 from worlds import fixed_rows, world
 
 from warpvox.design import sample_design
-from warpvox.kernels import step
 from warpvox.simulation import Simulation
 from warpvox.types import Physics
 
@@ -29,7 +29,7 @@ def touching(dtype: str, arithmetic: str, physics: Physics, speed: float) -> Sim
     )
     state["true_vel"] = torch.as_tensor(rng.normal(0.0, speed, shape))
     sim.set_state(state)
-    step.launch(sim._state, "boxes", "collect", "contacts")
+    launch_stages(sim._state, "boxes", "collect", "contacts")
     return sim
 
 

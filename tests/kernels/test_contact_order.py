@@ -5,10 +5,10 @@ import itertools
 import numpy as np
 import pytest
 import torch
+from stages import launch_stages
 from worlds import crowded_world
 
 from warpvox.contact_order import order_arrays, tree_of
-from warpvox.kernels import step
 from warpvox.simulation import Simulation
 
 SQUEEZE, NOISE = 0.7, 0.06
@@ -23,7 +23,7 @@ def crowd():
         state, rng = sim.state(), np.random.default_rng(seed)
         state["pos"] = state["pos"] * SQUEEZE + torch.tensor(rng.normal(0.0, NOISE, state["pos"].shape))
         sim.set_state(state)
-        step.launch(sim._state, "boxes", "collect", "contacts")
+        launch_stages(sim._state, "boxes", "collect", "contacts")
         return sim, {name: sim._state.arrays[name].numpy()[0] for name in ("hits", "hit", "hit_rank", "pos", "node")}
 
     return contacts

@@ -8,10 +8,9 @@ from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import make_vec
 from warpvox.kernels import sensing
 from warpvox.kernels.group import choose, group_kernel
-from warpvox.kernels.launch import stage_kernel
 from warpvox.kernels.reset import reset_kernel, save, settle
 from warpvox.kernels.reverse import reverse_kernel
-from warpvox.kernels.step import STAGES, action_kernel, step_kernel
+from warpvox.kernels.step import STAGES, action_kernel, stage_kernel, step_kernel
 
 AMPERE, ADA, HOPPER, BLACKWELL = 80, 89, 90, 100
 

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 import torch
+from stages import launch_stage, launch_stages
 from worlds import ground, world
 
 from warpvox.design import sample_design
-from warpvox.kernels import step
-from warpvox.kernels.launch import launch_stage
 from warpvox.kernels.reset import save, settle
 from warpvox.kernels.springs import goals
 from warpvox.simulation import STATE_FIELDS, Simulation
@@ -26,7 +25,7 @@ def step_by_stages(state):
     launch_stage(save, state)
     launch_stage(goals, state)
     for _ in range(SUBSTEPS):
-        step.launch(state)
+        launch_stages(state)
     launch_stage(settle, state)
 
 

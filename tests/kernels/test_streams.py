@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from warpvox.kernels import sensing
-from warpvox.kernels.launch import stage_kernel
 from warpvox.kernels.reset import follow_kernel, reset_kernel, save, settle
-from warpvox.kernels.step import STAGES, action_kernel, step_kernel
+from warpvox.kernels.step import STAGES, action_kernel, stage_kernel, step_kernel
 
 ROOT = Path(__file__).resolve().parents[2]
 HELPER = ROOT / "kernels" / "device.py"

@@ -16,8 +16,7 @@ from warpvox.bench.report import Report, middle, number
 from warpvox.bench.runner import HEADINGS, Runner, measure, seconds
 from warpvox.errors import SimulationError
 from warpvox.kernels.device import kernel, record
-from warpvox.kernels.launch import stage_kernel
-from warpvox.kernels.step import STAGES as STAGES_OF
+from warpvox.kernels.step import STAGES as STAGES_OF, stage_kernel
 
 MICRO = 1e6
 LAUNCHES = 200
