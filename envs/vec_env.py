@@ -402,7 +402,13 @@ class VoxelVecEnv:
         """The part of :meth:`step` that runs on the device, without waiting for it."""
         episodes = self.episodes
         going = self._going()
-        obs, after, memory_values, unstable, terms, terminated = self._advance(going)
+        self.sim.advance()
+        episodes.length.add_(1 if going is None else going)  # before it is observed
+        before, after = self._snapshot(episodes.before), self._snapshot()
+        obs = self.layout.observe(after)
+        memory_values = after.update(self.spec.memory)
+        unstable = self.sim.unstable if going is None else self.sim.unstable & going
+        terms, terminated = self.judge(before, after, unstable, going)
         obs, reward, unstable, diverged = self._sound(obs, terms, unstable, going)
         terminated, truncated = terminated | unstable, episodes.length >= episodes.limit
         truncated = truncated if going is None else truncated & going
@@ -444,16 +450,6 @@ class VoxelVecEnv:
         for term in self.spec.rewards:  # the state before the step may be non-finite: no reward follows from it
             terms[term.name] = terms[term.name].masked_fill(idle, 0.0)
         return obs, cast(torch.Tensor, sum(terms.values())), unstable, diverged | odd
-
-    def _advance(self, going: torch.Tensor | None):
-        """The step without what follows at the end of an episode."""
-        self.sim.advance()
-        self.episodes.length.add_(1 if going is None else going)  # before it is observed
-        before, after = self._snapshot(self.episodes.before), self._snapshot()
-        obs = self.layout.observe(after)
-        memory_values = after.update(self.spec.memory)
-        unstable = self.sim.unstable if going is None else self.sim.unstable & going
-        return obs, after, memory_values, unstable, *self.judge(before, after, unstable, going)
 
     def not_finite(self) -> dict[str, int]:
         """In how many environments each term of the task was NaN or infinite so far; waits for the device.
