@@ -27,7 +27,6 @@ class EnvFactory:
     task: str | TaskSpec
     rules: str = "evogym"
     obs: str = "task"
-    max_episode_steps: int | None = None
     sim: SimOptions = CPU
     fitness: str = NOMINAL
 
@@ -60,7 +59,6 @@ class EnvFactory:
             obs=self.obs,
             seed=list(seeds),
             auto_reset=auto_reset,
-            max_episode_steps=self.max_episode_steps,
             sim=self.sim,
             lanes=(self.sim.lanes or chosen) if self.sim.device == "cpu" else None,
             memory_check=False,  # the command has checked the whole; here the batch before may still hold memory

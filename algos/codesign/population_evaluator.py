@@ -161,9 +161,7 @@ def describe(factory: EnvFactory, settings: Any, seed: int, candidates: Sequence
     return {
         "version": VERSION,
         "task": get_task(factory.task).id,
-        "simulation": repr(
-            (factory.rules, sim.physics, sim.dtype, sim.arithmetic, factory.max_episode_steps, factory.fitness)
-        ),
+        "simulation": repr((factory.rules, sim.physics, sim.dtype, sim.arithmetic, factory.fitness)),
         "settings": {key: value for key, value in asdict(settings).items() if key not in irrelevant},
         "seed": seed,
         "candidates": [[candidate.id, candidate.body.tolist(), list(candidate.parents)] for candidate in candidates],

@@ -12,6 +12,7 @@ import warnings
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -35,7 +36,7 @@ from warpvox.configs.composition import training_preset
 from warpvox.design import example_design
 from warpvox.devices import names
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
-from warpvox.envs.registry import task_ids
+from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import MemoryLimitError
 from warpvox.kernels.device import current_stream
@@ -289,7 +290,7 @@ def test_a_population_is_trained_and_evaluated_on_one_device(cuda: SimulatedCuda
     monkeypatch.setattr(names, "ENOUGH", 10)
     monkeypatch.setattr(evaluation.VoxelVecEnv, "max_episode_steps", 3)
     settings = training_preset("fast", {"steps": 2}, envs=8)
-    factory = EnvFactory("Walker-v0", max_episode_steps=3, sim=SimOptions(threads=1))
+    factory = EnvFactory(replace(get_task("Walker-v0"), max_episode_steps=3), sim=SimOptions(threads=1))
     waits = []
     for steps in (2, 4):
         settings.ppo.steps = steps
@@ -310,7 +311,7 @@ def test_designs_that_are_trained_one_by_one_are_evaluated_on_the_cpu(cuda: Simu
         sequential_evaluator, "evaluator", lambda env, *how: made.append(env.device) or judge(env, *how)
     )
     settings = training_preset("fast", {"steps": 2}, envs=8, iterations=1, eval_interval=1)
-    factory = EnvFactory("Walker-v0", max_episode_steps=3, sim=SimOptions("cuda:0", threads=1))
+    factory = EnvFactory(replace(get_task("Walker-v0"), max_episode_steps=3), sim=SimOptions("cuda:0", threads=1))
     outcomes = sequential_evaluator.SequentialEvaluator(factory, settings).evaluate([Candidate(0, BODY)], {})
     assert made == ["cpu"]
     assert math.isfinite(outcomes[0].fitness)

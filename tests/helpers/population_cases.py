@@ -1,5 +1,7 @@
 """What the tests of evaluations share: settings that are quick, bodies and an environment factory."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from warpvox.algos.candidate import Candidate
@@ -8,6 +10,7 @@ from warpvox.algos.settings import DesignTraining
 from warpvox.batch.options import SimOptions
 from warpvox.configs.composition import training_preset
 from warpvox.design import sample_design
+from warpvox.envs.registry import get_task
 
 LIMIT = 16  # control steps of an episode
 
@@ -18,8 +21,8 @@ def small(preset: str = "fast", **changes: object) -> DesignTraining:
     return training_preset(preset, quick, **({"envs": 4, "iterations": 6, "eval_interval": 2} | changes))
 
 
-def factory(task: str = "Walker-v0", dtype: str = "float32") -> EnvFactory:
-    return EnvFactory(task, max_episode_steps=LIMIT, sim=SimOptions("cpu", dtype, threads=1))
+def factory(task: str = "Walker-v0", dtype: str = "float32", limit: int = LIMIT) -> EnvFactory:
+    return EnvFactory(replace(get_task(task), max_episode_steps=limit), sim=SimOptions("cpu", dtype, threads=1))
 
 
 def bodies(count: int) -> list[np.ndarray]:

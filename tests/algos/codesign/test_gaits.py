@@ -168,7 +168,7 @@ def by_cell_order(gait: Gait, body: np.ndarray) -> dict[str, np.ndarray]:
 )
 def test_the_value_of_a_gait_is_the_return_of_its_episode(task: str, dtype: str, limit: int, episodes: int) -> None:
     found = [candidate for candidate in candidates(3) if (candidate.body > 0).sum() > 4]
-    where = dataclasses.replace(factory(task, dtype), max_episode_steps=limit).computed(lanes=LANES)
+    where = factory(task, dtype, limit).computed(lanes=LANES)
     outcomes = staged(where, passes=2, episodes=episodes).evaluate(found, {})
     for candidate, outcome in zip(found, outcomes, strict=True):
         env = where.make([candidate.body], episodes, [0], auto_reset=False)
