@@ -6,11 +6,11 @@ import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from warpvox.checks import check_choice, check_integer, is_number
+from warpvox.checks import check_integer, is_number
 from warpvox.editor.documents import design_of, world_of
 from warpvox.errors import ConfigError, TaskError, WorldError, did_you_mean
 from warpvox.types import FRAME_SECONDS
-from warpvox.view.rollout import AGENTS, Rollout, record
+from warpvox.view.rollout import Rollout, agent_of, record
 
 if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec
@@ -42,12 +42,18 @@ def try_out(
         task: one of ``tasks``, for a body.
         tasks: what there is to choose from. A name of code that is not here is not imported.
     """
-    check_choice("agent", agent, AGENTS)
     if not is_number(seconds) or not FRAME_SECONDS <= seconds <= LONGEST:
         raise ConfigError(f"seconds must be a number from {FRAME_SECONDS} to {LONGEST:g}, got {seconds!r:.80}.")
     seed = check_integer("seed", seed, 0, 2**31 - 1)
     env = _task(document, task, tasks, seed) if document.get("kind") == "body" else _world(document, seed)
-    return record(_TimeLimited(env, time.monotonic() + TIME_LIMIT), agent, round(seconds / FRAME_SECONDS))
+    act, deadline = agent_of(agent, env), time.monotonic() + TIME_LIMIT
+
+    def in_time(obs: Any) -> Any:
+        if time.monotonic() > deadline:
+            raise ConfigError(f"This takes more than {TIME_LIMIT:g} s to simulate: choose fewer seconds or cells.")
+        return act(obs)
+
+    return record(env, in_time, round(seconds / FRAME_SECONDS), metadata={"agent": agent})
 
 
 def _task(document: Mapping[str, Any], task: object, tasks: Mapping[str, TaskSpec], seed: int) -> Any:
@@ -100,19 +106,3 @@ class OpenWorld:
         self.sim.step(actions)
         before, self._where = self._where, self._place()
         return None, self._where - before, self.sim.unstable, self.sim.unstable & False, {}
-
-
-class _TimeLimited:
-    """An environment whose steps fail after a point in real time."""
-
-    def __init__(self, env: Any, deadline: float) -> None:
-        self._env, self._deadline, self.auto_reset = env, deadline, False
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._env, name)
-
-    def step(self, actions: Any) -> tuple[Any, ...]:
-        """As the environment's; refuses to go on after the deadline."""
-        if time.monotonic() > self._deadline:
-            raise ConfigError(f"This takes more than {TIME_LIMIT:g} s to simulate: choose fewer seconds or cells.")
-        return self._env.step(actions)

@@ -249,7 +249,7 @@ def record(
         raise ConfigError(f"record needs what warpvox.make_vec makes, got {type(env).__name__}.{hint}")
     if num_steps is not None:
         check_integer("num_steps (or None)", num_steps, 1)
-    act = _agent(policy, env) if isinstance(policy, str) else policy
+    act = agent_of(policy, env) if isinstance(policy, str) else policy
     if hasattr(act, "in_float64"):
         act = act.in_float64()
     scenes, gather = scenes_of(env.sim)
@@ -327,7 +327,8 @@ def scenes_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], Any]]:
     return scenes, points
 
 
-def _agent(name: str, env: Any) -> Callable[[Any], Any]:
+def agent_of(name: str, env: Any) -> Callable[[Any], Any]:
+    """One of :data:`AGENTS` for ``env``, as a policy. ConfigError: another name."""
     import torch
 
     check_choice("agent", name, AGENTS)
