@@ -28,6 +28,7 @@ from warpvox.io.reading import read_table
 from warpvox.robots import Robot
 from warpvox.robots.returns import EPISODES, judge_robust
 from warpvox.system import processor_name
+from warpvox.view.rollout import agent_of
 
 FOLDER = Path(__file__).resolve().parent
 KNOWN = FOLDER.parent / "envs" / KNOWN_RETURNS
@@ -157,17 +158,9 @@ def write_table(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
 
 def random_return(task: str) -> float:
     """The mean return of random bodies under actions that are uniform in each control step."""
-    import torch
-
     bodies = [wv.sample_design((5, 5), seed=seed) for seed in range(BODIES)]
     env = wv.make_vec(task, designs=bodies, num_envs=BODIES, seed=0, device="cpu", auto_reset=False)
-    draws = torch.Generator().manual_seed(0)
-    low, high = 0.6, 1.6
-
-    def policy(obs: Any) -> Any:
-        return low + (high - low) * torch.rand((env.num_envs, env.num_actions), generator=draws)
-
-    return evaluate(env, policy).mean_return
+    return evaluate(env, agent_of("random", env)).mean_return
 
 
 def measure_random() -> None:

@@ -33,6 +33,7 @@ STATE = wp.float64
 
 # How a control step of an environment ended (bits).
 UNSTABLE, DIVERGED, OVERFLOW = 1, 2, 4
+STOPPED = UNSTABLE | DIVERGED
 DISTANT = 16  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
 STALE = 1.0e9  # a drift that makes the next sub-step rebuild its candidates
 FASTEST = 1.0e4
@@ -45,13 +46,10 @@ lanes meet in the candidates of contacts alone, whose list has room for all pair
 """
 FARTHEST = 1.0e6
 """Coordinate beyond which it has diverged: no lattice goes so far, so that contacts are not looked for there."""
-CPP_CONSTANTS = {
-    name: int(value) if isinstance(value, int) else float(value)
-    for name, value in dict(
-        UNSTABLE=UNSTABLE, DIVERGED=DIVERGED, OVERFLOW=OVERFLOW, DISTANT=DISTANT, STALE=STALE, FASTEST=FASTEST,
-        FARTHEST=FARTHEST,
-    ).items()
-}  # fmt: skip
+CPP_CONSTANTS = dict(
+    UNSTABLE=UNSTABLE, DIVERGED=DIVERGED, OVERFLOW=OVERFLOW, DISTANT=DISTANT, STALE=STALE, FASTEST=FASTEST,
+    FARTHEST=FARTHEST,
+)  # fmt: skip
 """The constants as the C++ has them."""
 
 Table = dict[str, tuple[Any, str, str]]

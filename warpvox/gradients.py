@@ -48,7 +48,7 @@ class Gradients:
         self.sim, self.smoothing = sim, float(smoothing)
         buffers = sim.buffers
         sizes = buffers.sizes | {"trail": (sim.physics.substeps + 1) * buffers.sizes["point"]}
-        precision = str(sim.dtype).removeprefix("torch.")
+        precision = sim.options.dtype
         self.tape = allocate(TAPE, sizes, precision, sim.device)
         tape = structs(precision).Tape()
         for name, array in self.tape.items():

@@ -22,7 +22,7 @@ from warpvox.checks import check_choice, check_mask
 from warpvox.compile import mesh
 from warpvox.errors import ActionError, SimulationError
 from warpvox.kernels import reset as reset_stage, step as step_stage
-from warpvox.kernels.state import DIVERGED, OVERFLOW, STALE, UNSTABLE
+from warpvox.kernels.state import DIVERGED, OVERFLOW, STALE, STOPPED
 from warpvox.sensors import Recorded, Sensing
 from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
 from warpvox.world import World
@@ -30,12 +30,10 @@ from warpvox.world import World
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-INTEGERS = {torch.int64, torch.int32, torch.int16, torch.int8}
-NUMBERS = INTEGERS | {torch.float32, torch.float64, torch.float16, torch.bfloat16}
+NUMBERS = {torch.int64, torch.int32, torch.int16, torch.int8}
+NUMBERS |= {torch.float32, torch.float64, torch.float16, torch.bfloat16}
 """Types that actions may have."""
 
-DTYPES = {"float32": torch.float32, "float64": torch.float64}
-_STOPPED, _OVERFLOW = int(UNSTABLE | DIVERGED), int(OVERFLOW)
 _living: weakref.WeakSet[Simulation] = weakref.WeakSet()
 
 
@@ -85,7 +83,7 @@ class Simulation(Sensing):
         low, high = _check_range(action_range)
         self.device, self.physics, self.grid = self.options.device, self.options.physics, self.options.grid
         self.arithmetic, self.threads = self.options.arithmetic, self.options.threads
-        self.dtype = DTYPES[self.options.dtype]
+        self.dtype: torch.dtype = getattr(torch, self.options.dtype)
         different, index = group(worlds)
         group_first = self.options.layout == "group"
         for self.layout in ("group", "lanes") if group_first else ("lanes",):
@@ -268,7 +266,7 @@ class Simulation(Sensing):
     @property
     def unstable(self) -> torch.Tensor:
         """bool [num_envs]: the last step was stopped (self-folding or divergence) and undone."""
-        return (self._of_environments("status") & _STOPPED) != 0
+        return (self._of_environments("status") & STOPPED) != 0
 
     @property
     def diverged(self) -> torch.Tensor:
@@ -278,12 +276,12 @@ class Simulation(Sensing):
         1e6; see :mod:`warpvox.kernels.state`. The step is undone; if it began with non-finite values, which only
         :meth:`set_state` can cause, the environment is reset instead.
         """
-        return (self._of_environments("status") & int(DIVERGED)) != 0
+        return (self._of_environments("status") & DIVERGED) != 0
 
     @property
     def overflow(self) -> torch.Tensor:
         """bool [num_envs]: the last step met more contact candidates than there is room for, and left some out."""
-        return (self._of_environments("status") & _OVERFLOW) != 0
+        return (self._of_environments("status") & OVERFLOW) != 0
 
     @property
     def worlds(self) -> list[World]:

@@ -69,7 +69,7 @@ def spaces_of(env: Any) -> tuple[Box, Box]:
     ``grid`` in any that may be put in; what has none, such as places and velocities, may become as large as it likes.
     Both have the precision of the environment.
     """
-    dtype = np.dtype(str(env.dtype).removeprefix("torch."))
+    dtype = np.dtype(env.sim.options.dtype)
     padding = np.arange(int(env.num_obs)) >= env.layout.always  # is 0
     low, high = np.where(padding, 0.0, np.inf), np.where(padding, 0.0, -np.inf)
     for term in env.spec.observations:

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from warpvox.envs.snapshot import Quantity, Snapshot
-from warpvox.kernels.state import DIVERGED, UNSTABLE
+from warpvox.kernels.state import DIVERGED, STOPPED
 
 if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 OURS = "warpvox.envs.terms."
 """Package of the terms that follow the rules: functions of states alone, without branches on values."""
-_STOPPED, _DIVERGED = int(UNSTABLE | DIVERGED), int(DIVERGED)
 
 Result = tuple[np.ndarray, dict[str, float], bool, bool, bool]
 
@@ -171,7 +170,7 @@ class SingleStepper:
     def __init__(self, env: VoxelVecEnv) -> None:
         sim = self._sim = env.sim
         self._sensors = Sensors(sim)
-        self._terms = RowTerms(env.spec, str(env.dtype).removeprefix("torch."))
+        self._terms = RowTerms(env.spec, env.sim.options.dtype)
         self._without = dict.fromkeys((term.name for term in env.spec.rewards), 0.0)
         self._actions = sim.action_buffer.numpy()[0]
         self._status = sim.array("status").numpy().reshape(-1)
@@ -216,7 +215,7 @@ class SingleStepper:
             for memory in self._updates:
                 self._memory[memory.name][...] = memory_values[memory.name]
         status = self._status.item(self._slot)  # a number of Python's: those of numpy are slow
-        stopped, diverged = bool(status & _STOPPED), bool(status & _DIVERGED)
+        stopped, diverged = bool(status & STOPPED), bool(status & DIVERGED)
         terms, ended = self._terms.judge(before, after, stopped)
         if diverged:
             terms |= self._without

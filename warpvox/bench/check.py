@@ -55,7 +55,7 @@ def against_scalar(env: VoxelVecEnv, seed: int) -> float:
         apart = env.sim.com("robot")[[0, -1]].cpu() - alone.sim.com("robot")
         error = max(error, float(apart.abs().max()))
     env.reset(seed=env.seed)
-    allowed = ROUNDING[str(env.dtype).removeprefix("torch.")]
+    allowed = ROUNDING[env.sim.options.dtype]
     return _allowed(error, allowed, f"{env.spec.id}: an environment of the batch differs from one alone", SHORT)
 
 

@@ -12,14 +12,13 @@ from warpvox.batch.options import SimOptions
 from warpvox.envs.adapters.single import Sensors
 from warpvox.errors import did_you_mean, listing
 from warpvox.evogym.errors import ArgumentError, ArgumentTypeError
-from warpvox.kernels.state import DIVERGED, UNSTABLE
+from warpvox.kernels.state import STOPPED
 from warpvox.simulation import Simulation
 from warpvox.types import Cell
 from warpvox.world import World
 
 __all__ = ["Engine"]
 
-_STOPPED = int(UNSTABLE) | int(DIVERGED)
 _ANY_NUMBER = (-np.inf, np.inf)
 
 
@@ -72,7 +71,7 @@ class Engine:
         """One control step; True if self-folding (or numbers that are not finite) stopped and undid it."""
         self._sim.advance()
         self._moved()
-        if self._status[0] & _STOPPED:
+        if self._status[0] & STOPPED:
             return True
         self.time += 1
         self._record()

@@ -275,7 +275,7 @@ def facts_of(env: Any) -> dict[str, Any]:
         "rules": getattr(env, "rules", None),
         "physics": env.sim.physics.label,
         "seed": _plain_seed(getattr(env, "seed", None)),
-        "dtype": str(env.sim.dtype).removeprefix("torch."),
+        "dtype": env.sim.options.dtype,
         "arithmetic": env.sim.arithmetic,
     }
 
