@@ -137,40 +137,11 @@ class DesignTraining(Settings):
         return max(1, math.ceil(round(self.keep * designs, 9)))
 
 
-CONSTANTS = {
-    "dt": "time step of a sub-step, 1e-8 to 0.01; stable up to about 1.3e-4 with the default constants",
-    "substeps": "sub-steps of a control step, 1 to 10000",
-    "point_mass": "mass of every point, 0.001 to 1e6",
-    "gravity": "downward acceleration, in simulator units",
-    "drag": "drag force on a point per unit of velocity",
-    "contact_stiffness": "contact force per unit of penetration depth",
-    "contact_depth": "length added to the penetration depth",
-    "contact_damping": "damping force per unit of approach velocity",
-    "friction": "friction coefficient between voxels",
-    "friction_multiplier": "friction force per unit of sliding velocity, up to the limit set by friction",
-    "floor_stiffness": "force of the floor per unit of depth below y = 0",
-    "floor_friction": "friction of the floor at y = 0, as a multiple of friction",
-    "actuation_rate": "fraction of the gap to its target length that a spring closes in a sub-step",
-    "strain_limit": "strain of a spring beyond which its two ends are moved back, 0.001 to 0.99",
-    "strain_share": "fraction of half the excess length by which each end is moved, 0 (no limit) to 1",
-    "rigid_strain_limit": "strain_limit of the sides of rigid voxels",
-    "rigid_strain_share": "strain_share of the sides of rigid voxels",
-    "rigid_main": "stiffness of the sides of rigid voxels",
-    "rigid_structural": "stiffness of the diagonals of rigid voxels",
-    "soft_main": "stiffness of the sides of soft voxels",
-    "soft_structural": "stiffness of the diagonals of soft voxels",
-    "actuator_main": "stiffness of the sides of actuators",
-    "actuator_structural": "stiffness of the diagonals of actuators",
-    "shared_edge": "which voxel sets the stiffness of a shared side: last or stiffest",
-}
-"""Meanings of the constants of the physics."""
-
-
 _meaning = "preset to start from; auto: the one that belongs to rules"
 _fields: list[tuple[str, Any, Any]] = [
     ("preset", str, key("auto", _meaning, choices=("auto", *Physics.presets()))),
     *(
-        (one.name, type(one.default) | None, key(None, f"{CONSTANTS[one.name]}; null: the preset's value"))
+        (one.name, type(one.default) | None, key(None, f"{one.metadata['help']}; null: the preset's value"))
         for one in dataclasses.fields(Physics)
         if one.name != "name"
     ),

@@ -138,7 +138,8 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
             value, usual = getattr(config, item.name), item.default_factory
             if isinstance(value, Mapping) and callable(usual) and dataclasses.is_dataclass(hints[item.name]):
                 value = changed(usual(), value, prefix + item.name)
-            setattr(config, item.name, converted(value, hints[item.name], prefix + item.name))
+            # also of a frozen dataclass
+            object.__setattr__(config, item.name, converted(value, hints[item.name], prefix + item.name))
 
 
 def flat(values: Mapping[str, Any], whole: Collection[str] = (), prefix: str = "") -> dict[str, Any]:
@@ -179,7 +180,10 @@ def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
         return [converted(entry, get_args(kind)[0], name) for entry in value]
     if plain is str:
         return value if isinstance(value, str) else os.path.expanduser(value)
-    return plain(value)
+    try:
+        return plain(value)
+    except OverflowError:  # an integer of more digits than a float can have
+        raise ConfigError(f"{name} must be a finite number, got {value!r:.40}.") from None
 
 
 def plain(value: Any, name: str) -> Any:

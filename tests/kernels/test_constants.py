@@ -168,7 +168,7 @@ def displaced(sim: Simulation, lane: int) -> np.ndarray:
         ("dt", 0.0), ("dt", 1.0), ("substeps", 0), ("substeps", 2.0),
         ("substeps", 10**6), ("point_mass", 0.0), ("point_mass", float("inf")),
         ("strain_limit", 1.0), ("rigid_strain_limit", -0.1),
-        ("gravity", -1.0), ("friction", float("nan")),
+        ("gravity", -1.0), ("friction", float("nan")), ("shared_edge", "first"), ("drag", "0.1"), ("drag", 10**400),
     ],
 )  # fmt: skip
 def test_a_constant_out_of_its_range_is_refused(name: str, value: object) -> None:
