@@ -12,10 +12,11 @@ from types import SimpleNamespace
 import pytest
 from tiny import once
 
-from warpvox.bench import check, gradients, kernels, machine, reference, runner, scaling
+from warpvox.bench import check, gradients, kernels, machine, reference, runner
 from warpvox.bench.cases import full_body
 from warpvox.bench.runner import Runner
 from warpvox.configs.bench import BenchConfig
+from warpvox.envs import memory
 from warpvox.errors import ConfigError, SimulationError
 from warpvox.kernels.state import DATA
 from warpvox.kernels.step import STAGES
@@ -175,7 +176,7 @@ def test_scaling_in_three_ways(bench: Callable, fake_reference: Callable) -> Non
     ("envs", "limit", "left_out"), [([8, 4096], 4, "4,096 (memory"), ([8], 1e-9, "8 (over 1e-09 s a repetition)")]
 )
 def test_scaling_leaves_out_what_does_not_fit(envs: list[int], limit: float, left_out: str, bench, monkeypatch) -> None:
-    monkeypatch.setattr(scaling, "available_memory", lambda _: 5e4)
+    monkeypatch.setattr(memory, "free_memory", lambda device: 10**7)
     said, figures = bench("scaling", *FIGURE_2, "scaling.sizes=[2]", f"scaling.envs={envs}", f"limit={limit}")
     assert left_out in said
     assert [row[0] for row in figures["tables"][1]["rows"]] == [str(count) for count in envs[:-1]]

@@ -15,14 +15,13 @@ import numpy as np
 
 from warpvox.bench.cases import one_body, sampled_or_full
 from warpvox.bench.check import against_reference
-from warpvox.bench.machine import available_memory, per_environment
+from warpvox.bench.machine import per_environment
 from warpvox.bench.reference import Reference, open_reference
 from warpvox.bench.report import Report, middle
 from warpvox.bench.runner import HEADINGS, Runner, measure, unit
+from warpvox.errors import MemoryLimitError
 from warpvox.system import usable_cores
 
-MEMORY_SHARE = 0.7
-"""Share of the free memory that environments may take."""
 STEPS_PER_SECOND = 50
 """Control steps of a simulated second (section A.2)."""
 PACK, SMALL = 32, 25
@@ -115,11 +114,8 @@ def _show_bodies(config: Any, report: Report, scaling: Any, rows: list[dict[str,
 
 def scale_envs(config: Any, report: Report) -> None:
     """The columns for numbers of environments; what needs too much time or memory is left out, with the reason."""
-    body, rows, left_out, needed = one_body(config), [], [], 0.0
+    body, rows, left_out = one_body(config), [], []
     for count in sorted(config.scaling.envs):
-        if count * needed > MEMORY_SHARE * available_memory(config.device):
-            left_out.append(f"{count:,} (memory: {count * needed / 2**30:.1f} GiB)")
-            continue
         try:
             with report.console.status(f"{count:,} environments"):
                 runner = Runner(config, [body], count)
@@ -127,11 +123,10 @@ def scale_envs(config: Any, report: Report) -> None:
                     left_out.append(f"{count:,} (over {config.limit:g} s a repetition)")
                     continue
                 rates = measure({"": runner}, config.columns, config.repeats)[""]
-        except MemoryError:
+        except (MemoryError, MemoryLimitError):
             left_out.append(f"{count:,} (memory)")
             continue
-        needed = per_environment(runner.env)
-        rows.append([f"{count:,}", *rates.values(), needed / 1000])
+        rows.append([f"{count:,}", *rates.values(), per_environment(runner.env) / 1000])
     title = f"{config.task}, control steps per {unit(config.device)}, {config.dtype}, {config.device}"
     report.table(title, ["environments", *(HEADINGS[c] for c in config.columns), "kB an environment"], rows)
     if left_out:
