@@ -9,9 +9,9 @@ from warpvox.algos.protocols import NOMINAL, PROTOCOLS
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, arithmetic_key
 from warpvox.configs.schema import EXPORTS, SHOW
 from warpvox.keys import key
+from warpvox.view.rollout import AGENTS
 
 POLICY_EXPORTS = ("onnx", "jit")
-AGENTS = ("random", "sine", "zero")
 OWN_TASK = "For a run of a task of your own: its code, file.py:NAME, or stored for the copy in the run"
 """Meaning of ``task`` beside ``run``."""
 
