@@ -20,6 +20,7 @@ from warpvox.bench import cases, gpu, gpu_checks, gpu_rates, gpu_tools, report a
 from warpvox.bench.machine import machine
 from warpvox.bench.report import Report
 from warpvox.cli.config import load
+from warpvox.envs import memory
 from warpvox.errors import SimulationError
 from warpvox.types import Physics
 
@@ -132,6 +133,13 @@ def test_its_parts_run_on_a_device(report: Report, monkeypatch: pytest.MonkeyPat
     assert {"graph", "stream", "sizes"} <= figures["seconds"].keys()
     assert cuda.captured
     assert all(graph.replays for graph in cuda.captured)
+
+
+def test_sizes_beyond_the_memory_are_left_out(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "free_memory", lambda device: 10**6)
+    gpu_rates.sizes(config_of("device=cpu", "design=mini"), report, (4096, 1))
+    assert [row["num_envs"] for row in report.figures["sizes"]] == [1]
+    assert "Left out: 4,096 environments need" in report.write()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a script stands in for the tool")

@@ -9,10 +9,12 @@ from warpvox.algos.population.training import PopulationTraining
 from warpvox.batch.options import SimOptions
 from warpvox.bench.cases import full_body, one_body, sampled_bodies
 from warpvox.bench.learning import learn
-from warpvox.bench.machine import available_memory, per_environment
+from warpvox.bench.machine import per_environment
 from warpvox.bench.report import Report, middle, number
 from warpvox.bench.runner import Runner, measure, seconds
 from warpvox.configs.composition import training_preset
+from warpvox.devices.out_of_memory import free_memory
+from warpvox.errors import MemoryLimitError
 from warpvox.kernels.step import record_step
 from warpvox.system import usable_cores
 
@@ -38,14 +40,15 @@ def _median(runner: Runner, config: Any) -> float:
 
 def sizes(config: Any, report: Report, counts: tuple[int, ...]) -> None:
     """The physics alone, whole steps as a graph, the same launched one by one, and on all cores of the CPU."""
-    rows, needed, cpu = [], 0.0, replace(config, device="cpu", threads=usable_cores())
+    rows, cpu = [], replace(config, device="cpu", threads=usable_cores())
     for count in report.in_time("sizes", counts, "{:,} environments"):
-        before = available_memory(config.device)
-        if count * needed > before:
-            report.note(f"{count:,} environments need {count * needed / 2**30:.1f} GiB: left out.")
+        before = free_memory(config.device) or 0
+        try:
+            runner = _runner(config, count)
+        except MemoryLimitError as error:
+            report.note(f"Left out: {error}")
             continue
-        runner = _runner(config, count)
-        taken, needed = before - available_memory(config.device), per_environment(runner.env)
+        taken = before - (free_memory(config.device) or 0)
         physics, step = _physics(runner), _median(runner, config)
         single = beside = None
         if config.device != "cpu":
@@ -57,7 +60,7 @@ def sizes(config: Any, report: Report, counts: tuple[int, ...]) -> None:
             f"{count:,} environments: {number(physics / 1e6)} M (physics), {number(step / 1e6)} M (whole steps),"
             f" {number(single and single / 1e6)} M (without a graph), {number(beside and beside / 1e6)} M (CPU)",
             num_envs=count, layout=runner.env.sim.layout, physics=physics, step=step, single=single, cpu=beside,
-            bytes=needed, taken=taken,
+            bytes=per_environment(runner.env), taken=taken,
         )  # fmt: skip
     title = f"{config.task}, control steps per second, {config.dtype}, {config.device}"
     headings = ["environments", "physics", "step only", "without a graph", f"step only, CPU, {cpu.threads} threads"]

@@ -1,4 +1,4 @@
-"""The machine that figures belong to, and its memory: what is free, and what an environment takes."""
+"""The machine that figures belong to, and the memory that an environment takes."""
 
 import platform
 from typing import Any
@@ -7,7 +7,6 @@ import torch
 import warp as wp
 
 from warpvox import __version__
-from warpvox.devices.out_of_memory import free_memory
 from warpvox.kernels.state import DATA
 from warpvox.system import processor_name, usable_cores
 
@@ -44,12 +43,6 @@ def machine_line(facts: dict[str, Any]) -> str:
     gpu = f"{facts['gpu']}, " if "gpu" in facts else ""
     versions = ", ".join(f"{name} {facts[name.lower()]}" for name in ("Python", "torch", "warp", "warpvox"))
     return f"{gpu}{facts['cores']} usable cores of {facts['cpu']}; {versions}"
-
-
-def available_memory(device: str) -> float:
-    """Bytes that can still be allocated on the device; infinite where the system does not report it."""
-    free = free_memory(device)
-    return float("inf") if free is None else float(free)
 
 
 def memory(env: Any) -> dict[str, float]:
