@@ -309,7 +309,7 @@ def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
             corner.append([p + base for p in body.corners[cell]])
             side.append(bits)
             owner.append(index)
-            robot.append(robots.index(body) if body in robots else -1)
+            robot.append(index if body.source.is_robot else -1)  # robots come first
             grid.append([cell[1], cell[0]])
     rest_pos = [value for body in bodies for point in body.points for value in point]
     lattice = _lattice(design)
