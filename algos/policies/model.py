@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelInputs, VoxelLayout
-from warpvox.algos.policies.network import Network, VoxelGaussian, observations
+from warpvox.algos.policies.network import Network, VoxelGaussian
 from warpvox.algos.policies.registry import make_network
 
 FARTHEST = 8.0
@@ -24,18 +24,15 @@ class VoxelNormalizer(nn.Module):
 
     A feature of all voxels is scaled alike, wherever in the grid it lies, so that a voxel looks the same in all bodies.
     What moves is scaled; place, type, neighbours and the clock stay as they are.
-
-    Args:
-        learns: whether :meth:`update` learns; otherwise inputs are only cut to their bounds.
     """
 
     mean: torch.Tensor
     var: torch.Tensor
     count: torch.Tensor
 
-    def __init__(self, layout: VoxelLayout, learns: bool = True) -> None:
+    def __init__(self, layout: VoxelLayout) -> None:
         super().__init__()
-        self.layout, self.learns, self.inputs = layout, learns, VoxelInputs(layout)
+        self.layout, self.inputs = layout, VoxelInputs(layout)
         self.register_buffer("mean", torch.zeros(MOVING + layout.scaled))
         self.register_buffer("var", torch.ones(MOVING + layout.scaled))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
@@ -57,8 +54,6 @@ class VoxelNormalizer(nn.Module):
     @torch.no_grad()
     def update(self, obs: torch.Tensor) -> None:
         """Learn from observations ``[rows, num_obs]``; processes that train together learn from all of theirs."""
-        if not self.learns:
-            return
         sums = sum((self._sums(rows) for rows in obs.split(BLOCK)), torch.zeros(()))
         if torch.distributed.is_initialized():
             torch.distributed.all_reduce(sums)
@@ -108,7 +103,7 @@ class VoxelModel(Network):
         if distribution_cfg is not None:
             given = {name: value for name, value in distribution_cfg.items() if name != "class_name"}
             self.distribution = VoxelGaussian(output_dim, **given)
-        self.obs_normalizer = VoxelNormalizer(self.layout, obs_normalization)
+        self.obs_normalizer = VoxelNormalizer(self.layout)  # without `obs_normalization` it only cuts to its bounds
         self.network = make_network(network, self.layout, self.distribution is None, settings)
         cells, count = self.layout.cells, self.layout.cells * FEATURES
         self._parts = [count, self.layout.rest, cells, self.layout.actions]
@@ -133,7 +128,3 @@ class VoxelModel(Network):
         # cells without an actuator share the last column, which is dropped
         means = values.new_zeros(values.shape[0], self.layout.actions + 1).scatter(1, actions.long(), values)
         return means[:, : self.layout.actions]
-
-    def update_normalization(self, obs: TensorDict) -> None:
-        """Learn how observations are scaled."""
-        self.obs_normalizer.update(observations(self, obs))
