@@ -144,8 +144,8 @@ class Normalizer(EmpiricalNormalization):
         self._std = self._var.sqrt()
 
 
-class PopulationModel(nn.Module):
-    """Stacks stock models of one architecture and has rsl-rl's interface of models.
+class PopulationModel(MLPModel):
+    """Stacks stock models of one architecture.
 
     Rows of observations and results are sorted by design, in blocks of one size. Observations and actions are padded
     to those of the largest design with 0, and so are the weights of padded inputs and outputs; these stay 0, because
@@ -155,10 +155,8 @@ class PopulationModel(nn.Module):
         models: one for each design; sizes of inputs and outputs may differ.
     """
 
-    is_recurrent = False
-
     def __init__(self, models: Sequence[MLPModel]) -> None:
-        super().__init__()
+        nn.Module.__init__(self)
         first = models[0]
         self.obs_groups = first.obs_groups
         layers = [[layer for layer in model.mlp if isinstance(layer, nn.Linear)] for model in models]
@@ -201,12 +199,6 @@ class PopulationModel(nn.Module):
     def forward(self, obs: TensorDict) -> torch.Tensor:
         """Rows of outputs: ``[rows, actions]`` of a policy, ``[rows, 1]`` of a value function."""
         return self.run(self.scaled(observations(self, obs))).flatten(0, 1)
-
-    def reset(self, dones: Any = None, hidden_state: Any = None) -> None:
-        """Nothing: these networks are not recurrent."""
-
-    def get_hidden_state(self) -> None:
-        """None: these networks are not recurrent."""
 
     def member(self, design: int) -> dict[str, torch.Tensor]:
         """The state of one design's network as a stock model loads it, on the CPU."""
