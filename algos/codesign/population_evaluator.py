@@ -216,7 +216,7 @@ def best_parent(candidate: Candidate, parents: Parents) -> Parent | None:
     return max(known, key=lambda parent: parent.fitness, default=None)
 
 
-def inherit_policy(factory: EnvFactory, parent: Parent, env: VoxelVecEnv, design: int, networks: Networks) -> None:
-    """Initialise the ``networks`` of a design of ``env`` with the parent's policy."""
+def inherit_policy(factory: EnvFactory, parent: Parent, env: VoxelVecEnv, design: int, networks: Any) -> None:
+    """Initialise ``networks.actor`` and ``networks.critic`` of a design of ``env`` with the parent's policy."""
     old = BodyLayout.of(factory.make([parent.body], 1, [0], auto_reset=False), 0)
     copy_weights(networks.actor, networks.critic, BodyLayout.of(env, design), old, parent.policy)

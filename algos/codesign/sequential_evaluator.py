@@ -25,7 +25,6 @@ from warpvox.algos.codesign.population_evaluator import (
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import EpisodeReturns, evaluator
 from warpvox.algos.policies.registry import voxels_of
-from warpvox.algos.population.training import Networks
 from warpvox.algos.settings import DesignTraining
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.devices.out_of_memory import enough_memory
@@ -95,8 +94,7 @@ class SequentialEvaluator:
             elif settings.inherit and parent is not None and self.network is not None:
                 copy_voxel_policy(cast(Any, runner.alg.actor), parent.policy)
             elif settings.inherit and parent is not None:
-                networks = Networks(runner.alg.actor, runner.alg.critic, torch.empty(0))
-                inherit_policy(self.factory, parent, env.env, 0, networks)
+                inherit_policy(self.factory, parent, env.env, 0, runner.alg)
             try:
                 runner.run()
             except DivergenceError:  # it leaves with what it had, as one of many would

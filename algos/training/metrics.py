@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 from warpvox.errors import ConfigError, RunError, listing
+from warpvox.io.reading import read_table
 from warpvox.io.writing import write_text, writing
 
 COLUMNS = {
@@ -36,6 +37,7 @@ COLUMNS = {
 NEEDED = ("iteration", "steps", "eval_return", "elapsed")
 """Columns that something is made of; others may be missing from a file that an earlier version has written."""
 FILE = "metrics.csv"
+
 SERVICES = ("wandb", "neptune")
 """Loggers that are packages of their own; TensorBoard's events are written besides."""
 
@@ -105,11 +107,9 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
     A last line that was cut short by a crash is left out.
     """
     path = folder / FILE
-    if not path.is_file():
-        return []
     rows = []
     try:
-        for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
+        for row in read_table(path, 1 << 30):
             if None in row or None in row.values():
                 continue
             rows.append({name: float(text) if text else math.nan for name, text in row.items()})
