@@ -79,11 +79,10 @@ class Disturbed:
     def __init__(
         self, policy: Callable[[Any], Any], env: VoxelVecEnv, parts: Sequence[str], seed: int, stream: int = JUDGED
     ) -> None:
-        designs = int(env.design_index.max()) + 1
-        copies = env.num_envs // (designs * len(parts))
+        copies = env.num_envs // (env.num_designs * len(parts))
         self.policy, self.draws = policy, Draws(seed, stream, copies, env.device)
         self.shape = env.num_envs, env.num_actions
-        self.parts, self.names = tuple(parts), [name for name in parts for _ in range(copies)] * designs
+        self.parts, self.names = tuple(parts), [name for name in parts for _ in range(copies)] * env.num_designs
         self.kinds = [DISTURBANCES[name] for name in self.names]
         column = lambda name: torch.tensor([[getattr(kind, name)] for kind in self.kinds], device=env.device)  # noqa: E731
         self.noise, self.sticky, self.sensors = (column(name).double() for name in ("noise", "sticky", "sensors"))

@@ -36,9 +36,7 @@ class EpisodeReturns:
     @property
     def fitness(self) -> torch.Tensor:
         """float64 ``[num_designs]``: the mean return of each design, what a design search maximises."""
-        designs = int(self.design_index.max()) + 1
-        sums = torch.zeros(designs, dtype=torch.float64).index_add_(0, self.design_index, self.returns)
-        return sums / torch.bincount(self.design_index, minlength=designs)
+        return torch.bincount(self.design_index, self.returns) / torch.bincount(self.design_index)
 
 
 Evaluator = Callable[[Policy], EpisodeReturns]

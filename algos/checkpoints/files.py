@@ -21,7 +21,7 @@ from warpvox.code import Code, is_code
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError, first_line
-from warpvox.io.writing import atomic_path
+from warpvox.io.writing import write_bytes
 from warpvox.robots.network import WIDEST
 from warpvox.runs import BEST
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
@@ -114,8 +114,7 @@ def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
     # By way of memory: of a full disk torch's own writer says neither what has happened nor where.
     whole = io.BytesIO()
     torch.save(content, whole)
-    with atomic_path(path, make_folders=False) as temporary:
-        temporary.write_bytes(whole.getbuffer())
+    write_bytes(path, whole.getbuffer(), make_folders=False)
 
 
 def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:

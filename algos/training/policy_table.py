@@ -39,23 +39,15 @@ class EvaluatedPolicy:
 
     @classmethod
     def each(
-        cls,
-        name: str,
-        env: VoxelVecEnv,
-        policy: Any,
-        level: float,
-        parts: Sequence[str] = (NOMINAL,),
-        drawn: bool = False,
+        cls, name: str, env: VoxelVecEnv, policy: Any, level: float, parts: Sequence[str], drawn: bool
     ) -> list[EvaluatedPolicy]:
         """A row of each disturbance, after one episode in each environment; ``drawn``: all of them differ by chance."""
-        found = evaluate(env, policy)
-        designs = int(found.design_index.max()) + 1
-        blocks = found.returns.view(designs, len(parts), -1).transpose(0, 1)
+        blocks = evaluate(env, policy).returns.view(env.num_designs, len(parts), -1).transpose(0, 1)
         rows = []
         for part, block in zip(parts, blocks.tolist(), strict=True):
             returns = [value for body in block for value in body]
             differ = drawn or part != NOMINAL or env.spec.is_random
-            independent = returns if differ and designs == 1 else [sum(body) / len(body) for body in block]
+            independent = returns if differ and env.num_designs == 1 else [sum(body) / len(body) for body in block]
             rows.append(cls(name, env.spec.id, returns, independent, level, part, differ))
         return rows
 

@@ -76,7 +76,7 @@ def atomic_path(path: str | os.PathLike[str], make_folders: bool = True) -> Iter
             raise
 
 
-def write_bytes(path: str | os.PathLike[str], data: bytes, make_folders: bool = True) -> None:
+def write_bytes(path: str | os.PathLike[str], data: bytes | memoryview, make_folders: bool = True) -> None:
     """Write ``data`` to ``path`` atomically; see :func:`atomic_path`."""
     with atomic_path(path, make_folders) as temporary:
         temporary.write_bytes(data)
