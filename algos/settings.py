@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, make_dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -167,7 +166,7 @@ PRESETS = {name: PhysicsConfig(preset=name) for name in ("auto", *Physics.preset
 
 def physics_of(config: Any) -> Physics:
     """The constants that ``physics`` and ``rules`` name together."""
-    values = dict(config.physics if isinstance(config.physics, Mapping) else dataclasses.asdict(config.physics))
+    values = dataclasses.asdict(config.physics)
     preset = values.pop("preset")
     changes = {name: value for name, value in values.items() if value is not None}
     return Physics.preset(config.rules if preset == "auto" else preset, **changes)

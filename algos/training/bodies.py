@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from warpvox.batch.options import lanes_for
 from warpvox.design import Design, load_design, sample_design
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError, DesignError
+from warpvox.keys import plain
 from warpvox.runs import CONFIG
 
 RANDOM = re.compile(r"random:(\d+)(?::(\d+)x(\d+))?")
@@ -39,17 +40,15 @@ def load_bodies(spec: Any, seed: int) -> list[Design | dict[str, Design]]:
 
     A mapping ``{robot name: body}`` is a design for a task with several robots.
     """
-    if isinstance(spec, Mapping):
+    spec = plain(spec, "design")
+    if isinstance(spec, dict):
         return [{name: load_design(body, seed=seed + number) for number, (name, body) in enumerate(spec.items())}]
     if isinstance(spec, str):
         return [load_design(spec, seed=seed)]
-    if isinstance(spec, list) and spec and all(isinstance(item, Mapping) for item in spec):
-        return [body for number, item in enumerate(spec) for body in load_bodies(item, seed + number)]
-    if isinstance(spec, np.ndarray):
-        spec = spec.tolist()
     if not isinstance(spec, list) or not spec:
         raise DesignError(f"design must be a name, a file or rows of cells such as [[3,3],[4,4]]; got {spec!r}.")
-    spec = [one.tolist() if isinstance(one, np.ndarray) else one for one in spec]
+    if all(isinstance(item, dict) for item in spec):
+        return [body for number, item in enumerate(spec) for body in load_bodies(item, seed + number)]
     several = all(isinstance(one, str) or (isinstance(one, list) and one and isinstance(one[0], list)) for one in spec)
     bodies = spec if several else [spec]
     return [load_design(body, seed=seed + number) for number, body in enumerate(bodies)]

@@ -6,10 +6,10 @@ import dataclasses
 import time
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from rich.console import Console
 
@@ -124,7 +124,7 @@ class Job:
         with own_torch(self.settings.torch_threads):
             self._prepare(listener)
             if not write and self.judge is not None:
-                self.runner.evaluator = self.best = _Best(self.judge)
+                self.runner.evaluator = partial(self._keep_best, self.judge)
             with self._folder(place, listener) if write else nullcontext():
                 self._learn(listener)
 
@@ -256,29 +256,20 @@ class Job:
                 tracker.end(self.summary, self.settings)
             listener.end(self)  # last: it may make films, and fail
 
+    def _keep_best(self, judge: Evaluator, policy: Any) -> EpisodeReturns:
+        found = judge(policy)
+        if found.mean_return > self.runner.best_return:
+            with torch.random.fork_rng(devices=[]):  # a policy begins with random weights
+                self.best = policy_of(policy)
+        return found
+
     @property
     def policy(self) -> Policy:
         """The policy with the best evaluation, of a training that writes nothing."""
-        policy = (self.best and self.best.policy) or policy_of(self.runner.controller)
+        policy = self.best or policy_of(self.runner.controller)
         known = {name: getattr(self.settings, name) for name in ("obs", "dtype", "arithmetic")}
         policy.metadata |= self.runner.trained_on | known | {"physics": dataclasses.asdict(self.settings.physics)}
         return policy.to("cpu")
-
-
-@dataclasses.dataclass
-class _Best:
-    """An evaluator that keeps the best policy in memory."""
-
-    judge: Evaluator
-    value: float = -np.inf
-    policy: Policy | None = None
-
-    def __call__(self, policy: Any) -> EpisodeReturns:
-        found = self.judge(policy)
-        if found.mean_return > self.value:
-            with torch.random.fork_rng(devices=[]):  # a policy begins with random weights
-                self.value, self.policy = found.mean_return, policy_of(policy)
-        return found
 
 
 def resolved(settings: Training) -> Any:
