@@ -98,7 +98,6 @@ class Disturbed:
         self.reset()
 
     def reset(self) -> None:
-        """Begin the episodes again."""
         self.step, self.before = 0, None
         if hasattr(self.policy, "reset"):
             self.policy.reset()

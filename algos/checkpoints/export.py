@@ -53,9 +53,7 @@ def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
         torch.jit.save(program, whole, _extra_files={CARD: policy_text(policy)})
         temporary.write_bytes(whole.getbuffer())  # of a full disk torch's own writer says little
         module = torch.jit.load(str(temporary))
-        apart = _compare(policy, lambda obs: module(torch.from_numpy(obs)).numpy(), path)
-        _check_card(policy, temporary, path)
-    return f"within {apart:.1e} of the policy"
+        return _compare(policy, lambda obs: module(torch.from_numpy(obs)).numpy(), temporary, path)
 
 
 def _copied(policy: Policy) -> Policy:
@@ -95,9 +93,7 @@ def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
         onnx.checker.check_model(model)
         temporary.write_bytes(model.SerializeToString())
         name, run = _onnx_runner(temporary)
-        apart = _compare(policy, run, path)
-        _check_card(policy, temporary, path)
-    return f"within {apart:.1e} of the policy by {name}"
+        return f"{_compare(policy, run, temporary, path)} by {name}"
 
 
 POLICY_WRITERS = {"onnx": ("policy.onnx", write_onnx), "jit": ("policy.pt", write_script)}
@@ -159,8 +155,12 @@ def _onnx_runner(path: Path) -> tuple[str, Runner]:
     return name, lambda obs: run(None, {"obs": obs})[0]
 
 
-def _compare(policy: Policy, run: Runner, path: object) -> float:
-    """The largest difference between a file's actions and the policy's, on random observations."""
+def _compare(policy: Policy, run: Runner, written: Path, path: object) -> str:
+    """Raise RunError unless a file acts as the policy does and describes this very policy; returns how far it is off.
+
+    Args:
+        run: the program in the file ``written``, which is to become ``path``.
+    """
     generator, apart = torch.Generator().manual_seed(0), 0.0
     for rows in ROWS:
         obs = policy.random_obs(rows, generator)
@@ -170,15 +170,11 @@ def _compare(policy: Policy, run: Runner, path: object) -> float:
         apart = max(apart, float(np.abs(theirs - ours).max()))
     if apart > TOLERANCE:
         raise RunError(f"{path} is not kept: its actions differ from the policy's by {apart:.2g}.")
-    return apart
-
-
-def _check_card(policy: Policy, written: Path, path: Path | os.PathLike[str] | str) -> None:
-    """Raise RunError unless a written file holds this very policy."""
-    text = _card_of_onnx(written) if Path(path).suffix == ".onnx" else _card_of_script(written)
-    again = parse_policy(text or "", path, (policy.spec.voxels or {}).get("network")).state_dict()
-    if not all(torch.equal(value, again[name]) for name, value in policy.state_dict().items()):
+    again = read_exported(written, (policy.spec.voxels or {}).get("network"))
+    known = {} if again is None else again.state_dict()
+    if not all(name in known and torch.equal(value, known[name]) for name, value in policy.state_dict().items()):
         raise RunError(f"{path} is not kept: the policy that it describes is another one.")
+    return f"within {apart:.1e} of the policy"
 
 
 @contextlib.contextmanager

@@ -137,7 +137,6 @@ def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
 
 
 def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
-    """Read the checkpoint of a policy."""
     content = read_tensors(path, device)
     if "policy" not in content or "actor_state_dict" not in content:
         raise RunError(f"{path} is not a checkpoint of warpvox: it holds no policy.")
@@ -168,7 +167,7 @@ def load_controller(path: Path, device: str = "cpu", network: str | None = None)
 
 def with_code(spec: PolicySpec, network: str | None) -> PolicySpec:
     """``spec`` whose network, if it is code of the user's, is that which the user has named."""
-    if spec.voxels is None or not isinstance(spec.voxels, dict) or not is_code(spec.voxels.get("network")):
+    if not isinstance(spec.voxels, dict) or not is_code(spec.voxels.get("network")):
         return spec
     if not isinstance(network, Code):
         name = str(spec.voxels["network"])
@@ -228,7 +227,6 @@ def checked_weights(weights: object) -> dict[str, torch.Tensor]:
 
 
 def build_actor(spec: PolicySpec, device: str = "cpu") -> MLPModel | GaitModel:
-    """A policy network with fresh weights."""
     with torch.device(device):
         if spec.gait is not None:
             return GaitModel(spec.num_actions, **spec.gait)

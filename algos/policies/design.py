@@ -204,7 +204,6 @@ class DesignModel(MLPModel):
     def forward(
         self, obs: TensorDict, masks: object = None, hidden_state: object = None, stochastic_output: bool = False
     ) -> torch.Tensor:
-        """As of rsl-rl's models."""
         flat = observations(self, obs)
         out = self._outputs(flat)
         if self.distribution is None:
@@ -227,7 +226,6 @@ class DesignModel(MLPModel):
         return torch.cat([control, logits.index_put((rows,), design.flatten(1))], dim=1)
 
     def update_normalization(self, obs: TensorDict) -> None:
-        """Learn how observations of the control stage are scaled."""
         flat = observations(self, obs)
         moving = flat[~self.layout.designing(flat)]
         if len(moving):

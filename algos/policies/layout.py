@@ -71,12 +71,10 @@ class VoxelLayout:
 
     @property
     def cells(self) -> int:
-        """Cells of the grid."""
         return self.rows * self.columns
 
     @property
     def num_obs(self) -> int:
-        """Entries of an observation."""
         return self.cells * NUM_FEATURES + self.scaled + self.timed
 
     def dict(self) -> dict[str, Any]:

@@ -118,10 +118,9 @@ class VoxelModel(Network):
             self.distribution.look(kinds)
         return features.contiguous().view(-1, self.layout.cells, FEATURES), rest, actions
 
-    def run(self, latent: torch.Tensor | tuple[torch.Tensor, ...]) -> torch.Tensor:
-        """Inputs, or what :meth:`unpack` made of them, to the means of the actions ``[rows, actions]``, or to values
-        ``[rows, 1]``."""
-        cells, rest, actions = self.unpack(latent) if isinstance(latent, torch.Tensor) else latent
+    def run(self, latent: torch.Tensor) -> torch.Tensor:
+        """Inputs to the means of the actions ``[rows, actions]``, or to values ``[rows, 1]``."""
+        cells, rest, actions = self.unpack(latent)
         values = self.network(cells, rest)
         if self.distribution is None:
             return values[:, None]

@@ -55,7 +55,6 @@ class Network(MLPModel):
     def forward(
         self, obs: TensorDict, masks: object = None, hidden_state: object = None, stochastic_output: bool = False
     ) -> torch.Tensor:
-        """As of rsl-rl's models."""
         out = self.run(self.get_latent(obs))
         if self.distribution is None or not stochastic_output:
             return out

@@ -177,7 +177,6 @@ class PopulationModel(MLPModel):
 
     @property
     def num_designs(self) -> int:
-        """Number of stacked models."""
         return len(self.inputs)
 
     def scaled(self, obs: torch.Tensor) -> torch.Tensor:

@@ -82,7 +82,6 @@ class PopulationPPO(PPO):
 
     @property
     def num_designs(self) -> int:
-        """Number of designs."""
         return self.actor.num_designs
 
     @torch.no_grad()
@@ -258,7 +257,6 @@ class PopulationPPO(PPO):
         return parts | own
 
     def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None = None, strict: bool = True) -> bool:
-        """Restore :meth:`save` of the same designs and settings."""
         self.actor.load_state_dict(loaded_dict["actor"])
         self.critic.load_state_dict(loaded_dict["critic"])
         self.optimizer.set_state(loaded_dict["optimizer"])
@@ -333,11 +331,9 @@ class VectorAdam:
         self._bind()
 
     def state(self) -> dict[str, Any]:
-        """Steps and moments, for :meth:`set_state`."""
         return {"steps": self.steps, "means": self._means, "squares": self._squares}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from :meth:`state` of the same networks."""
         self.steps = state["steps"]
         self._means.copy_(state["means"])
         self._squares.copy_(state["squares"])
@@ -383,11 +379,9 @@ class Streams:
         return torch.stack([torch.randint(high, size, generator=g, device=self.device) for g in self._generators])
 
     def keep(self, index: Sequence[int]) -> None:
-        """Keep these designs, in this order."""
         self._generators = [self._generators[d] for d in index]
 
     def state(self) -> list[torch.Tensor]:
-        """The state of every generator, for :meth:`set_state`."""
         return [generator.get_state() for generator in self._generators]
 
     def set_state(self, state: Sequence[torch.Tensor]) -> None:

@@ -104,7 +104,6 @@ class PopulationTraining:
 
     @property
     def num_designs(self) -> int:
-        """Designs in training."""
         return len(self.bodies)
 
     @property
@@ -113,7 +112,6 @@ class PopulationTraining:
         return self.ppo.steps * self.settings.envs
 
     def iterate(self) -> None:
-        """One iteration: collect, learn."""
         if self.iteration == 0 and self.ppo.random_start:
             lengths = self.algorithm.streams.integers(int(self.env.max_episode_length), self.settings.envs)
             self.env.episode_length_buf = lengths.flatten().to(self.env.device)
@@ -166,11 +164,9 @@ class PopulationTraining:
         self.algorithm.keep(index, self.env.get_observations())
 
     def state(self) -> dict[str, Any]:
-        """The complete state of training, for :meth:`set_state`."""
         return {"iteration": self.iteration, "env": self.env.state(), "algorithm": self.algorithm.save()}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Restore :meth:`state` of a training of the same designs, seeds and settings."""
         self.iteration = state["iteration"]
         self.env.set_state(state["env"])
         self.algorithm.load(state["algorithm"])

@@ -68,11 +68,9 @@ class Targets:
         return self._bodies[rows], self._targets[rows]
 
     def state(self) -> dict[str, torch.Tensor]:
-        """For :meth:`set_state`."""
         return {"bodies": self._bodies, "targets": self._targets}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Go on from :meth:`state`."""
         self._bodies, self._targets = state["bodies"], state["targets"]
         self._keys = self._known_as(self._bodies)
 

@@ -47,12 +47,10 @@ class HeldOut:
 
     @property
     def about(self) -> str:
-        """A description of the bodies in words."""
         count = f"{len(self.bodies)} bod{'y' if len(self.bodies) == 1 else 'ies'}"
         return f"the {count} trained on" if self.name == "bodies" else f"{count} held out from training"
 
     def __call__(self, policy: Any) -> EpisodeReturns:
-        """Evaluate ``policy``."""
         result = self.judge(policy)
         last = result.fitness.numpy()
         if self.folder is not None:

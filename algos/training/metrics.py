@@ -82,7 +82,6 @@ class Metrics:
                 self._writer.flush()
 
     def close(self) -> None:
-        """Close the files and the run of the logger."""
         if self._writer is not None:
             with writing(self.path.parent):
                 self._writer.close()

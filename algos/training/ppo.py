@@ -61,11 +61,9 @@ class PPO(RslRlPPO):
 
     @property
     def decayed_rate(self) -> float:
-        """Learning rate of the linear schedule."""
         return self.initial_learning_rate * max(0.0, 1 - self.updates / self.total_iterations)
 
     def set_learning_rate(self, rate: float) -> None:
-        """The rate from the next step on."""
         self.learning_rate = rate
         for group in self.optimizer.param_groups:
             group["lr"] = rate
@@ -107,7 +105,6 @@ class PPO(RslRlPPO):
         return rewards + self.gamma * values * time_outs
 
     def update(self) -> dict[str, float]:
-        """One iteration's optimisation; returns the mean losses."""
         if self.decays:
             self.set_learning_rate(self.decayed_rate)
         self.updates += 1
@@ -124,7 +121,6 @@ class PPO(RslRlPPO):
             yield from map(copy.copy, batches)
 
     def save(self) -> dict[str, Any]:
-        """Networks, optimiser and schedule."""
         return super().save() | {"updates": self.updates}
 
     def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None = None, strict: bool = True) -> bool:
@@ -146,7 +142,6 @@ class PPO(RslRlPPO):
         return own
 
     def set_memory(self, own: Mapping[str, Any]) -> None:
-        """Go on from :meth:`memory`."""
         self.actor.reset(hidden_state=own["actor"])
         self.critic.reset(hidden_state=own["critic"])
         if self.rnd:

@@ -35,7 +35,6 @@ class Figures:
     diverged = 0
 
     def text(self, row: Mapping[str, float]) -> str:
-        """The line for a row of ``metrics.csv``."""
         if math.isfinite(row["return_mean"]):
             self.exploring = row["return_mean"]
         if math.isfinite(row["eval_return"]):
@@ -57,7 +56,6 @@ class Terminal(Listener):
         self._bar: Progress | None = None
 
     def begin(self, job: Job) -> None:
-        """Say what is trained and where, and begin the live line."""
         echo(self.console, _announcement(job))
         runner, self._figures = job.runner, Figures()
         self._total, self._start = runner.schedule.total, runner.current_learning_iteration
@@ -78,7 +76,6 @@ class Terminal(Listener):
             self._bar.start()
 
     def __call__(self, row: Mapping[str, float]) -> None:
-        """Show a row of ``metrics.csv``."""
         figures, done = self._figures.text(row), row["iteration"]
         if self._bar is not None:
             self._bar.update(self._line, completed=done, figures=figures)
@@ -90,7 +87,6 @@ class Terminal(Listener):
             echo(self.console, f"iteration {done}/{self._total}  {figures}  left {left}")
 
     def end(self, job: Job) -> None:
-        """Say how the run has ended and what one can do next."""
         if self._bar is not None:
             self._bar.stop()
         if job.summary:
@@ -110,7 +106,6 @@ class Notebook(Listener):
         self._show(job.runner.current_learning_iteration, "")
 
     def __call__(self, row: Mapping[str, float]) -> None:
-        """Show a row of ``metrics.csv``."""
         self._show(int(row["iteration"]), self._figures.text(row))
 
     def _show(self, done: int, line: str) -> None:

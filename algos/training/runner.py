@@ -167,7 +167,6 @@ class Runner(OnPolicyRunner):
 
     @property
     def steps_per_iteration(self) -> int:
-        """Control steps of all environments of all processes in an iteration."""
         return self.ppo.steps * self.env.num_envs * self.group.size
 
     @property
@@ -332,7 +331,6 @@ class Runner(OnPolicyRunner):
         return {"episodes": int(count), "return_mean": mean, "length_mean": length} | stopped
 
     def summary(self) -> dict[str, Any]:
-        """The run in figures, for ``summary.json``."""
         known = math.isfinite(self.best_return)
         return {
             "iterations": self.current_learning_iteration,
@@ -358,7 +356,6 @@ class Runner(OnPolicyRunner):
         self.save_state()
 
     def save_state(self) -> None:
-        """Write ``state.pt`` to the run's folder, if there is one."""
         if self.on_save is not None:
             self.on_save()
         elif self.folder is not None:
