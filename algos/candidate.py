@@ -20,16 +20,9 @@ FINALIST = "finalist"
 """The origin of a candidate whose body has been compared by a common policy, and now gets a policy of its own."""
 START = "start"
 """The origin of a candidate whose body was known before the search."""
-PROGRESS = {
-    "iteration": "training iterations done",
-    "iterations": "training iterations in all",
-    "steps": "control steps of training so far, over all candidates",
-    "best": "list, by candidate: the best deterministic return so far, NaN before the first evaluation",
-    "training": "list, by candidate: whether it is still being trained",
-}
-"""Progress that an evaluation reports: keys and meanings."""
 Report = Callable[[dict[str, Any]], None] | None
-"""Told of progress."""
+"""Called with progress: ``iteration`` of ``iterations`` of training, control ``steps`` so far over all candidates, and
+lists by candidate: ``best`` deterministic return so far (NaN: none yet), whether it is still in ``training``."""
 
 
 def candidate_seed(seed: int, number: int) -> int:
@@ -131,7 +124,7 @@ class DesignEvaluator(Protocol):
             candidates: what to evaluate.
             parents: by their ids, for ``training.inherit``: a child starts from the policy of the best of its
                 parents that are listed here.
-            report: called with progress, keys as in :data:`PROGRESS`.
+            report: called with progress, see :data:`Report`.
             checkpoint: a file that training is saved to at intervals and resumed from if it exists; the outcomes are
                 those of an uninterrupted evaluation. The caller removes it once the outcomes are stored.
 
@@ -156,7 +149,7 @@ class Listener:
         """``waiting`` of the ``total`` candidates of a generation will be trained."""
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
-        """Take what an evaluator reports of the training of these candidates; see :data:`PROGRESS`."""
+        """Take what an evaluator reports of the training of these candidates; see :data:`Report`."""
 
     def finished(self, records: Sequence[Record]) -> None:
         """These candidates are evaluated and stored."""

@@ -128,7 +128,7 @@ class _Generation:
             self.training.keep(places)
 
     def progress(self) -> dict[str, Any]:
-        """The content of a report, see :data:`warpvox.algos.candidate.PROGRESS`."""
+        """The content of a report, see :data:`warpvox.algos.candidate.Report`."""
         return {
             "iteration": self.training.iteration,
             "iterations": self.settings.iterations,

@@ -38,7 +38,7 @@ class CpgNetwork(nn.Module):
     """
 
     periods = (10.0, 5.0)
-    """Of the clock, in control steps."""
+    """Periods of the clock, in control steps."""
     moved = (0.035, 0.016)
     """By how many voxels random bodies' voxels move in a random wave of amplitude 0.4, for each period."""
     typical: torch.Tensor

@@ -9,7 +9,7 @@ from torch import nn
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 
 AMPLITUDE = 0.5
-"""Of the actions, about 1.1: from the shortest to the longest."""
+"""Amplitude of the actions about 1.1: from the shortest to the longest."""
 
 
 class GaitModel(nn.Module):

@@ -11,7 +11,7 @@ from torch import nn
 from warpvox.types import Cell, Physics
 
 DEGREE = 64
-"""Of the polynomials: for a period of 10 control steps they are off by 1.3 % of their largest value."""
+"""Degree of the polynomials: for a period of 10 control steps they are off by 1.3 % of their largest value."""
 KEPT = 400 << 20
 """Bytes of responses that are kept for bodies that come again."""
 KINDS = (Cell.RIGID, Cell.SOFT, Cell.H_ACT, Cell.V_ACT)

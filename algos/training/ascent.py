@@ -20,7 +20,7 @@ from warpvox.gradients import Gradients
 from warpvox.types import ACTION_CENTER
 
 DERIVED = ("com", "velocity")
-"""What of a state is differentiated: quantities that rewards may be made of."""
+"""Quantities of a state that are differentiated, and that rewards may be made of."""
 PROBE = 40
 """Control steps in which some reward must have a derivative."""
 STEP = 0.25
@@ -32,7 +32,7 @@ BATCH = 256
 SMOOTHING = 0.995
 """Share of the policy that stays when the learner has made a step."""
 DECAY = 0.01
-"""Of the learner's parameters, by learning rate and step."""
+"""Weight decay of the learner, by learning rate and step."""
 DRIVEN = slice(TYPE.start + 2, TYPE.stop)
 """The types with an actuator, in what does not move."""
 TINY = 1e-12

@@ -96,7 +96,7 @@ def _of_folder(folder: Path, key: str) -> list[Design]:
 
 
 def has_designs(folder: Path) -> bool:
-    """Whether a folder holds design files, and is not that of a run."""
+    """True for a folder with design files that is not that of a run."""
     return bool(_files(folder)) and not (folder / CONFIG).is_file()
 
 

@@ -30,7 +30,7 @@ class ProcessGroup:
 
     @property
     def is_main_process(self) -> bool:
-        """Whether this process writes files, evaluates and talks."""
+        """True for the process that writes files, evaluates and reports."""
         return self.rank == 0
 
     def seed(self, seed: int) -> int:
@@ -49,7 +49,6 @@ class ProcessGroup:
         return total.tolist()
 
     def any(self, flag: bool) -> bool:
-        """Whether the flag is set in any process."""
         return bool(self.sum([float(flag)])[0])
 
     def broadcast(self, value: Value) -> Value:

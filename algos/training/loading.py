@@ -77,7 +77,7 @@ def load_policy(
 
 
 def is_alone(path: Path) -> bool:
-    """Whether a policy is a file by itself, in no folder of a run."""
+    """True for a file of a policy that lies in no folder of a run."""
     return path.is_file() and not (path.parent / CONFIG).is_file()
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from warpvox.algos.checkpoints.files import PolicySpec
 
 OBS_OF_VOXELS = {"task": "voxel", "timed": "timed_voxel"}
-"""What a policy for voxels observes in place of what ``obs`` says."""
+"""Observations of a policy for voxels, by those that ``obs`` says."""
 UNIVERSAL = "universal"
 """The policy that comes with warpvox, made by ``preset=universal_cpg``: for bodies up to 5x5 on Walker-v0."""
 UNIVERSAL_FILE = Path(__file__).parents[1] / "checkpoints" / "data" / f"{UNIVERSAL}.pt"

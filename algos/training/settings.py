@@ -156,5 +156,5 @@ class Training(Settings):
 
     @property
     def is_many(self) -> bool:
-        """Whether one policy is trained on many bodies."""
+        """True if one policy is trained on many bodies."""
         return self.designs.bodies is not None
