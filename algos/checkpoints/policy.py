@@ -6,11 +6,11 @@ import copy
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
+from itertools import chain
 from typing import Any
 
 import numpy as np
 import torch
-from rsl_rl.models import MLPModel
 from rsl_rl.modules import MLP, EmpiricalNormalization
 from torch import nn
 from torch.nn import functional
@@ -24,8 +24,6 @@ from warpvox.algos.checkpoints.files import (
     spec_of,
     with_code,
 )
-from warpvox.algos.policies.gait import GaitModel
-from warpvox.algos.policies.model import VoxelModel
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
 from warpvox.errors import ConfigError, RunError, first_line
@@ -114,17 +112,15 @@ class ModelPolicy(Policy):
     """A policy that runs the very model of its checkpoint."""
 
     def _build(self) -> None:
-        self.model = build_actor(self.spec)
+        self.model: Any = build_actor(self.spec)
+
+    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
+        rows = obs.to(next(chain(self.parameters(), self.buffers())).dtype).reshape(-1, self.num_obs)
+        return self.model({OBS_GROUP: rows}).reshape((*obs.shape[:-1], self.num_actions))
 
 
 class VoxelPolicy(ModelPolicy):
     """A policy for voxels: as :class:`Policy`, for bodies of any shape that fits its grid."""
-
-    model: VoxelModel
-
-    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
-        rows = obs.to(self.model.obs_normalizer.mean.dtype).reshape(-1, self.num_obs)
-        return self.model.run(self.model.scaled(rows)).reshape((*obs.shape[:-1], self.num_actions))
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
         """Observations ``[rows, num_obs]`` of random bodies that move at random."""
@@ -141,11 +137,6 @@ class VoxelPolicy(ModelPolicy):
 class GaitPolicy(ModelPolicy):
     """An open-loop gait: as :class:`Policy`, of observations whose last number is the time (``obs=timed``)."""
 
-    model: GaitModel
-
-    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
-        return self.model.outputs(obs)
-
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
         """Observations ``[rows, num_obs]`` at random times."""
         return torch.randint(0, 1000, (rows, self.num_obs), generator=generator).float()
@@ -154,14 +145,9 @@ class GaitPolicy(ModelPolicy):
 class RecurrentPolicy(ModelPolicy):
     """A policy with recurrent layers: as :class:`Policy`, for observations ``[n, num_obs]`` one step after another."""
 
-    model: MLPModel
-
     def reset(self, done: torch.Tensor | None = None) -> None:
         """New episodes begin, where ``done`` (bool ``[n]``) says so or everywhere."""
         self.model.reset(done)
-
-    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
-        return self.model({OBS_GROUP: obs.to(next(self.parameters()).dtype)})
 
     def in_float64(self) -> "Policy":
         """A copy as :meth:`Policy.in_float64` makes it, at the beginning of episodes."""

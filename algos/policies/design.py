@@ -215,7 +215,7 @@ class DesignModel(MLPModel):
     def _outputs(self, obs: torch.Tensor) -> torch.Tensor:
         """Means and logits ``[rows, control + revised * 5]`` of an actor, values ``[rows, 1]`` of a critic."""
         layout, designing = self.layout, self.layout.designing(obs)
-        control = self.control.run(self.control.scaled(obs[:, : layout.task]))
+        control = self.control.run(self.control.obs_normalizer(obs[:, : layout.task]))
         rows = designing.nonzero()[:, 0]
         design = self.automaton(obs[rows])
         if self.value is not None:

@@ -36,12 +36,8 @@ class GaitModel(nn.Module):
 
     def forward(self, obs: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Outputs float64 ``[n, actuators]`` in [-1, 1] of the group of observations ``[n, num_obs]``."""
-        return self.outputs(obs[OBS_GROUP])
-
-    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
-        """As :meth:`forward`, of ``obs`` ``[..., num_obs]``."""
         values = (value.flatten(1)[:, self.cells] for value in (self.amplitude, self.phase, self.rest))
-        return gait_outputs(obs[..., -1:].double(), self.begin, self.period, *values)
+        return gait_outputs(obs[OBS_GROUP][:, -1:].double(), self.begin, self.period, *values)
 
 
 def phase_at(time: torch.Tensor, period: torch.Tensor) -> torch.Tensor:

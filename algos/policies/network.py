@@ -29,11 +29,7 @@ class Network(MLPModel):
 
     def get_latent(self, obs: TensorDict, masks: object = None, hidden_state: object = None) -> torch.Tensor:
         """Scaled inputs ``[rows, inputs]``."""
-        return obs[LATENT] if LATENT in obs else self.scaled(observations(self, obs))
-
-    def scaled(self, obs: torch.Tensor) -> torch.Tensor:
-        """Inputs of :meth:`run`, ``[rows, inputs]``, from observations ``[rows, num_obs]``."""
-        return self.obs_normalizer(obs)
+        return obs[LATENT] if LATENT in obs else self.obs_normalizer(observations(self, obs))
 
     def run(self, latent: torch.Tensor) -> torch.Tensor:
         """Scaled inputs to outputs ``[rows, outputs]``."""
