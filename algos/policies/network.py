@@ -8,6 +8,7 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules import GaussianDistribution
 from tensordict import TensorDict
 from torch import nn
+from torch.distributions import Normal
 from torch.nn import functional
 
 LATENT = "latent"
@@ -69,9 +70,9 @@ class Gaussian(GaussianDistribution):
 class VoxelGaussian(GaussianDistribution):
     """A Gaussian distribution of the actions that a body has.
 
-    Actions that a body has not are 0 and take no part: nothing is drawn for them, and they add nothing to likelihood,
-    entropy, divergence or gradients. :meth:`look` says, before :meth:`update`, which actions there are: a
-    model calls it when it scales observations and when it runs.
+    Actions that a body has not are 0, with a deviation of 1, and take no part: nothing is drawn for them, and they add
+    nothing to likelihood, entropy, divergence or gradients. :meth:`look` says, before :meth:`update`, which actions
+    there are: a model calls it when it scales observations and when it runs.
     """
 
     def __init__(self, output_dim: int, **settings: Any) -> None:
@@ -93,25 +94,14 @@ class VoxelGaussian(GaussianDistribution):
 
     def update(self, mlp_output: torch.Tensor) -> None:
         """Make ``mlp_output`` ``[rows, actions]`` the mean; what it says of absent actions does not matter."""
-        self._mean = torch.where(self._is_present, mlp_output, 0.0)
         self._log_std = self.by_kind(self.log_std_param.clamp(*self.log_std_range))
-        self._std = self._log_std.exp()
+        self._distribution = Normal(torch.where(self._is_present, mlp_output, 0.0), self._log_std.exp())
 
     def sample(self) -> torch.Tensor:
         """As :meth:`Gaussian.sample`."""
         if torch.is_grad_enabled():
-            return self._mean
-        return torch.where(self._is_present, torch.randn_like(self._mean).mul_(self._std).add_(self._mean), 0.0)
-
-    @property
-    def mean(self) -> torch.Tensor:
-        """``[rows, actions]``."""
-        return self._mean
-
-    @property
-    def std(self) -> torch.Tensor:
-        """``[rows, actions]``, 1 for absent actions."""
-        return self._std
+            return self.mean
+        return torch.where(self._is_present, torch.randn_like(self.mean).mul_(self.std).add_(self.mean), 0.0)
 
     @property
     def entropy(self) -> torch.Tensor:
@@ -120,5 +110,5 @@ class VoxelGaussian(GaussianDistribution):
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
         """``[rows]`` of actions ``[rows, actions]``."""
-        squares = ((outputs - self._mean) / self._std).square()
+        squares = ((outputs - self.mean) / self.std).square()
         return -((squares * 0.5 + self._log_std + HALF_LOG_2PI) * self._present).sum(-1)
