@@ -55,8 +55,7 @@ class Draws:
 def with_noise(actions: torch.Tensor, draws: Draws, step: int, deviation: Any) -> torch.Tensor:
     """Actions ``[n * copies, num_actions]`` with noise: row r has that of copy ``r % copies``.
 
-    Args:
-        deviation: of the noise, a number or ``[n * copies, 1]``.
+    ``deviation``: a number or ``[n * copies, 1]``.
     """
     noise = draws.normal(NOISE, step, actions.shape[1])
     noise = noise.repeat(len(actions) // len(noise), 1)

@@ -40,11 +40,7 @@ COPIES = 8
 
 
 def parts_of(protocol: str, feedback: bool) -> tuple[str, ...]:
-    """The disturbances of a protocol that concern a policy, with feedback or without.
-
-    Raises:
-        ConfigError: none does.
-    """
+    """The disturbances of a protocol that concern a policy, with feedback or without. ConfigError: none does."""
     found = tuple(name for name in PROTOCOLS[protocol] if feedback or name != "sensors")
     if not found:
         raise ConfigError("protocol=sensors needs a policy with feedback; an open-loop one acts by the time alone.")

@@ -47,10 +47,7 @@ def mean_interval(values: Sequence[float] | np.ndarray, level: float = LEVEL) ->
 def difference(first: Sequence[float], second: Sequence[float], level: float = LEVEL) -> Interval:
     """The mean of ``first`` less that of ``second``, with Welch's interval: their variances need not be equal.
 
-    ``n`` is the smaller number of values.
-
-    Raises:
-        ValueError: there are no values.
+    ``n`` is the smaller number of values. ValueError: there are no values.
     """
     a, b = _data(first), _data(second)
     n, mean = min(len(a), len(b)), float(a.mean() - b.mean())
@@ -115,10 +112,8 @@ def profile(scores: Scores, thresholds: np.ndarray) -> np.ndarray:
 def improvement(first: Scores, second: Scores) -> np.ndarray:
     """The probability that a run of ``first`` is better than one of ``second`` on the same task; ties count half.
 
-    The mean over the tasks of both of the Mann-Whitney statistic, divided by the number of pairs.
-
-    Raises:
-        ValueError: they have no task in common.
+    The mean over the tasks of both of the Mann-Whitney statistic, divided by the number of pairs. ValueError: they have
+    no task in common.
     """
     tasks = [task for task in first if task in second]
     if not tasks:

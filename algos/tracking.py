@@ -23,12 +23,7 @@ NAMES = {"project": "PROJECT", "group": "RUN_GROUP", "name": "NAME", "tags": "TA
 
 
 class Tracker:
-    """A run in Weights & Biases.
-
-    Args:
-        folder: of the run, with its configuration.
-        tags: besides the task.
-    """
+    """A run in Weights & Biases; ``folder`` has its configuration, ``tags`` are those besides the task."""
 
     def __init__(self, folder: Path, *tags: str) -> None:
         self._wandb: Any = import_module("wandb")
@@ -54,11 +49,7 @@ class Tracker:
         self._run.log(known, step=step)
 
     def end(self, summary: Mapping[str, Any], settings: Any) -> None:
-        """Send the summary and, where there is a policy at the end, an episode of it as a film.
-
-        Args:
-            settings: of the run.
-        """
+        """Send the summary and, where there is a policy at the end, an episode of it as a film."""
         status = summary.get("status", "failed")
         try:
             self._run.summary.update(dict(summary))
@@ -72,11 +63,7 @@ class Tracker:
 
 
 class TrackedSearch(Listener):
-    """Sends a design search: fitness and best bodies of each generation, at the end the best robot as a film.
-
-    Args:
-        settings: of the search.
-    """
+    """Sends a design search: fitness and best bodies of each generation, at the end the best robot as a film."""
 
     def __init__(self, settings: Any) -> None:
         self._settings = settings

@@ -158,8 +158,7 @@ def _onnx_runner(path: Path) -> tuple[str, Runner]:
 def _compare(policy: Policy, run: Runner, written: Path, path: object) -> str:
     """Raise RunError unless a file acts as the policy does and describes this very policy; returns how far it is off.
 
-    Args:
-        run: the program in the file ``written``, which is to become ``path``.
+    ``run``: the program in the file ``written``, which is to become ``path``.
     """
     generator, apart = torch.Generator().manual_seed(0), 0.0
     for rows in ROWS:

@@ -196,8 +196,7 @@ def check_sizes(spec: PolicySpec) -> None:
 def check_spec(spec: PolicySpec, weights: object, model: nn.Module | None = None) -> None:
     """Raise ValueError or TypeError unless ``weights`` are those of the network of ``spec``.
 
-    Args:
-        model: the network on the device meta, where it takes no memory; None: that of a checkpoint.
+    ``model``: this network on the device meta, where it takes no memory; None: that of a checkpoint.
     """
     check_sizes(spec)
     weights = checked_weights(weights)

@@ -33,7 +33,6 @@ class CpgNetwork(nn.Module):
 
     Args:
         layout: sizes; of observations with the time.
-        critic: whether there is one value for the body instead of one for each cell.
         width: of a voxel's token, a multiple of ``heads``.
     """
 

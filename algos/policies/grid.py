@@ -25,7 +25,6 @@ class GridNetwork(nn.Module):
     value from s. The products are those of a few large matrices, which is what a CPU is fast at.
 
     Args:
-        critic: whether there is one value for the body instead of one for each cell.
         width: of what is known of a voxel.
     """
 

@@ -15,7 +15,6 @@ class TransformerNetwork(nn.Module):
     not attended to. A critic takes the mean over the voxels.
 
     Args:
-        critic: whether there is one value for the body instead of one for each cell.
         width: of a token, a multiple of ``heads``.
         layers: blocks of attention and a network of ``2 * width`` units.
     """

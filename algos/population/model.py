@@ -145,14 +145,11 @@ class Normalizer(EmpiricalNormalization):
 
 
 class PopulationModel(MLPModel):
-    """Stacks stock models of one architecture.
+    """Stacks stock models of one architecture, one for each design; sizes of inputs and outputs may differ.
 
     Rows of observations and results are sorted by design, in blocks of one size. Observations and actions are padded
     to those of the largest design with 0, and so are the weights of padded inputs and outputs; these stay 0, because
     their gradients are 0.
-
-    Args:
-        models: one for each design; sizes of inputs and outputs may differ.
     """
 
     def __init__(self, models: Sequence[MLPModel]) -> None:

@@ -34,11 +34,7 @@ def shades(task: str, returns: np.ndarray) -> list[float]:
 class HeldOut:
     """An evaluator on many bodies, which writes the return of each to a table and a picture.
 
-    Args:
-        name: of the files, ``held_out.csv`` and ``held_out.png``.
-
-    Attributes:
-        folder: of the run; None: nothing is written.
+    They are ``<name>.csv`` and ``<name>.png`` in ``folder``, that of the run, if there is one.
     """
 
     def __init__(self, judge: Evaluator, bodies: Sequence[Design], name: str = "held_out", task: str = "") -> None:

@@ -46,10 +46,7 @@ class Metrics:
     """Writes one row an iteration; rows that a resumed run will write again are dropped first.
 
     Every row is with the system before the next iteration begins, in ``metrics.csv`` and in the TensorBoard events.
-
-    Args:
-        folder: of the run; must exist.
-        logger: one of :data:`warpvox.algos.settings.LOGGERS`, checked by :func:`check_logger`.
+    ``logger``: one of :data:`warpvox.algos.settings.LOGGERS`, checked by :func:`check_logger`.
     """
 
     def __init__(self, folder: Path, iteration: int = 0, logger: str = "tensorboard") -> None:

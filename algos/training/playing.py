@@ -61,19 +61,15 @@ def own_code(settings: Any) -> dict[str, Any]:
 
 
 class SampledController:
-    """Draws actions from the Gaussian distribution of a policy, instead of taking its mean.
-
-    Args:
-        seed: of the draws; equal seeds give equal actions for equal observations on the same device.
-    """
+    """Draws actions from the Gaussian distribution of a policy, instead of taking its mean."""
 
     def __init__(self, controller: Controller, seed: int = 0) -> None:
         self.controller, self.spec, self.reset = controller, controller.spec, controller.reset
         distribution = getattr(controller.actor, "distribution", None)
         if not isinstance(distribution, GaussianDistribution):
             raise ConfigError("stochastic=true goes with a trained policy; this one is an open-loop gait.")
-        low, high = distribution.log_std_range
-        self._distribution, self._std = distribution, distribution.log_std_param.detach().clamp(low, high).exp()
+        self._distribution = distribution
+        self._std = distribution.log_std_param.detach().clamp(*distribution.log_std_range).exp()
         self._generator = torch.Generator(self._std.device).manual_seed(seed)
 
     @torch.no_grad()
@@ -133,8 +129,7 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
 def load_result(run: Run, settings: Any, device: str = "cpu") -> tuple[VoxelVecEnv, Any]:
     """Policy of a run that has just been made, and one environment for each of its designs, for an episode to show.
 
-    Args:
-        settings: of the training or design search, with the code that the user has named.
+    ``settings``: of the training or design search, with the code that the user has named.
     """
     count = 1 if run.is_many else len(load_bodies(run.config["design"], 0))
     how = {"device": device, "threads": settings.threads, "memory_check": settings.memory_check}

@@ -89,12 +89,7 @@ class PolicyTable(tuple[EvaluatedPolicy, ...]):
 
 
 def evaluate_run(run: Run, config: Any, designs: Any = None, level: float = 0.95) -> list[EvaluatedPolicy]:
-    """One episode in each environment of a run: a row of each disturbance of the protocol.
-
-    Args:
-        config, designs: see :func:`warpvox.algos.training.loading.load_run`.
-        level: of the interval.
-    """
+    """One episode in each environment that :func:`load_run` gives: a row of each disturbance of the protocol."""
     env, policy = load_run(run, config, designs, every=True)
     parts = policy.parts if isinstance(policy, Disturbed) else (NOMINAL,)
     return EvaluatedPolicy.each(str(run.folder), env, policy, level, parts, config.stochastic)

@@ -65,8 +65,7 @@ def adapt(env: Any, ppo: Ppo, apart: bool = False) -> RslRlVecEnv:
 class _Rollout(Logger):
     """Collects what rsl-rl's runner tells of an iteration, in the place of its logger.
 
-    Attributes:
-        ended: bool ``[num_envs]``, where episodes have ended.
+    ``ended``: bool ``[num_envs]``, where episodes have ended.
     """
 
     writer = None
@@ -346,10 +345,7 @@ class Runner(OnPolicyRunner):
         return self.alg.save() | own | {"eval_return": self.last_return, "trained_on": self.trained_on}
 
     def save_all(self) -> None:
-        """Write ``model_<iteration>.pt`` and ``state.pt`` to the run's folder, if there is one.
-
-        Every process has a state of its own, see :meth:`state_file`.
-        """
+        """Write ``model_<iteration>.pt`` and ``state.pt`` to the run's folder, if there is one."""
         if self.folder is not None and self.group.is_main_process:
             check_folder(self.folder)
             save_checkpoint(self.folder / f"model_{self.current_learning_iteration}.pt", self._policy_content())
