@@ -112,10 +112,9 @@ class VoxelInputs(nn.Module):
     def __init__(self, layout: VoxelLayout) -> None:
         super().__init__()
         self.layout = layout
-        tables = {"transform": input_transform(), "places": rest_places(layout)}
-        tables["periods"] = torch.tensor(layout.periods, dtype=torch.float64)
-        for name, table in tables.items():
-            self.register_buffer(name, table, persistent=False)
+        self.register_buffer("transform", input_transform(), persistent=False)
+        self.register_buffer("places", rest_places(layout), persistent=False)
+        self.register_buffer("periods", torch.tensor(layout.periods, dtype=torch.float64), persistent=False)
 
     def clock(self, time: torch.Tensor) -> torch.Tensor:
         """Sines, then cosines, ``[rows, 2 * len(periods)]`` of control steps ``[rows, 1]`` since the episode began."""

@@ -243,6 +243,8 @@ class PopulationModel(MLPModel):
 class PopulationActor(PopulationModel):
     """Policies, with the distributions of their actions."""
 
+    distribution: StackedGaussian
+
     def __init__(self, models: Sequence[MLPModel]) -> None:
         super().__init__(models)
         gaussians = [one for model in models if isinstance(one := model.distribution, GaussianDistribution)]

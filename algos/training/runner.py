@@ -428,7 +428,7 @@ class Runner(OnPolicyRunner):
         self.last_return = content["eval_return"]
         if "env" not in content:
             return
-        if self.bodies is not None and "bodies" in content:
+        if self.bodies is not None:
             self.bodies.set_state(content["bodies"], self.env)
         self.env.set_state(content["env"])
         self.alg.set_memory(content["memory"])
