@@ -96,12 +96,12 @@ class Controller:
 
     def check(self, env: VoxelVecEnv) -> None:
         """Raise RunError unless ``env`` has this policy's sizes."""
-        for what, ours, theirs in (
-            ("observations", self.spec.num_obs, env.num_obs),
-            ("actions", self.spec.num_actions, env.num_actions),
-        ):
-            if ours != theirs:
-                raise RunError(f"The policy was trained with {ours} {what}, but the task and design have {theirs}.")
+        ours, theirs = (self.spec.num_obs, self.spec.num_actions), (env.num_obs, env.num_actions)
+        if ours != theirs:
+            raise RunError(
+                f"The policy was trained with {ours[0]} observations and {ours[1]} actions; the task and design have"
+                f" {theirs[0]} and {theirs[1]}."
+            )
 
 
 def actions_of(outputs: torch.Tensor, scale: float) -> torch.Tensor:

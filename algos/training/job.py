@@ -280,8 +280,8 @@ def resolved(settings: Training) -> Any:
     for name in ("bodies", "held_out"):
         spec = getattr(settings.designs, name)
         if spec is not None and not (isinstance(spec, str) and spec.startswith("random:")):
-            designs[name] = [body.tolist() for body in read_bodies(spec, settings.seed, f"designs.{name}")]
-    bodies = [_cells(body) for body in load_bodies(settings.design, settings.seed)]
+            designs[name] = read_bodies(spec, settings.seed, f"designs.{name}")
+    bodies = load_bodies(settings.design, settings.seed)
     return dataclasses.replace(
         settings,
         design=bodies[0] if len(bodies) == 1 else bodies,
@@ -290,10 +290,6 @@ def resolved(settings: Training) -> Any:
         physics=physics_of(settings),
         device=resolve_device(settings.device, settings.num_envs),
     )
-
-
-def _cells(design: Any) -> Any:
-    return {name: _cells(body) for name, body in design.items()} if isinstance(design, dict) else design.tolist()
 
 
 def task_name(task: Any) -> str:
