@@ -43,15 +43,15 @@ class Curve:
     (NaN for a single run); ``runs``: where and what of each, ``[2, evaluations]``.
     """
 
-    group: Group
+    label: str
     places: np.ndarray
     mean: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    runs: tuple[np.ndarray, ...]
+    runs: Sequence[np.ndarray]
 
 
-def curves_of_searches(members: Sequence[SearchResult], x: str = "steps") -> dict[str, list[Curve]]:
+def curves_of_searches(members: Sequence[SearchResult], x: str) -> dict[str, list[Curve]]:
     """The best return of design searches over ``steps`` or ``evaluations``: by task a curve for each search.
 
     A search that has ended before others keeps its best return.
@@ -60,8 +60,8 @@ def curves_of_searches(members: Sequence[SearchResult], x: str = "steps") -> dic
     for task, name in dict.fromkeys((one.task, one.search) for one in members):
         runs = [one for one in members if (one.task, one.search) == (task, name)]
         places, values = progress(runs, x)
-        points = tuple(np.stack([places, column]) for column in values.T)
-        panels.setdefault(task, []).append(_mean_curve(Group(name, tuple(runs)), places, values, points))
+        points = [np.stack([places, column]) for column in values.T]
+        panels.setdefault(task, []).append(_mean_curve(name, places, values, points))
     return panels
 
 
@@ -70,23 +70,22 @@ def curves_of(groups: Sequence[Group], x: str = "steps") -> list[Curve]:
 
     A run that has stopped early keeps its last return.
     """
-    return [_curve(group, [_points(each_run, x) for each_run in group.runs]) for group in groups]
+    curves = []
+    for group in groups:
+        runs = [_points(each_run, x) for each_run in group.runs]
+        places, values = runs[0][0], runs[0][1:].T
+        if len(runs) > 1:
+            places = np.linspace(max(points[0, 0] for points in runs), max(points[0, -1] for points in runs), POINTS)
+            values = np.stack([np.interp(places, *points) for points in runs], axis=1)
+        curves.append(_mean_curve(group.label, places, values, runs))
+    return curves
 
 
-def _curve(group: Group, runs: list[np.ndarray]) -> Curve:
-    if len(runs) == 1:
-        unknown = np.full(runs[0].shape[1], math.nan)
-        return Curve(group, runs[0][0], runs[0][1], unknown, unknown, tuple(runs))
-    places = np.linspace(max(points[0, 0] for points in runs), max(points[0, -1] for points in runs), POINTS)
-    values = np.stack([np.interp(places, *points) for points in runs], axis=1)
-    return _mean_curve(group, places, values, tuple(runs))
-
-
-def _mean_curve(group: Group, places: np.ndarray, values: np.ndarray, runs: tuple[np.ndarray, ...]) -> Curve:
+def _mean_curve(label: str, places: np.ndarray, values: np.ndarray, runs: Sequence[np.ndarray]) -> Curve:
     """The curve of values ``[places, runs]``."""
     intervals = [mean_interval(row) for row in values]
     mean, low, high = (np.array([getattr(i, name) for i in intervals]) for name in ("mean", "low", "high"))
-    return Curve(group, places, mean, low, high, runs)
+    return Curve(label, places, mean, low, high, runs)
 
 
 def evaluations_of(found: Run) -> list[dict[str, float]]:
@@ -100,10 +99,7 @@ def _points(found: Run, x: str) -> np.ndarray:
 
 
 def write_curves(
-    panels: Mapping[str, Sequence[Curve]],
-    path: str | os.PathLike[str],
-    x: str = "steps",
-    size: tuple[int, int] = (760, 340),
+    panels: Mapping[str, Sequence[Curve]], path: str | os.PathLike[str], x: str, size: tuple[int, int]
 ) -> Path:
     """Draw curves: runs thin, their mean thick, its 95 % interval as a band; the same numbers as CSV beside it.
 
@@ -124,7 +120,7 @@ def write_curves(
     inches = (columns * size[0] / 100, rows * (size[1] + 22 * more) / 100)
     figure = Figure(figsize=inches, dpi=100, layout="constrained")
     for number, (title, several) in enumerate(panels.items()):
-        said = [curve.group.label for curve in several] == [title]  # by the legend
+        said = [curve.label for curve in several] == [title]  # by the legend
         axes = figure.add_subplot(rows, columns, number + 1, title="" if said else _plain(title))
         _plot(several, axes)
         _dress(axes, AXES[x])
@@ -146,7 +142,7 @@ def _plot(curves: Sequence[Curve], axes: Any) -> None:
             axes.fill_between(curve.places, curve.low, curve.high, color=COLOURS[place], alpha=0.18, linewidth=0)
             for points in curve.runs:
                 axes.plot(*points, **look, linewidth=0.8, alpha=0.3)
-        label = _plain(f"{curve.group.label} (n={len(curve.runs)})")
+        label = _plain(f"{curve.label} (n={len(curve.runs)})")
         dot = "o" if curve.places[0] == curve.places[-1] else None  # a line of one point could not be seen
         axes.plot(curve.places, curve.mean, **look, linewidth=2.2, label=label, marker=dot)
 
@@ -168,8 +164,8 @@ def labelled(panels: Mapping[str, Sequence[Curve]]) -> Iterator[tuple[str, Curve
     """All curves with a label, to which the title of the panel belongs where there are several panels."""
     for title, several in panels.items():
         for curve in several:
-            alone = len(panels) == 1 or curve.group.label == title
-            yield curve.group.label if alone else f"{title}, {curve.group.label}", curve
+            alone = len(panels) == 1 or curve.label == title
+            yield curve.label if alone else f"{title}, {curve.label}", curve
 
 
 def _write_csv(panels: Mapping[str, Sequence[Curve]], path: Path, x: str) -> None:
