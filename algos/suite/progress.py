@@ -14,7 +14,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table as Grid
 from rich.text import Text
 
-from warpvox.algos.suite.members import DONE, FAILED, RUNNING, WAITING, Row, Table
+from warpvox.algos.suite.members import DONE, FAILED, RUNNING, WAITING, Member, Table
 from warpvox.errors import counted
 from warpvox.io.console import duration, echo, figure, literal
 
@@ -31,7 +31,7 @@ class SuiteProgress:
         self.table, self.console = table, console
         self._began = self._shown = time.monotonic()
         self._start = self._share()
-        self._ended: list[Row] = []
+        self._ended: list[Member] = []
         self._live = Live(console=console, refresh_per_second=4, transient=True) if console.is_terminal else None
 
     def __enter__(self) -> SuiteProgress:
@@ -44,15 +44,15 @@ class SuiteProgress:
         if self._live is not None:
             self._live.stop()
 
-    def ended(self, row: Row) -> None:
+    def ended(self, member: Member) -> None:
         """A member has ended, or has been interrupted."""
-        if row.state != WAITING:
-            self._ended.append(row)
-        figures = row.figures()
+        if member.state != WAITING:
+            self._ended.append(member)
+        figures = member.figures()
         best, designs = _number(figures["best_fitness"]), counted(figures["evaluations"] or 0, "designs")
-        state = "interrupted" if row.state == WAITING else row.state
-        end = f": {row.error}" if row.error else f", best {figure(best)} of {designs}"
-        done, (task, search, seed) = f"{len(self.table.of(DONE, FAILED))}/{len(self.table.rows)}", row.key
+        state = "interrupted" if member.state == WAITING else member.state
+        end = f": {member.error}" if member.error else f", best {figure(best)} of {designs}"
+        done, (task, search, seed) = f"{len(self.table.of(DONE, FAILED))}/{len(self.table.members)}", member.key
         echo(self.console, f"[{done}] {task} {search} seed {seed} {state}{end}  left {self._left()}")
 
     def refresh(self) -> None:
@@ -66,9 +66,9 @@ class SuiteProgress:
 
     def _share(self) -> float:
         """How much of the evaluations of all members is done, from 0 to 1."""
-        rows = self.table.rows
-        spent = [row.total if row.state in (DONE, FAILED) else row.figures()["evaluations"] or 0 for row in rows]
-        return sum(spent) / sum(row.total for row in rows)
+        members = self.table.members
+        spent = [one.total if one.state in (DONE, FAILED) else one.figures()["evaluations"] or 0 for one in members]
+        return sum(spent) / sum(one.total for one in members)
 
     def _left(self) -> str:
         share = self._share()
@@ -84,39 +84,40 @@ class SuiteProgress:
         grid = Grid(box=None, padding=(0, 2), header_style="dim")
         for name in ("task", "search", "seed", "state", "designs", "control steps", "best", "time"):
             grid.add_column(name, justify="left" if name in ("task", "search", "state") else "right")
-        for row in [*self.table.of(RUNNING), *self._ended[-ENDED:]]:
-            grid.add_row(*map(literal, _cells(row)), style="" if row.state == RUNNING else "dim")
+        for member in [*self.table.of(RUNNING), *self._ended[-ENDED:]]:
+            grid.add_row(*map(literal, _cells(member)), style="" if member.state == RUNNING else "dim")
         return Group(head, grid)
 
 
-def _cells(row: Row) -> Iterator[Any]:
-    figures = row.figures()
-    yield from (*row.key, row.state, f"{figures['evaluations'] or 0}/{row.total}")
+def _cells(member: Member) -> Iterator[Any]:
+    figures = member.figures()
+    yield from (*member.key, member.state, f"{figures['evaluations'] or 0}/{member.total}")
     yield from (f"{figures['control_steps'] or 0:,}", figure(_number(figures["best_fitness"])))
-    yield duration(time.monotonic() - row.began if row.state == RUNNING and row.began else figures["wall_s"] or 0.0)
+    running = member.state == RUNNING and member.began
+    yield duration(time.monotonic() - running if running else figures["wall_s"] or 0.0)
 
 
 def _number(value: Any) -> float:
     return float(value) if isinstance(value, int | float) else math.nan
 
 
-def results(rows: Sequence[Row]) -> Grid:
+def results(members: Sequence[Member]) -> Grid:
     """The best fitness by task and search, mean and standard deviation over the seeds that are done."""
-    searches = list(dict.fromkeys(row.search for row in rows))
+    searches = list(dict.fromkeys(member.search for member in members))
     grid = Grid(title="best fitness, mean ± standard deviation over seeds", title_justify="left")
     grid.add_column("task")
     for search in searches:
         grid.add_column(literal(search), justify="right")
-    for task in dict.fromkeys(row.task for row in rows):
-        cells = [_spread([row for row in rows if (row.task, row.search) == (task, search)]) for search in searches]
+    for task in dict.fromkeys(member.task for member in members):
+        cells = [_spread([one for one in members if (one.task, one.search) == (task, search)]) for search in searches]
         grid.add_row(literal(task), *map(Text, cells))
     return grid
 
 
-def _spread(rows: Sequence[Row]) -> str:
-    values = [_number(row.figures()["best_fitness"]) for row in rows if row.state == DONE]
+def _spread(members: Sequence[Member]) -> str:
+    values = [_number(member.figures()["best_fitness"]) for member in members if member.state == DONE]
     if not values:
         return "-"
     deviation = f" ± {statistics.stdev(values):.3f}" if len(values) > 1 else ""
-    share = f" ({len(values)} of {len(rows)})" if len(values) < len(rows) else ""
+    share = f" ({len(values)} of {len(members)})" if len(values) < len(members) else ""
     return f"{statistics.fmean(values):.3f}{deviation}{share}"

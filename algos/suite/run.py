@@ -13,7 +13,7 @@ from warpvox.algos.codesign.progress import SearchProgress
 from warpvox.algos.codesign.run import environments, run_codesign
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.interrupt import deferred_interrupts
-from warpvox.algos.suite.members import DONE, FAILED, RUNNING, WAITING, Member, Table
+from warpvox.algos.suite.members import DONE, FAILED, RUNNING, WAITING, Table
 from warpvox.algos.suite.pool import INTERRUPTED, LocalPool, RayPool
 from warpvox.algos.suite.progress import SuiteProgress
 from warpvox.devices.names import resolve_device
@@ -29,8 +29,8 @@ PROCESS_BYTES = 1_000_000_000
 """Of memory that a process should find free: PyTorch, Warp and a small search take half of it."""
 
 
-def make_members(table: Table, members: list[Member], config: Any, console: Console) -> None:
-    """Make those ``members`` whose rows in the table wait, several at a time.
+def make_members(table: Table, config: Any, console: Console) -> None:
+    """Make the members of the table that wait, several at a time.
 
     Args:
         config: ``executor``, ``workers``, ``address``, ``device`` and ``threads``, as the keys of ``warpvox suite``.
@@ -38,28 +38,27 @@ def make_members(table: Table, members: list[Member], config: Any, console: Cons
     Raises:
         KeyboardInterrupt: interrupted; the members have saved their states. StorageError: the disk is full.
     """
-    waiting, running = deque(number for number, row in enumerate(table.rows) if row.state == WAITING), {}
-    pool, threads = _pool(config, [members[number].settings for number in waiting])
+    waiting, running = deque(enumerate(table.of(WAITING))), {}
+    pool, threads = _pool(config, [member.settings for _, member in waiting])
     echo(console, f"{pool.size} at a time, each with {counted(threads, 'threads')}")
     try:
         with deferred_interrupts() as interrupt, SuiteProgress(table, console) as progress:
             stopping, full = False, ""
             while running or (waiting and not interrupt and not full):
                 while waiting and len(running) < pool.size and not interrupt and not full:
-                    number = waiting.popleft()
-                    row = table.rows[number]
-                    row.folder.mkdir(parents=True, exist_ok=True)
+                    number, member = waiting.popleft()
+                    member.folder.mkdir(parents=True, exist_ok=True)
                     given = {"threads": threads, "name": table.folder.name}  # the group of its members
-                    pool.begin(number, dataclasses.replace(members[number].settings, **given), row.folder)
-                    row.state, row.began, running[number] = RUNNING, time.monotonic(), row
+                    pool.begin(number, dataclasses.replace(member.settings, **given), member.folder)
+                    member.state, member.began, running[number] = RUNNING, time.monotonic(), member
                 for number, outcome in pool.wait(POLL_SECONDS):
-                    row = running.pop(number)
-                    row.state = outcome["status"] if outcome["status"] in (DONE, FAILED) else WAITING
-                    row.error = outcome.get("error", "") if row.state == FAILED else ""
+                    member = running.pop(number)
+                    member.state = outcome["status"] if outcome["status"] in (DONE, FAILED) else WAITING
+                    member.error = outcome.get("error", "") if member.state == FAILED else ""
                     full = outcome["error"] if outcome["status"] == FULL else full
                     table.write()
                     table.write_curves()
-                    progress.ended(row)
+                    progress.ended(member)
                 if (interrupt or full) and not stopping:
                     why = "the disk is full" if full else "interrupted"
                     echo(console, f"{why}: waiting for the members to save their states")
@@ -67,7 +66,7 @@ def make_members(table: Table, members: list[Member], config: Any, console: Cons
                     stopping = True
                 progress.refresh()
             if stopping:
-                echo(console, f"stopped, state saved; {len(table.of(DONE))} of {len(table.rows)} members are done")
+                echo(console, f"stopped, state saved; {len(table.of(DONE))} of {len(table.members)} members are done")
             if interrupt:
                 interrupt.stop()
             if full:

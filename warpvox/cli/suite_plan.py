@@ -51,7 +51,8 @@ def plan(config: SuiteConfig, config_dir: Path | None = None) -> list[Member]:
         shape = shape_of(spec.id) if shape is None else list(check_shape("shape", shape))
         settings = dataclasses.replace(settings, task=task, shape=shape, seed=seed)
         budget = dataclasses.replace(settings.search, max_evaluations=_evaluations(config, spec, settings))
-        members.append(Member(spec.id, search, seed, dataclasses.replace(settings, search=budget)))
+        folder = Path("members", spec.id, search, f"seed{seed}")
+        members.append(Member(spec.id, search, seed, folder, dataclasses.replace(settings, search=budget)))
     return members
 
 

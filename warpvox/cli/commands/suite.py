@@ -123,8 +123,8 @@ def suite(job: Job, console: Console) -> Path:
             counts = table.counts
             if not counts:
                 raise RunError(f"{table.folder / MEMBERS} cannot be read; suite resume={source.folder} makes it again.")
-            for row in table.of(RUNNING):
-                row.state = state
+            for member in table.of(RUNNING):
+                member.state = state
             _write_report(table, load_values("suite", source.config), console)
         return source.folder
     config = dataclasses.replace(job.config, retry=False)
@@ -134,14 +134,14 @@ def suite(job: Job, console: Console) -> Path:
     with run_folder(job.folder, config, "suite", stored, place, check=lambda: _check_growth(config, place)) as folder:
         for member in {member.search: member for member in job.members}.values():
             keep_code(member.settings, folder, console)
-        table = Table.of_members(folder, job.members, job.config.retry)
+        table = Table.of_plan(folder, job.members, job.config.retry)
         table.write()
         done = ", ".join(f"{count} {state}" for state, count in table.counts.items() if state != WAITING)
-        echo(console, f"{counted(len(table.rows), 'members')}{f', {done} already' if done else ''}")
+        echo(console, f"{counted(len(table.members), 'members')}{f', {done} already' if done else ''}")
         echo(console, f"folder: {shown(folder)}")
         try:
             if table.of(WAITING):
-                make_members(table, job.members, config, console)
+                make_members(table, config, console)
         except BaseException:
             _advise(table, config, console)
             raise
@@ -169,17 +169,17 @@ def _advise(table: Table, config: SuiteConfig, console: Console, more: str = "")
 
 def _conclude(table: Table, config: SuiteConfig, console: Console) -> Path:
     """Say how the suite has ended."""
-    console.print(results(table.rows))
+    console.print(results(table.members))
     echo(console, f"members: {shown(table.folder / MEMBERS)}")
-    failed, left = table.of(FAILED), table.of(WAITING)
+    failed, left, count = table.of(FAILED), table.of(WAITING), len(table.members)
     if left and not failed:
         _advise(table, config, console)
-        raise RunError(f"{len(left)} of {len(table.rows)} members were asked to end (SIGTERM) before they were done.")
+        raise RunError(f"{len(left)} of {count} members were asked to end (SIGTERM) before they were done.")
     if not failed:
         return table.folder
     _advise(table, config, console, " retry=true")
     task, search, seed = failed[0].key
     raise RunError(
-        f"{len(failed)} of {len(table.rows)} members failed, the first of them ({task}, {search}, seed {seed}) with:"
+        f"{len(failed)} of {count} members failed, the first of them ({task}, {search}, seed {seed}) with:"
         f" {failed[0].error.rstrip('.')}. All are listed in {table.folder / MEMBERS}."
     )
