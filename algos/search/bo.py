@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,21 +33,8 @@ RANDOM_SHARE = 0.25
 DRAWS, ROUNDS = 500, 60
 """Bodies drawn at a time for the pool, and how often; small shapes may have fewer new bodies than are wanted."""
 
-NOBODY = -1
 LARGEST = 1e9
 """Fitness beyond this is scaled down for the model, whose squares overflow."""
-
-
-@dataclass
-class Pool:
-    """New valid bodies int8 ``[m, rows, columns]``, all different, and the id of the parent of each, or -1."""
-
-    bodies: np.ndarray
-    parents: np.ndarray
-
-    def parents_of(self, place: int) -> tuple[int, ...]:
-        """As a candidate has them."""
-        return () if self.parents[place] == NOBODY else (int(self.parents[place]),)
 
 
 class BayesianSearch(BaseSearch):
@@ -84,11 +70,11 @@ class BayesianSearch(BaseSearch):
         self.adopt(candidates)
 
     def _improved(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
-        pool = self.pool(rng, self.settings.candidates, 0)
-        if not len(pool.bodies):
+        pool, _ = self.pool(rng, self.settings.candidates, 0)
+        if not len(pool):
             return []
         model = fit_model(np.stack(self.bodies), fitness, self.settings)
-        starts = pool.bodies[thompson_starts(model, pool.bodies, min(count, len(pool.bodies)))]
+        starts = pool[thompson_starts(model, pool, min(count, len(pool)))]
         best = max(fitness)
         ends = improve(model, best, starts, self.settings.optimizer_iterations)
         if self.settings.acquisition == "lbfgs":
@@ -120,19 +106,19 @@ class BayesianSearch(BaseSearch):
 
     def _summits(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
         random = max(1, round(self.settings.candidates * RANDOM_SHARE))
-        pool = self.pool(rng, random, self.settings.candidates - random)
-        if not len(pool.bodies):
+        pool, parents = self.pool(rng, random, self.settings.candidates - random)
+        if not len(pool):
             return []
         model = fit_model(np.stack(self.bodies), fitness, self.settings)
-        climb = climb_posterior(model, pool.bodies, count)
+        climb = climb_posterior(model, pool, count)
         proposals: list[Proposal] = []
         for path, start in enumerate(climb.start):
             # the summit, or the best new body beside it, or in the pool
             near = np.concatenate([climb.summit[path : path + 1], climb.around[path]])
             if (place := self._best_new(near, np.append(np.inf, climb.at_around[path]))) is not None:
-                proposals.append(Proposal(near[place], pool.parents_of(start), "posterior"))
-            elif (place := self._best_new(pool.bodies, climb.at_pool[path])) is not None:
-                proposals.append(Proposal(pool.bodies[place], pool.parents_of(place), "posterior"))
+                proposals.append(Proposal(near[place], parents[start], "posterior"))
+            elif (place := self._best_new(pool, climb.at_pool[path])) is not None:
+                proposals.append(Proposal(pool[place], parents[place], "posterior"))
         return proposals
 
     def _best_new(self, bodies: np.ndarray, values: np.ndarray) -> int | None:
@@ -140,32 +126,34 @@ class BayesianSearch(BaseSearch):
         places = (place for place in np.argsort(-values, kind="stable") if values[place] > -np.inf)
         return next((int(place) for place in places if self.claim(bodies[place])), None)
 
-    def pool(self, rng: np.random.Generator, random: int, mutants: int) -> Pool:
-        """Bodies to choose from: ``random`` ones and ``mutants`` of the best, or fewer where there are no more."""
+    def pool(self, rng: np.random.Generator, random: int, mutants: int) -> tuple[np.ndarray, list[tuple[int, ...]]]:
+        """Bodies to choose from: ``random`` ones and ``mutants`` of the best, or fewer where there are no more.
+
+        Returns:
+            New valid bodies int8 ``[m, rows, columns]``, all different, and the parents of each: none, or the one.
+        """
         best = np.array(sorted(range(len(self.bodies)), key=lambda number: (-self.fitness[number], number))[:TOP])
         stack = np.stack(self.bodies)
 
-        def draw_mutants() -> tuple[np.ndarray, np.ndarray]:
+        def draw_random() -> tuple[np.ndarray, list[tuple[int, ...]]]:
+            return draw_bodies(rng, DRAWS, self.shape), [()] * DRAWS
+
+        def draw_mutants() -> tuple[np.ndarray, list[tuple[int, ...]]]:
             parents = rng.choice(best, DRAWS)
             rates = rng.choice(RATES, DRAWS, p=(2 / 3, 1 / 3))
-            return mutate(rng, stack[parents], rates[:, None, None]), parents
+            return mutate(rng, stack[parents], rates[:, None, None]), [(parent,) for parent in parents.tolist()]
 
-        found: dict[bytes, tuple[np.ndarray, int]] = {}
-        self._gather(found, lambda: (draw_bodies(rng, DRAWS, self.shape), np.full(DRAWS, NOBODY)), random)
-        self._gather(found, draw_mutants, len(found) + mutants)
+        found: dict[bytes, tuple[np.ndarray, tuple[int, ...]]] = {}
+        for draw, count in (draw_random, random), (draw_mutants, mutants):
+            total = len(found) + count
+            for _ in range(ROUNDS):
+                if len(found) >= total:
+                    break
+                bodies, parents = draw()
+                for place in np.flatnonzero(are_valid(bodies)):
+                    key = body_key(bodies[place])
+                    if len(found) < total and not self.is_known(key):
+                        found.setdefault(key, (bodies[place], parents[place]))
         bodies = [body for body, _ in found.values()]
         parents = [parent for _, parent in found.values()]
-        return Pool(np.stack(bodies) if bodies else np.zeros((0, *self.shape), np.int8), np.array(parents, dtype=int))
-
-    def _gather(
-        self, found: dict[bytes, tuple[np.ndarray, int]], draw: Callable[[], tuple[np.ndarray, np.ndarray]], total: int
-    ) -> None:
-        """Add new valid bodies until there are ``total``."""
-        for _ in range(ROUNDS):
-            if len(found) >= total:
-                return
-            bodies, parents = draw()
-            for place in np.flatnonzero(are_valid(bodies)):
-                key = body_key(bodies[place])
-                if len(found) < total and not self.is_known(key):
-                    found.setdefault(key, (bodies[place], int(parents[place])))
+        return np.stack(bodies) if bodies else np.zeros((0, *self.shape), np.int8), parents

@@ -218,9 +218,9 @@ def test_mutants_are_those_of_the_best_bodies() -> None:
     bodies = some_bodies(40)
     search = make_search(hasty(population=40, max_evaluations=60), (4, 4), 0)
     search.bodies, search.fitness = list(bodies), list(map(float, np.random.default_rng(0).permutation(40)))
-    pool = search.pool(np.random.default_rng(0), 0, 200)
-    assert len(pool.parents) == 200
-    assert {search.fitness[parent] for parent in pool.parents} == set(map(float, range(15, 40)))  # the best 25 of 40
+    pool, parents = search.pool(np.random.default_rng(0), 0, 200)
+    assert len(pool) == len(parents) == 200
+    assert {search.fitness[parent] for (parent,) in parents} == set(map(float, range(15, 40)))  # the best 25 of 40
 
 
 @pytest.mark.parametrize("acquisition", ["paper", "lbfgs"])
