@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,12 +24,12 @@ CHECK_EVERY = 25
 """Control steps between checks whether all episodes have ended."""
 
 
-def begin_alike(env: VoxelVecEnv, designs: int, count: int, episodes: int, seed: int) -> None:
-    """Begin the same episodes, those of ``seed``, with each of ``count`` gaits of each design."""
-    env.reset(seed=[seed] * designs)
-    first = torch.arange(designs, device=env.device)[:, None, None] * count * episodes
-    rows = first + torch.arange(episodes, device=env.device).expand(designs, count, episodes)
-    env.set_state(state_rows(env.state(), rows.flatten()))
+def continued(state: Any, sources: torch.Tensor, episodes: int) -> Any:
+    """The state in which gaits go on from the episodes of others of their design: ``sources``, ``[designs, gaits]``."""
+    device = sources.device
+    gaits = sources + sources.shape[1] * torch.arange(len(sources), device=device)[:, None]
+    rows = gaits[:, :, None] * episodes + torch.arange(episodes, device=device)
+    return state_rows(state, rows.flatten())
 
 
 def play(

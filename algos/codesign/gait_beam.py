@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from warpvox.algos.codesign.gait_actions import play
+from warpvox.algos.codesign.gait_actions import continued, play
 from warpvox.algos.codesign.gaits import Gait, Motion, draw_motion, gait_of, motions_of, mutate_motion
 from warpvox.algos.disturbance import Draws
-from warpvox.envs.episodes import state_rows
 from warpvox.envs.vec_env import VoxelVecEnv
 
 KEPT = 0.125
@@ -26,71 +25,57 @@ Begun = tuple[tuple[int, Motion], ...]
 """Motions with the control steps in which they begin."""
 
 
-@dataclass(frozen=True)
-class Beam:
-    """Searches for gaits of some designs, all of them side by side.
+def beam_search(
+    env: VoxelVecEnv,
+    bodies: Sequence[np.ndarray],
+    known: Sequence[Sequence[Gait]],
+    random: Sequence[np.random.Generator],
+    seed: int,
+    steps: int,
+    episodes: int,
+    noise: Draws | None,
+) -> tuple[list[tuple[float, Gait]], np.ndarray]:
+    """Search for gaits of some designs, all of them side by side, in one go through the episode.
 
     The beginnings of episodes found so far are each continued for a stage by several motions, from copies of the state
     of the simulation, and the best of what follows are the next beginnings. This takes as many control steps as
-    ``count`` episodes, but what to do in the middle of an episode is tried where it matters, without changing what was
-    good before.
+    episodes of all environments, but what to do in the middle of an episode is tried where it matters, without changing
+    what was good before.
 
-    Attributes:
-        env: ``count * episodes`` environments for each design, which do not reset themselves.
+    Args:
+        env: as many environments for each design, which do not reset themselves: continuations times ``episodes``.
         bodies: the designs.
-        count: continuations that are tried in each stage.
+        known: gaits of each design, if there are, the best one first: the result is never worse than this one.
+        random: source of random numbers of each design.
+        seed: of the episodes, which are the same for all designs.
+        steps: control steps of a stage.
         episodes: of each gait, whose mean return counts.
         noise: on the actions of these episodes, the same for all gaits.
+
+    Returns:
+        The best mean return and its gait, of each design, and the control steps ``[designs]`` that it took.
     """
-
-    env: VoxelVecEnv
-    bodies: Sequence[np.ndarray]
-    count: int
-    episodes: int
-    noise: Draws | None = None
-
-    def search(
-        self, known: Sequence[Sequence[Gait]], random: Sequence[np.random.Generator], seed: int, steps: int
-    ) -> tuple[list[tuple[float, Gait]], np.ndarray]:
-        """Go through the episode once.
-
-        Args:
-            known: gaits of each design, if there are, the best one first: the result is never worse than this one.
-            random: source of random numbers of each design.
-            seed: of the episodes, which are the same for all designs.
-            steps: control steps of a stage.
-
-        Returns:
-            The best mean return and its gait, of each design, and the control steps ``[designs]`` that it took.
-        """
-        env, limit = self.env, self.env.max_episode_steps
-        drawn = zip(self.bodies, known, random, strict=True)
-        searches = [_Search(body, self.count, gaits, rng) for body, gaits, rng in drawn]
-        spent = np.zeros(len(searches), np.int64)
-        with torch.no_grad():
-            env.reset(seed=[seed] * len(searches))
-            state = env.state()
-            for first in range(0, limit, steps):
-                last = min(first + steps, limit)
-                gaits = [search.continued(first, last) for search in searches]
-                state = state_rows(state, self._environments(searches))
-                before = state["length"]
-                env.set_state(state)
-                values = play(env, self.bodies, gaits, self.episodes, first, last, self.noise).tolist()
-                state = env.state()
-                spent += (state["length"] - before).view(len(searches), -1).sum(1).cpu().numpy()
-                ended = (state["terminated"] | state["truncated"]).view(len(searches), self.count, -1).all(2).tolist()
-                for place, search in enumerate(searches):
-                    search.choose(values[place], ended[place])
-                if not any(search.beginnings for search in searches):
-                    break
-        return [search.best for search in searches if search.best is not None], spent
-
-    def _environments(self, searches: Sequence[_Search]) -> torch.Tensor:
-        sources = torch.tensor([search.sources for search in searches], device=self.env.device)
-        first = self.count * torch.arange(len(searches), device=self.env.device)[:, None]
-        each = self.episodes * (first + sources)[:, :, None]
-        return (each + torch.arange(self.episodes, device=self.env.device)).flatten()
+    limit, count = env.max_episode_steps, env.num_envs // (len(bodies) * episodes)
+    searches = [_Search(body, count, gaits, rng) for body, gaits, rng in zip(bodies, known, random, strict=True)]
+    spent = np.zeros(len(searches), np.int64)
+    env.reset(seed=[seed] * len(searches))
+    state = env.state()
+    for first in range(0, limit, steps):
+        last = min(first + steps, limit)
+        gaits = [search.continued(first, last) for search in searches]
+        sources = torch.tensor([search.sources for search in searches], device=env.device)
+        state = continued(state, sources, episodes)
+        before = state["length"]
+        env.set_state(state)
+        values = play(env, bodies, gaits, episodes, first, last, noise).tolist()
+        state = env.state()
+        spent += (state["length"] - before).view(len(searches), -1).sum(1).cpu().numpy()
+        ended = (state["terminated"] | state["truncated"]).view(len(searches), count, -1).all(2).tolist()
+        for place, search in enumerate(searches):
+            search.choose(values[place], ended[place])
+        if not any(search.beginnings for search in searches):
+            break
+    return [search.best for search in searches if search.best is not None], spent
 
 
 @dataclass(frozen=True)

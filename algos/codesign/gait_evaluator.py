@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -15,17 +14,16 @@ import torch
 
 from warpvox.algos.candidate import START, Candidate, Outcome, Parents, Report, candidate_seed
 from warpvox.algos.checkpoints.files import PolicySpec, spec_dict
-from warpvox.algos.codesign.gait_actions import begin_alike, play
-from warpvox.algos.codesign.gait_beam import Beam
+from warpvox.algos.codesign.gait_actions import continued, play
+from warpvox.algos.codesign.gait_beam import beam_search
 from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait, with_stages
+from warpvox.algos.codesign.population_evaluator import describe, read_evaluation, save_evaluation
 from warpvox.algos.disturbance import SEARCHED, Draws
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.policies.gait import AMPLITUDE
 from warpvox.algos.protocols import NOMINAL
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import RunError
-from warpvox.io.writing import write_text
 from warpvox.types import Cell
 
 if TYPE_CHECKING:
@@ -48,9 +46,9 @@ class GaitEvaluator:
     """The fitness of a design is the best return of some open-loop gaits, and the best gait is its policy.
 
     The first ones are those of its parents with mutants of the best parent's; random ones, if it has none. In each
-    further round mutants of the best so far are tried. Passes of a beam search (:class:`Beam`) may come before the
-    rounds. It takes ``beam * passes + gaits * rounds`` episodes for a design, where a training of 512,000 control steps
-    has a thousand.
+    further round mutants of the best so far are tried. Passes of a :func:`beam_search` may come before the rounds. It
+    takes ``beam * passes + gaits * rounds`` episodes for a design, where a training of 512,000 control steps has a
+    thousand.
 
     Attributes:
         factory: makes environments.
@@ -79,7 +77,7 @@ class GaitEvaluator:
             " evaluation.beam, batch)."
         )
         with enough_memory(hint):
-            return _Rounds(self, candidates, parents).run(report, checkpoint and checkpoint.with_suffix(".gaits.json"))
+            return _Rounds(self, candidates, parents).run(report, checkpoint and checkpoint.with_suffix(".gaits.pt"))
 
 
 class _Rounds:
@@ -87,6 +85,7 @@ class _Rounds:
 
     def __init__(self, how: GaitEvaluator, candidates: Sequence[Candidate], parents: Parents) -> None:
         self.how, self.settings, self.bodies = how, how.settings, [candidate.body for candidate in candidates]
+        self.about = describe(how.factory, how.settings, how.seed, candidates)
         self.seeds = [candidate_seed(how.seed, candidate.id) for candidate in candidates]
         self.random = [np.random.default_rng([STREAM, how.seed, candidate.id]) for candidate in candidates]
         self.origins = [candidate.origin for candidate in candidates]
@@ -106,8 +105,8 @@ class _Rounds:
         return self.how.factory.make(self.bodies, envs, self.seeds, auto_reset=False, shared=True)
 
     def run(self, report: Report, checkpoint: Path | None) -> list[Outcome]:
-        if checkpoint is not None and checkpoint.is_file():
-            self._read(checkpoint)
+        if content := read_evaluation(checkpoint, self.about):
+            self._restore(content)
         self._tell(report)
         saved = time.monotonic()
         while self.round < self.rounds:
@@ -118,28 +117,23 @@ class _Rounds:
                 self.curves[place].append((self.spent[place], value))
             self.round += 1
             if checkpoint is not None and time.monotonic() - saved >= SAVE_INTERVAL:
-                write_text(checkpoint, json.dumps(self._state()))
+                save_evaluation(checkpoint, self._state())
                 saved = time.monotonic()
             self._tell(report)
         return [self._outcome(place) for place in range(len(self.bodies))]
 
     def _state(self) -> dict[str, Any]:
-        best = [[value, {name: array.tolist() for name, array in vars(gait).items()}] for value, gait in self.best]
-        own = {"seeds": self.seeds, "round": self.round, "best": best, "curves": self.curves, "spent": self.spent}
+        best = [
+            (value, {name: torch.as_tensor(array) for name, array in vars(gait).items()}) for value, gait in self.best
+        ]
+        own = {"about": self.about, "round": self.round, "best": best, "curves": self.curves, "spent": self.spent}
         return own | {"random": [rng.bit_generator.state for rng in self.random]}
 
-    def _read(self, checkpoint: Path) -> None:
-        try:
-            state = json.loads(checkpoint.read_text(encoding="utf-8"))
-            if state["seeds"] != self.seeds:
-                raise RunError(f"{checkpoint} belongs to other candidates than those to be evaluated.")
-            best = [(value, Gait(**{k: np.array(array) for k, array in gait.items()})) for value, gait in state["best"]]
-            for rng, numbers in zip(self.random, state["random"], strict=True):
-                rng.bit_generator.state = numbers
-            curves = [[(steps, value) for steps, value in curve] for curve in state["curves"]]
-            self.best, self.curves, self.spent, self.round = best, curves, state["spent"], state["round"]
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise RunError(f"{checkpoint} is damaged ({error}): remove it, and these rounds begin again.") from error
+    def _restore(self, content: dict[str, Any]) -> None:
+        self.round, self.curves, self.spent = (content[name] for name in ("round", "curves", "spent"))
+        self.best = [(value, _gait_of(state)) for value, state in content["best"]]
+        for rng, state in zip(self.random, content["random"], strict=True):
+            rng.bit_generator.state = state
 
     def _inherited(self, candidate: Candidate, parents: Parents) -> list[Gait]:
         """The gaits that a candidate begins with: those of its parents, the best first, or the one it is known by."""
@@ -148,8 +142,7 @@ class _Rounds:
             return [] if known is None else [with_stages(known, self.settings.stages, self.env.max_episode_steps)]
         found = [parents[number] for number in candidate.parents if number in parents]
         found.sort(key=lambda parent: -parent.fitness)
-        fields = Gait.__dataclass_fields__
-        return [Gait(**{name: parent.policy[name].numpy() for name in fields}) for parent in found]
+        return [_gait_of(parent.policy) for parent in found]
 
     def _gaits(self, place: int) -> list[Gait]:
         rng, body, count = self.random[place], self.bodies[place], self.settings.gaits
@@ -172,8 +165,8 @@ class _Rounds:
         """The best gait of each design by a beam search with its mean return, and the control steps ``[designs]``."""
         known = [[best[1]] for best in self.best] if self.best else self.inherited
         steps = max(1, round(self.settings.stage_steps * STRETCH[self.round % len(STRETCH)]))
-        beam = Beam(self.env, self.bodies, self.settings.beam, self.how.episodes, self.noise)
-        return beam.search(known, self.random, self.how.seed, steps)
+        how = self.how.seed, steps, self.how.episodes, self.noise
+        return beam_search(self.env, self.bodies, known, self.random, *how)
 
     def _try(self) -> tuple[list[tuple[float, Gait]], np.ndarray]:
         """The same of an episode of each gait that is tried next."""
@@ -181,7 +174,9 @@ class _Rounds:
         if self.env.num_envs != len(self.bodies) * count * how.episodes:
             self.env = self._environments(count)
         gaits = [self._gaits(place) for place in range(len(self.bodies))]
-        begin_alike(self.env, len(self.bodies), count, how.episodes, how.seed)
+        self.env.reset(seed=[how.seed] * len(self.bodies))
+        alike = torch.zeros(len(self.bodies), count, dtype=torch.int64, device=self.env.device)
+        self.env.set_state(continued(self.env.state(), alike, how.episodes))
         returns = play(self.env, self.bodies, gaits, how.episodes, noise=self.noise).numpy()
         found = [(float(got.max()), tried[int(got.argmax())]) for got, tried in zip(returns, gaits, strict=True)]
         return found, self.env.state()["length"].view(len(self.bodies), -1).sum(1).cpu().numpy()
@@ -201,3 +196,7 @@ class _Rounds:
         event = {"iteration": self.round, "iterations": self.rounds, "steps": sum(self.spent), "best": best}
         if report is not None:
             report(event | {"training": [self.round < self.rounds] * len(self.bodies)})
+
+
+def _gait_of(state: Mapping[str, torch.Tensor]) -> Gait:
+    return Gait(**{name: state[name].numpy() for name in Gait.__dataclass_fields__})

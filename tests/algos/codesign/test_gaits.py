@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import torch
 from population_cases import LIMIT, candidates, factory
 
 from warpvox.algos.candidate import START, Candidate, Outcome, Parent
+from warpvox.algos.checkpoints.files import read_tensors
 from warpvox.algos.codesign import gait_evaluator
 from warpvox.algos.codesign.evaluations import Gaits
 from warpvox.algos.codesign.finalists import BestOf
@@ -224,13 +224,15 @@ def test_passes_come_before_rounds_and_go_on_after_an_interrupt(tmp_path: Path, 
         assert (one.fitness, one.curve, one.steps) == (other.fitness, other.curve, other.steps)
         assert all(torch.equal(value, other.policy[name]) for name, value in one.policy.items())
     (saved,) = tmp_path.iterdir()
-    assert json.loads(saved.read_text(encoding="utf-8"))["round"] == 3
-    with pytest.raises(RunError, match="other candidates"):
-        how.evaluate(found[:1], {}, None, checkpoint)
-    state = json.loads(saved.read_text(encoding="utf-8"))
-    for damage in '{"seeds": 1', json.dumps(state | {"best": [[1.0, []]] * 2}), json.dumps(state | {"random": [{}]}):
-        saved.write_text(damage, encoding="utf-8")
-        with pytest.raises(RunError, match="damaged"):
+    assert read_tensors(saved)["round"] == 3
+    others = staged(factory(), passes=2, beam=2 * COUNT, rounds=2), staged(factory("Balancer-v0"), passes=2)
+    for evaluator, designs in (how, found[:1]), *((other, found) for other in others):
+        with pytest.raises(RunError, match="other candidates or settings"):
+            evaluator.evaluate(designs, {}, None, checkpoint)
+    content = saved.read_bytes()
+    for damage in content[:-100], b"", content.replace(b"round", b"rOund", 1):
+        saved.write_bytes(damage)
+        with pytest.raises(RunError, match=r"not a readable checkpoint .* Remove it: these designs are then evaluated"):
             how.evaluate(found, {}, None, checkpoint)
 
 
