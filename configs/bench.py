@@ -47,8 +47,6 @@ class LearningConfig:
 
 @dataclass
 class BenchConfig:
-    """Keys of ``warpvox bench``."""
-
     suite: str = key("peer", "; ".join(f"{name}: {text}" for name, text in SUITES.items()), choices=tuple(SUITES))
     task: str = key("Walker-v0", "task id", path="read")
     tasks: list[str] = key([], "tasks of suite=tasks and suite=gpu; []: all", path="read")

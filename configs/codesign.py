@@ -16,8 +16,6 @@ from warpvox.keys import MISSING, key
 
 @dataclass
 class CodesignConfig(Codesign, PresetConfig):
-    """Keys of ``warpvox codesign``."""
-
     search: SearchSettings = key(MISSING, "how designs are proposed", nodes=ALGORITHMS)
     evaluation: Evaluation = key(MISSING, "how designs are compared", nodes=EVALUATIONS)
     export: list[str] = key(

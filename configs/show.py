@@ -66,8 +66,6 @@ class _RolloutConfig:
 
 @dataclass
 class PlayConfig(_PolicyConfig, _RolloutConfig):
-    """Keys of ``warpvox play``."""
-
     agent: str | None = key(
         None,
         "simple agent instead of a policy: random (uniform actions), sine (sine waves of random phases) or zero"
@@ -97,8 +95,6 @@ class PlayConfig(_PolicyConfig, _RolloutConfig):
 
 @dataclass
 class ExportConfig(_PolicyConfig, _RolloutConfig):
-    """Keys of ``warpvox export``."""
-
     rollout: str | None = key(None, "rollout file to export; null: record an episode of the run", path="read")
     task: str | None = key(None, OWN_TASK, path="read")
     num_envs: int = key(1, "number of environments, a multiple of the run's number of designs", low=1)
@@ -157,8 +153,6 @@ class EvaluateConfig(_PolicyConfig, _EvaluationConfig):
 
 @dataclass
 class CurvesConfig:
-    """Keys of ``warpvox curves``."""
-
     runs: list[str] = key(
         ["latest"],
         "runs of `warpvox train`: latest, folders, sweeps (their tables), patterns such as 'outputs/train/*/*'; or"

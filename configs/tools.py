@@ -11,8 +11,6 @@ from warpvox.keys import key
 
 @dataclass
 class DesignConfig:
-    """Keys of ``warpvox design``."""
-
     file: str | None = key(None, "file of the folder to open at the start", path="read")
     folder: str = key(
         "designs", "folder in which files are opened and saved; made when something is saved", path="written"
@@ -26,8 +24,6 @@ class DesignConfig:
 
 @dataclass
 class ZooConfig:
-    """Keys of ``warpvox zoo``."""
-
     task: str | None = key(
         None,
         "show the robot of this task in detail; with add, for runs of a task of your own: its code, file.py:NAME, or"
@@ -46,8 +42,6 @@ class ZooConfig:
 
 @dataclass
 class TasksConfig:
-    """Keys of ``warpvox tasks``."""
-
     task: str | None = key(
         None,
         "task id, module:NAME or file.py:NAME to show in detail, with its world; its key may be omitted",

@@ -11,8 +11,6 @@ from warpvox.keys import key
 
 @dataclass
 class TrainConfig(Training, PresetConfig):
-    """Keys of ``warpvox train``."""
-
     export: list[str] = key(
         [],
         "formats in which an episode of the best policy is written into the run's folder at the end",

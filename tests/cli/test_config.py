@@ -14,7 +14,7 @@ from warpvox.algos import settings
 from warpvox.algos.settings import physics_of
 from warpvox.cli import COMMANDS, main
 from warpvox.cli.config import load, load_start
-from warpvox.cli.help import flat_keys, flat_values, options_of
+from warpvox.cli.help import flat_values, keys_of, options_of
 from warpvox.configs import schema
 from warpvox.design import load_design
 from warpvox.errors import ConfigError
@@ -146,7 +146,7 @@ def test_help_names_every_key_with_its_meaning(command: str, capsys: pytest.Capt
     text = capsys.readouterr().out
     assert f"warpvox {command.replace('demo', 'train')}" in text  # of which the demo is a preset
     if command in schema.COMMANDS:
-        for name, key in flat_keys(schema.schema_of(command)):
+        for name, key in keys_of(command).items():
             assert key.help
             if not dataclasses.is_dataclass(key.default) and len(key.choices) != 1:
                 assert f"  {name}=" in text, name

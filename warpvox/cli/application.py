@@ -11,10 +11,9 @@ from rich.console import Console
 
 from warpvox.cli import COMMANDS
 from warpvox.cli.config import load, load_start
-from warpvox.cli.help import add_keys, flat_keys, flat_values
+from warpvox.cli.help import add_keys, flat_values, keys_of
 from warpvox.cli.overrides import expand, read_overrides
 from warpvox.cli.sweep import make_runs, run_hydra
-from warpvox.configs.schema import schema_of
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.io.console import make_console
 from warpvox.runs import check_output
@@ -107,7 +106,7 @@ def read_words(command: str, words: list[str]) -> argparse.Namespace:
     given, unknown = _parser(command).parse_known_intermixed_args(words)
     if unknown:
         name, hint = unknown[0].lstrip("-").partition("=")[0].replace("-", "_"), did_you_mean(unknown[0], FLAGS)
-        hint = f" Keys have no dashes: {name}=VALUE." if name in dict(flat_keys(schema_of(command))) else hint
+        hint = f" Keys have no dashes: {name}=VALUE." if name in keys_of(command) else hint
         raise ConfigError(f"Unknown option '{unknown[0]}'; there are {listing(FLAGS)}.{hint}")
     if given.config_dir is not None:
         if not given.config_dir.is_dir():

@@ -8,7 +8,7 @@ from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf
 
 from warpvox.algos.interrupt import uninterrupted
-from warpvox.cli.help import flat_keys, flat_values, groups_of, preset_key
+from warpvox.cli.help import flat_values, groups_of, keys_of, preset_key
 from warpvox.cli.overrides import key_and_value, read_overrides
 from warpvox.configs.composition import composed, hydras_errors, quoted
 from warpvox.configs.schema import PRESET, nodes_of, schema_of
@@ -137,7 +137,7 @@ def _nodes_of(command: str, values: dict[str, Any]) -> list[str]:
 
 
 def _set(config: DictConfig, override: Override, command: str) -> None:
-    key, keys = override.key_or_group, dict(flat_keys(schema_of(command)))
+    key, keys = override.key_or_group, keys_of(command)
     if override.package is not None or not _has(config, key) or key not in keys:
         raise _unknown(command, override.get_key_element(), config)
     if dataclasses.is_dataclass(keys[key].type):
@@ -156,7 +156,7 @@ def _has(config: DictConfig, key: str) -> bool:
 
 def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
     """The error that names the nearest key of a composed configuration."""
-    keys, last = dict(flat_keys(schema_of(command))), key.split(".")[-1]
+    keys, last = keys_of(command), key.split(".")[-1]
     known = [name for name in keys if _has(config, name)]
     hint = did_you_mean(key, known) or did_you_mean(last, known)
     if key in keys:

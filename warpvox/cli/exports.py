@@ -39,7 +39,7 @@ FILMS = ("gif", "mp4")
 TILES, BODIES = 16, 36
 """Environments that a picture shows at most; of a run over many bodies."""
 LARGE = (960, 540)
-"""Size of pictures of more than :data:`TILES`, in pixels."""
+"""Size of pictures of more than :data:`TILES`, and of a window, in pixels."""
 
 
 def record_run(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -28,11 +29,16 @@ class Key:
     limits: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
-def flat_keys(schema: type, prefix: str = "") -> Iterator[tuple[str, Key]]:
-    """All keys of a dataclass by their dotted names; those with parts come before their parts.
+@functools.cache
+def keys_of(command: str) -> dict[str, Key]:
+    """The keys of a command by their dotted names; those with parts come before their parts.
 
     The parts of a group are those of all its nodes.
     """
+    return dict(_keys(schema_of(command), ""))
+
+
+def _keys(schema: type, prefix: str) -> Iterator[tuple[str, Key]]:
     types = get_type_hints(schema)
     for item in dataclasses.fields(schema):
         name = prefix + item.name
@@ -41,7 +47,7 @@ def flat_keys(schema: type, prefix: str = "") -> Iterator[tuple[str, Key]]:
         yield name, Key(types[item.name], default, about["help"], about.get("choices", ()), about.get("path"), about)
         kinds = [one if isinstance(one, type) else type(one) for one in (default, *about.get("nodes", {}).values())]
         kinds = [kind for kind in kinds if dataclasses.is_dataclass(kind) and issubclass(kind, types[item.name])]
-        yield from {part: key for kind in kinds for part, key in flat_keys(kind, f"{name}.")}.items()
+        yield from (part for kind in kinds for part in _keys(kind, f"{name}."))
 
 
 def preset_key(command: str) -> str:
@@ -66,7 +72,7 @@ def options_of(command: str, group: str, config_dir: Path | None = None) -> list
 
 def flat_values(command: str, values: dict[str, Any]) -> dict[str, Any]:
     """Nested values by their dotted keys; a value that may be anything is one, also if it is a mapping."""
-    return flat(values, {name for name, key in flat_keys(schema_of(command)) if key.type is Any})
+    return flat(values, {name for name, key in keys_of(command).items() if key.type is Any})
 
 
 def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str | None, str]]:
@@ -75,7 +81,7 @@ def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str |
     Args:
         values: the composed defaults by dotted key, for those that the schema leaves open.
     """
-    for name, key in flat_keys(schema_of(command)):
+    for name, key in keys_of(command).items():
         if name in groups_of(command):
             yield name, None, f"{key.help}: {', '.join(options_of(command, name))}"
         elif not dataclasses.is_dataclass(key.default) and len(key.choices) != 1:  # what the name of a choice sets

@@ -15,9 +15,9 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
 
-from warpvox.cli.help import Key, flat_keys, preset_key
+from warpvox.cli.help import Key, keys_of, preset_key
 from warpvox.configs.composition import quoted
-from warpvox.configs.schema import PRESET, schema_of
+from warpvox.configs.schema import PRESET
 from warpvox.errors import ConfigError, listing
 
 RENAMED = {"finalists": "evaluation.finalists", "pretrained": "evaluation.pretrained"}
@@ -38,7 +38,7 @@ def read_overrides(command: str, words: list[str], sweeps: bool = False, instead
         sweeps: several values may be listed.
         instead: where they may not: what to do.
     """
-    keys = dict(flat_keys(schema_of(command)))
+    keys = keys_of(command)
     no_preset = f"{PRESET}=null" if PRESET in keys else None  # which is the default, and no choice of Hydra's
     parsed = [_read(command, word, keys, sweeps, instead) for word in words if word != no_preset]
     names = [override.key_or_group for override in parsed]

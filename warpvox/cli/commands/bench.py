@@ -18,7 +18,6 @@ from warpvox.runs import new_folder
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox bench`` is asked for."""
     run_command("bench", words, measure)
 
 

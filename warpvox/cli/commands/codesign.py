@@ -25,7 +25,6 @@ Job = tuple[CodesignConfig, Path | None]
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox codesign`` is asked for; all runs of a sweep are checked before the first begins."""
     run_command("codesign", words, _make, _prepare)
 
 

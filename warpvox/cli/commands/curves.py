@@ -31,7 +31,6 @@ AXES_OF_RUNS, AXES_OF_SEARCHES = ("steps", "elapsed", "iteration"), ("steps", "e
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox curves`` is asked for."""
     run_command("curves", words, _draw)
 
 

@@ -13,7 +13,6 @@ from warpvox.system import has_display
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox design`` is asked for."""
     run_command("design", words, serve, check=_only_one)
 
 

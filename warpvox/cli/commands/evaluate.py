@@ -32,7 +32,6 @@ SEVERAL = "several"
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox evaluate`` is asked for."""
     run_command("evaluate", words, evaluate_runs)
 
 

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox export`` is asked for."""
     run_command("export", words, _export)
 
 

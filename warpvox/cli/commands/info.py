@@ -20,7 +20,6 @@ OLDEST = 7, 5
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox info`` is asked for."""
     run_command("info", words, show)
 
 

@@ -13,6 +13,7 @@ from rich.console import Console
 from warpvox.algos.protocols import NOMINAL
 from warpvox.cli.application import run_command
 from warpvox.cli.exports import (
+    LARGE,
     ROLLOUT,
     check_exports,
     print_returns,
@@ -39,7 +40,6 @@ OF_AGENTS = ("task", "design", "rules")
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox play`` is asked for."""
     run_command("play", words, play)
 
 
@@ -77,8 +77,8 @@ def play(config: PlayConfig, console: Console) -> Path:
     folder = write_results(rollout, config, source, "play", formats, console, config.record)
     if in_window:
         echo(console, "close the window to go on")
-        size: dict[str, Any] = {"size": tuple(config.size)} if config.size else {}
-        play_in_window(rollout, tiles_of(rollout), **size)
+        width, height = config.size or LARGE
+        play_in_window(rollout, tiles_of(rollout), (width, height))
     return folder
 
 
@@ -156,7 +156,6 @@ def summary_of(rollout: Rollout, command: str, source: str) -> dict[str, Any]:
     }
 
 
-SIZE = (960, 540)
 REST = 1.0  # seconds that the last picture stands before the episode is shown again
 
 
@@ -171,7 +170,7 @@ def wants_window(choice: str) -> bool:
 def play_in_window(
     rollout: Rollout,
     envs: list[int],
-    size: tuple[int, int] = SIZE,
+    size: tuple[int, int],
     clock: Callable[[], float] = time.perf_counter,
     make_window: Callable[[tuple[int, int], str], Any] = Window,
 ) -> int:

@@ -40,7 +40,6 @@ class Job:
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox suite`` is asked for."""
     own, typed = split(words)
     run_command("suite", own, suite, partial(_prepare, typed))
 

@@ -15,7 +15,6 @@ from warpvox.io.console import echo, literal
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox tasks`` is asked for."""
     run_command("tasks", words, show)
 
 

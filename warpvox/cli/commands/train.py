@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox train`` is asked for."""
     run_command("train", words, train, make_job, lambda job: job.check())
 
 

@@ -21,7 +21,6 @@ from warpvox.view.cell_text import body_rows
 
 
 def run(words: list[str]) -> None:
-    """Do what ``warpvox zoo`` is asked for."""
     run_command("zoo", words, zoo)
 
 
