@@ -20,7 +20,8 @@ from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.protocols import NOMINAL
 from warpvox.algos.report import FILE as REPORT, FILM, report_page
-from warpvox.algos.statistics import Interval, mean_interval
+from warpvox.algos.report.members import fresh_interval, read_members
+from warpvox.algos.statistics import mean_interval
 from warpvox.algos.training.playing import Playing, load_result, load_trained, own_code
 from warpvox.envs.registry import get_task
 from warpvox.errors import WarpvoxError, counted
@@ -164,8 +165,7 @@ def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
 
 def fresh_text(facts: Mapping[str, Any]) -> str:
     """The return of a winner in episodes of fresh seeds, in words."""
-    found = Interval(facts["mean"], facts["low"], facts["high"], facts["episodes"])
-    return f"{found} in {facts['episodes']} episodes"
+    return f"{fresh_interval(facts)} in {facts['episodes']} episodes"
 
 
 SIZE, VOXELS = (320, 150), 13.0
@@ -239,8 +239,6 @@ class Found:
     @property
     def curve(self) -> dict[str, np.ndarray]:
         """``evaluations`` and ``steps`` spent, int64, and the ``best`` return by then, float64; ``[n]`` each."""
-        from warpvox.algos.report.members import read_members
-
         (member,) = read_members([self.folder])
         return {name: getattr(member, name) for name in ("evaluations", "steps", "best")}
 

@@ -6,10 +6,9 @@ It is made from archives alone, also while the searches are running. Formulas an
 import base64
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from warpvox.algos.report.comparison import charts_of, compare, comparison_html
 from warpvox.algos.report.gallery import write_gallery
 from warpvox.algos.report.members import SearchResult, fitness_of, progress, read_members
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
-from warpvox.algos.statistics import Interval
 from warpvox.envs.registry import known_returns, task_ids
 from warpvox.io.writing import write_table, write_text
 from warpvox.view.body_picture import draw_bodies
@@ -124,17 +122,13 @@ def _row(task: str, name: str, runs: Sequence[SearchResult]) -> str:
         (len(runs), f"{len(runs)}"),
         (best.max(), f"<b>{best.max():.3f}</b>"),
         (best.mean(), f"{best.mean():.3f}" + (f" ± {best.std(ddof=1):.3f}" if len(runs) > 1 else "")),
-        (fresh["mean"], _fresh(fresh)) if fresh else ("", ""),
+        (fresh.mean, str(fresh)) if fresh else ("", ""),
         ("", "") if published is None else (published, f"{published:g}"),
         (total := sum(one.evaluated for one in runs), f"{total:,}"),
         (total := sum(int(one.steps[-1]) for one in runs), f"{total:,}"),
         (sum(seconds), duration(sum(seconds))) if seconds else ("", ""),
     ]
     return row([(None, escape(task)), (None, escape(name)), *numbers])
-
-
-def _fresh(facts: Mapping[str, Any]) -> str:
-    return str(Interval(facts["mean"], facts["low"], facts["high"], facts["episodes"]))
 
 
 def duration(seconds: float) -> str:
@@ -147,7 +141,7 @@ def _card(task: str, member: SearchResult, record: Record) -> str:
     published = _published(task)
     lines = [task, f"{member.search}, seed {member.seed}, #{record.id}"]
     if member.fresh:
-        lines.append(f"on fresh seeds {_fresh(member.fresh)}")
+        lines.append(f"on fresh seeds {member.fresh}")
     if published is not None:
         lines.append(f"best published {published:g}")
     return card(record, lines)
@@ -168,15 +162,15 @@ def _gallery(path: Path, groups: Groups) -> str:
 
 
 def _write_table(path: Path, members: Sequence[SearchResult]) -> None:
-    fresh, rows = ("mean", "low", "high", "episodes"), []
+    rows = []
     for one in members:
         winner = [one.winner.fitness, one.winner.id] if one.winner else [None, None]
         spent = [one.evaluated, int(one.steps[-1]) if len(one.steps) else 0, one.seconds]
-        judged = [one.fresh.get(name) for name in fresh]
+        judged = astuple(one.fresh) if one.fresh else [None] * 4
         rows.append([one.task, one.search, one.seed, *winner, *spent, *one.diversity, *judged, one.folder])
     names = ("task", "search", "seed", "best_return", "design", "evaluations", "steps", "seconds")
-    names += ("diversity_first", "diversity_last")
-    write_table(path, [*names, *(f"fresh_{name}" for name in fresh), "folder"], rows)
+    names += ("diversity_first", "diversity_last", "fresh_mean", "fresh_low", "fresh_high", "fresh_episodes", "folder")
+    write_table(path, names, rows)
 
 
 def _panel(task: str, named: Mapping[str, Sequence[SearchResult]], x: str, looks: Mapping[str, Series]) -> str:

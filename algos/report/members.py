@@ -13,6 +13,7 @@ from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.algos.codesign.evaluations import EVALUATIONS
 from warpvox.algos.search.bodies import diversity
+from warpvox.algos.statistics import Interval
 from warpvox.keys import flat
 from warpvox.runs import read_summary
 
@@ -104,9 +105,10 @@ class SearchResult:
         return self.summary.get("elapsed_seconds")
 
     @property
-    def fresh(self) -> Mapping[str, Any]:
-        """The winner's returns on fresh seeds, where the task or ``fitness`` draws: mean, low, high, episodes."""
-        return self.summary.get("fresh_seeds", {})
+    def fresh(self) -> Interval | None:
+        """The winner's return on fresh seeds, where the task or ``fitness`` draws."""
+        facts = self.summary.get("fresh_seeds")
+        return facts and fresh_interval(facts)
 
     def ranked(self, generation: int) -> list[Record]:
         """The evaluated designs of a generation, best first, equal bodies once."""
@@ -116,6 +118,11 @@ class SearchResult:
             if record.fitness is not None and not record.diverged:
                 unique.setdefault(record.candidate.body.tobytes(), record)
         return list(unique.values())
+
+
+def fresh_interval(facts: Mapping[str, Any]) -> Interval:
+    """The return on fresh seeds that ``summary.json`` holds."""
+    return Interval(*(facts[name] for name in ("mean", "low", "high", "episodes")))
 
 
 def fitness_of(record: Record | None) -> float:
