@@ -121,7 +121,7 @@ class DesignEvaluator(Protocol):
         candidates an outcome is the same up to rounding, unless successive halving makes them compete.
 
         Args:
-            candidates: what to evaluate.
+            candidates: one or more to evaluate.
             parents: by their ids, for ``training.inherit``: a child starts from the policy of the best of its
                 parents that are listed here.
             report: called with progress, see :data:`Report`.

@@ -54,8 +54,6 @@ class SharedEvaluator:
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
         """The candidates are those of one generation, in turn; DivergenceError: the policy has diverged."""
-        if not candidates:
-            return []
         if self.pretrained is not None:
             return _Course(self, candidates, self.pretrained).run(report, checkpoint)
         before: list[Path] = []  # what the policy had learned after earlier generations, in their order
@@ -97,7 +95,6 @@ class _Course:
         )
 
     def run(self, report: Report, checkpoint: Path | None) -> list[Outcome]:
-        """Learn and evaluate."""
         with torch.random.fork_rng(devices=[]), enough_memory(self.hint):
             torch.manual_seed(self.seeds[0])
             try:

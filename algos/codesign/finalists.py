@@ -64,8 +64,8 @@ class TwoStages:
     def evaluate(
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        finalists = bool(candidates) and candidates[0].origin == FINALIST
-        return (self.final if finalists else self.screening).evaluate(candidates, parents, report, checkpoint)
+        evaluator = self.final if candidates[0].origin == FINALIST else self.screening
+        return evaluator.evaluate(candidates, parents, report, checkpoint)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -69,8 +69,6 @@ class GaitEvaluator:
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
         """Rounds that take seconds are not saved."""
-        if not candidates:
-            return []
         most = max(self.settings.gaits, self.settings.beam if self.settings.passes else 0)
         hint = (
             f"Take less at once: {most} gaits are tried with each of {len(candidates)} designs (evaluation.gaits,"

@@ -44,8 +44,6 @@ class PopulationEvaluator:
     def evaluate(
         self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
     ) -> list[Outcome]:
-        if not candidates:
-            return []
         with enough_memory(memory_hint(self.settings, len(candidates))):
             generation = _Generation(self, candidates, parents)
             generation.restore(checkpoint)

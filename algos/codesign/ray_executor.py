@@ -78,7 +78,6 @@ class RayExecutor:
 
     @property
     def size(self) -> int:
-        """The number of workers."""
         return len(self._workers)
 
     def _start_worker(self) -> _Handle:

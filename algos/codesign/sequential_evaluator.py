@@ -128,7 +128,6 @@ class _Done:
                 self.outcome, self.training = outcome_of(content["outcome"]), content["training"]
 
     def add(self, outcome: Outcome) -> None:
-        """A candidate is done."""
         self.outcomes.append(outcome)
         self.outcome = self.training = None
         self.save(None, None)

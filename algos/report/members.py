@@ -49,7 +49,6 @@ class SearchResult:
 
     @property
     def seed(self) -> int | None:
-        """The seed of the search."""
         return self.settings.get("seed")
 
     @cached_property

@@ -282,5 +282,4 @@ class RandomSearch(BaseSearch):
     """Designs by EvoGym's sampling rule, each a new one: the baseline that every other search has to beat."""
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """``count`` random bodies."""
         return [self.random_proposal(rng) for _ in range(count)]

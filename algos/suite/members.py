@@ -96,12 +96,10 @@ class Table:
         return cls(folder, members)
 
     def of(self, *states: str) -> list[Member]:
-        """The members in these states."""
         return [member for member in self.members if member.state in states]
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many members there are in each state."""
         return dict(Counter(member.state for member in self.members))
 
     def write(self) -> None:

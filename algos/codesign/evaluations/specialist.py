@@ -89,11 +89,9 @@ class Screened(Specialist):
     finalists: int = key(4, "number of best designs that get a training of their own at the end", low=1)
 
     def screening(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """The evaluator of all designs but the finalists."""
         raise NotImplementedError
 
     def final(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """The evaluator of the finalists."""
         return super().build(search, known)
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
