@@ -143,7 +143,7 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
     found: dict[tuple[Path, Path | None], Run] = {}
     for text in texts:
         names = [text]
-        if (paths := _matches(text)) is not None:
+        if (paths := matches(text)) is not None:
             homes = ((path, path.parent if path.match("model_*.pt") else path) for path in paths)
             runs, keys = ((path, home) for path, home in homes if (home / CONFIG).is_file()), NEEDED["train"][1]
             names = [str(path) for path, home in runs if keys <= _read(home).keys() or (home / ARCHIVE).is_file()]
@@ -155,7 +155,7 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
     return list(found.values())
 
 
-def _matches(text: str) -> list[Path] | None:
+def matches(text: str) -> list[Path] | None:
     """Paths that match a pattern, or that a sweep, named by its folder or table, has made; None: ``text`` is a name."""
     pattern = os.path.expanduser(text)
     sweep = Path(pattern.removesuffix(".csv"))
@@ -205,7 +205,7 @@ def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
     others = []
     for text in texts:
         named = _latest(Path(output_dir), (*TRAINING, CODESIGN)) if text == "latest" else Path(text).expanduser()
-        paths = _matches(text) or [named]
+        paths = matches(text) or [named]
         folders = [folder for path in paths for folder in archives_in(path)]
         found |= {folder.resolve(): folder for folder in folders}
         others += [] if folders else [text]

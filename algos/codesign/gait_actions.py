@@ -73,8 +73,6 @@ def actions_of_gaits(
     Environments are those of a design, gait by gait, one after another.
 
     Args:
-        env: where they act.
-        bodies: the designs.
         gaits: as many for each design; they may have different numbers of stages.
         episodes: environments of each gait.
         first, last: control steps of the episode; ``last`` is not among them, None: the episode's last one is.

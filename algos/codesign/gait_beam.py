@@ -44,9 +44,7 @@ def beam_search(
 
     Args:
         env: as many environments for each design, which do not reset themselves: continuations times ``episodes``.
-        bodies: the designs.
         known: gaits of each design, if there are, the best one first: the result is never worse than this one.
-        random: source of random numbers of each design.
         seed: of the episodes, which are the same for all designs.
         steps: control steps of a stage.
         episodes: of each gait, whose mean return counts.
@@ -127,12 +125,7 @@ class _Search:
         return self._gaits
 
     def choose(self, values: Sequence[float], ended: Sequence[bool]) -> None:
-        """Keep the best of what was tried.
-
-        Args:
-            values: mean return of each so far.
-            ended: whether its episodes have ended.
-        """
+        """Keep the best of what was tried: ``values`` are mean returns so far, ``ended``: all episodes have ended."""
         if not self.beginnings:
             return
         for tried in self._tried:

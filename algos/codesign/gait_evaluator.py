@@ -51,9 +51,7 @@ class GaitEvaluator:
     thousand.
 
     Attributes:
-        factory: makes environments.
         settings: how many gaits are tried, and which; finalists have settings of their own.
-        seed: of the experiment.
         episodes: of each gait, whose mean counts; more than one for tasks that draw at random. All gaits of all
             designs play the same ones, those of ``seed``.
         known: gaits of candidates with the origin :data:`warpvox.algos.candidate.START`, by the bytes of the body.

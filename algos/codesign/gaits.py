@@ -75,10 +75,6 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
     """A random gait: each stage a wave or a pose, or one motion for the whole episode.
 
     Stages are short at the beginning of the episode as often as at its end, which alone counts in some tasks.
-
-    Args:
-        steps: control steps of an episode.
-        stages: how many.
     """
     motions = [draw_motion(rng, body) for _ in range(stages)]
     if rng.random() < 0.5:

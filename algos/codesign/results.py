@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,6 +42,10 @@ FRESH = 64
 FRESH_SEED = 1000
 """That of `warpvox evaluate`, which finds the same returns with ``episodes=64``."""
 
+SIZE, VOXELS = (320, 150), 13.0
+"""Size of a picture in pixels, and the height of what it shows in voxels."""
+LONGEST, EVERY, PAUSE = 300, 5, 100
+"""Control steps that are shown at most, those from one picture to the next, and the milliseconds that they take."""
 NAMES = {
     "ga": "genetic algorithm",
     "bo": "Bayesian optimisation",
@@ -139,6 +143,24 @@ class Results(Listener):
             facts["pretraining"] = f"{self.pretraining:,} control steps, not counted"
         write_text(self.folder / REPORT, report_page(self.archive, facts, self.folder))
 
+    def film(self, settings: Any) -> None:
+        """Have each of the best act for an episode, and write it beside its policy; one that is there already stays.
+
+        Designs without a policy, or whose policy is gone or damaged, are left out. ``settings`` have the code that the
+        user has named.
+        """
+        for one in self.best():
+            policy = self.folder / str(one.policy)
+            file = policy.with_name(FILM)
+            if file.is_file() or not policy.is_file():
+                continue
+            with suppress(WarpvoxError):  # of this design alone
+                rollout = record(*load_result(find_run(str(file.parent), ""), settings), LONGEST)
+                painter = Painter(rollout, 0, SIZE, VOXELS)
+                first, *more = [painter.frame(frame) for frame in range(0, rollout.num_frames, EVERY)]
+                with atomic_path(file) as temporary:
+                    first.save(temporary, "WEBP", save_all=True, append_images=more, duration=PAUSE, loop=0, quality=40)
+
 
 def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
     """Mean return of a search's best design over episodes that its training never met.
@@ -166,33 +188,6 @@ def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
 def fresh_text(facts: Mapping[str, Any]) -> str:
     """The return of a winner in episodes of fresh seeds, in words."""
     return f"{fresh_interval(facts)} in {facts['episodes']} episodes"
-
-
-SIZE, VOXELS = (320, 150), 13.0
-"""Size of a picture in pixels, and the height of what it shows in voxels."""
-LONGEST, EVERY, PAUSE = 300, 5, 100
-"""Control steps that are shown at most, those from one picture to the next, and the milliseconds that they take."""
-
-
-def film_designs(folder: Path, records: Sequence[Record], settings: Any) -> None:
-    """Have each robot act for an episode, and write it beside its policy; one that is there already stays.
-
-    Args:
-        folder: of the search.
-        records: designs; those without a policy, or whose policy is gone or damaged, are left out.
-        settings: of the search, with the code that the user has named.
-    """
-    for one in records:
-        policy = folder / str(one.policy)
-        file = policy.with_name(FILM)
-        if file.is_file() or not policy.is_file():
-            continue
-        with suppress(WarpvoxError):  # of this design alone
-            rollout = record(*load_result(find_run(str(file.parent), ""), settings), LONGEST)
-            painter = Painter(rollout, 0, SIZE, VOXELS)
-            first, *more = [painter.frame(frame) for frame in range(0, rollout.num_frames, EVERY)]
-            with atomic_path(file) as temporary:
-                first.save(temporary, "WEBP", save_all=True, append_images=more, duration=PAUSE, loop=0, quality=40)
 
 
 SHOWN = 5

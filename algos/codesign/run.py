@@ -38,6 +38,7 @@ from warpvox.envs.registry import get_task
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.writing import to_yaml
+from warpvox.keys import flat
 from warpvox.runs import CONFIG, END, run_folder
 from warpvox.trust import as_stored, keep_code
 
@@ -233,13 +234,12 @@ def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[
     return summary
 
 
-def _check_same(known: Mapping[str, Any], values: Mapping[str, Any], folder: Path, prefix: str = "") -> None:
+def _check_same(known: Mapping[str, Any], values: Mapping[str, Any], folder: Path) -> None:
     """Raise RunError unless the search in ``folder``, which has the settings ``known``, has these values."""
-    for name in {**values, **known}:
-        old, new, key = known.get(name), values.get(name), prefix + name
-        if isinstance(old, dict) and isinstance(new, dict):
-            _check_same(old, new, folder, f"{key}.")
-        elif old != new and key not in CHANGEABLE:
+    before, now = flat(known), flat(values)
+    for key in now | before:
+        old, new = before.get(key), now.get(key)
+        if old != new and key not in CHANGEABLE:
             raise RunError(f"{folder} is a search with {key}={old}, asked for {key}={new}: give that another folder.")
 
 

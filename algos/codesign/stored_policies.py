@@ -20,8 +20,7 @@ DESIGNS = "designs"
 class StoredPolicies:
     """Writes and reads ``designs/<id>/`` in a run's folder: ``model_best.pt`` and the ``config.yaml`` to play it by.
 
-    Args:
-        config: gives the text of ``config.yaml`` for a body with such a policy.
+    ``config`` gives the text of the latter.
     """
 
     def __init__(self, folder: Path, ppo: Ppo, config: Callable[[Candidate, Outcome], str]) -> None:

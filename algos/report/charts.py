@@ -48,11 +48,7 @@ def ticks(low: float, high: float, count: int = 6) -> list[float]:
 def chart(
     series: Sequence[Series], x_label: str, y_label: str, size: tuple[int, int] = SIZE, names: bool = True
 ) -> str:
-    """A figure with axes, grid, legend and all series; a sentence if there is nothing to show.
-
-    Args:
-        size: width and height in pixels.
-    """
+    """A figure with axes, grid, legend and all series; a sentence if there is nothing to show."""
     points = [point for one in series for point in (*one.points, *one.band) if all(map(math.isfinite, point))]
     if not points:
         return '<p class="faint">Nothing to show yet.</p>'

@@ -31,8 +31,7 @@ Make = Callable[[Any, Path], Outcome]
 class LocalPool:
     """Processes of this machine, each of which makes one member after another.
 
-    Args:
-        make: a function of a module, so that other processes find it.
+    ``make`` must be a function of a module, so that other processes find it.
     """
 
     def __init__(self, make: Make, size: int) -> None:

@@ -260,7 +260,7 @@ def test_what_another_process_is_writing_is_no_leftover(copied: Callable, warpvo
     ("command", "more", "writer"),
     [
         ("train", ["max_iterations=4", "export=[gif]"], "warpvox.cli.exports.write_exports"),
-        ("codesign", [], "warpvox.algos.codesign.results.film_designs"),
+        ("codesign", [], "warpvox.algos.codesign.results.Results.film"),
     ],
 )
 def test_nobody_else_goes_on_with_a_run_while_its_films_are_written(

@@ -2,8 +2,6 @@
 
 import dataclasses
 import functools
-import glob
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +20,7 @@ from warpvox.errors import RunError
 from warpvox.io.writing import claimed, writing
 from warpvox.robots.entry import Robot, read_robot, save_robot
 from warpvox.robots.returns import CANDIDATE, is_better, judge_robust, recorded
-from warpvox.runs import as_name
+from warpvox.runs import as_name, matches
 from warpvox.trust import allowed
 
 GROUPS = {
@@ -39,7 +37,7 @@ def find_sources(texts: Sequence[str]) -> list[Path]:
     found: list[Path] = []
     for text in texts:
         path = Path(text).expanduser()
-        paths = [path] if path.exists() else sorted(map(Path, glob.glob(os.path.expanduser(text), recursive=True)))
+        paths = matches(text) or ([path] if path.exists() else [])
         if not paths:
             raise RunError(f"There is no design search, run or checkpoint at {text}.")
         found += paths

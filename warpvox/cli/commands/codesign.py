@@ -47,18 +47,12 @@ def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | No
 
 
 def _make(job: Job, console: Console) -> Path:
-    """Make a search, or go on with one; returns its folder.
-
-    Raises:
-        WarpvoxError: something asked for is not valid, or an evaluation has failed; what was finished is kept.
-        KeyboardInterrupt: interrupted; the state has been saved.
-    """
+    """Make a search, or go on with one; returns its folder."""
     config, folder = job
     if config.report is not None:
         return _report(config, console)
     with console.status("loading"):
         from warpvox.algos.codesign.progress import SearchProgress
-        from warpvox.algos.codesign.results import film_designs
         from warpvox.algos.codesign.run import run_codesign
 
     class Films(SearchProgress):
@@ -67,7 +61,7 @@ def _make(job: Job, console: Console) -> Path:
             if summary.get("status") == "done":
                 results = self.run.results
                 with console.status("filming the best"):
-                    film_designs(results.folder, results.best(), config)
+                    results.film(config)
                     results.report(summary)
                 _export(results.archive, results.folder, config.export, console)
 
@@ -81,7 +75,7 @@ def _export(archive: Archive, folder: Path, formats: Sequence[str], console: Con
 
 def _report(config: CodesignConfig, console: Console) -> Path:
     """Make report, pictures and exports of a search again, also while it is running; returns its folder."""
-    from warpvox.algos.codesign.results import Results, film_designs
+    from warpvox.algos.codesign.results import Results
     from warpvox.algos.report import FILE as REPORT
 
     texts = [str(text) for text in (config.report if isinstance(config.report, list) else [config.report])]
@@ -99,7 +93,7 @@ def _report(config: CodesignConfig, console: Console) -> Path:
             if row["evaluated"] == row["designs"]:
                 results.draw(row["generation"], keep=False)
         if not again(stored):  # code of the user's own, which a file does not bring
-            film_designs(source.folder, results.best(), stored)
+            results.film(stored)
         told = None
         while told != summary["status"]:  # once more if the search ends meanwhile, with a page of its own
             told = summary["status"]

@@ -44,10 +44,7 @@ def run(words: list[str]) -> None:
 
 
 def play(config: PlayConfig, console: Console) -> Path:
-    """Run one episode everywhere, write it down and show it; returns the folder of the results.
-
-    WarpvoxError: the run or agent, or what is asked of it, is not valid; nothing is written then.
-    """
+    """Run one episode everywhere, write it down and show it; returns the folder of the results."""
     check_source(config)
     in_window = wants_window(config.window)
     formats = ([] if in_window else ["html"]) if config.export is None else config.export
