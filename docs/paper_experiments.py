@@ -244,7 +244,7 @@ def _comparison(returns: Returns) -> Iterator[str]:
 def picture(curves: Sequence[Row]) -> str:
     """The chart, a panel for each task."""
     panels, steps = [], [share * STEPS for share in FRACTIONS]
-    names = [Series(shown, [], colour=colour) for shown, colour in zip(SEARCHES.values(), COLOURS, strict=False)]
+    names = [Series(shown, colour=colour) for shown, colour in zip(SEARCHES.values(), COLOURS, strict=False)]
     for task in task_ids():
         series = []
         for search, name in zip(SEARCHES, names, strict=True):

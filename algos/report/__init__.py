@@ -38,7 +38,7 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
     done = [record for record in records if record.fitness is not None]
     best = archive.best(BEST)
     line = [record for record in archive.lineage(best[0].id) if record.fitness is not None] if best else []
-    learning = [Series(f"#{one.id}", one.curve, "line", k) for k, one in enumerate(best[:CURVES], 1) if one.curve]
+    learning = [Series(f"#{one.id}", one.curve, "line", k) for k, one in enumerate(best[:CURVES], 1)]
     title = " · ".join(str(facts[name]) for name in ("task", "search") if name in facts)
     slots = {
         "facts": fact_list(_figures(done, best) | dict(facts)),

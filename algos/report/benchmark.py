@@ -50,15 +50,15 @@ def write_benchmark(folder: Path, archives: Sequence[Path], facts: Mapping[str, 
         for x, charts in panels.items():
             write_text(folder / f"{x}.svg", sheet(charts, [*series.values(), KNOWN], min(4, len(charts))))
         write_text(folder / "comparison.svg", sheet(compared, list(series.values())))
-        _write_generations(folder / "generations", groups)
+        _write_generations(folder / "generations", best)
     slots = {
-        "facts": fact_list(_figures(members, groups) | dict(facts or {})),
+        "facts": fact_list(_figures(members, best) | dict(facts or {})),
         "rows": "".join(_row(task, name, runs) for task, named in groups.items() for name, runs in named.items()),
         "winners": "".join(_card(task, one, one.winner) for task, one in best.items() if one.winner) or NOTHING,
-        "gallery": _gallery(folder / "winners.png", groups),
+        "gallery": _gallery(folder / "winners.png", best),
         "names": legend([*series.values(), KNOWN]),
         "comparison": comparison_html(comparison, compared),
-        "generations": "".join(_generations(task, best[task]) for task in groups) or NOTHING,
+        "generations": "".join(_generations(task, one) for task, one in best.items()) or NOTHING,
     } | {x: "".join(f"<div>{one}</div>" for one in charts) or NOTHING for x, charts in panels.items()}
     _write_table(folder / "results.csv", members)
     names = f"{len(series)} searches" if len(series) != 1 else "1 search"
@@ -67,7 +67,7 @@ def write_benchmark(folder: Path, archives: Sequence[Path], facts: Mapping[str, 
     return folder / FILE
 
 
-KNOWN = Series("best published", [(0.0, 0.0)], colour=3, look="rule")
+KNOWN = Series("best published", colour=3, look="rule")
 
 
 def _groups(members: Sequence[SearchResult]) -> Groups:
@@ -87,7 +87,7 @@ def _names(groups: Groups) -> dict[str, Series]:
     """The colour and look of each search, as a series with its name."""
     names = list(dict.fromkeys(name for named in groups.values() for name in named))
     looks = zip(names, itertools.cycle(itertools.product(("", "dash"), COLOURS)), strict=False)
-    return {name: Series(name, [(0.0, 0.0)], colour=colour, look=look) for name, (look, colour) in looks}
+    return {name: Series(name, colour=colour, look=look) for name, (look, colour) in looks}
 
 
 def _winners(groups: Groups) -> dict[str, SearchResult]:
@@ -95,12 +95,11 @@ def _winners(groups: Groups) -> dict[str, SearchResult]:
     return {task: max(several, key=lambda one: fitness_of(one.winner)) for task, several in every.items()}
 
 
-def _figures(members: Sequence[SearchResult], groups: Groups) -> dict[str, str]:
-    best = {task: fitness_of(one.winner) for task, one in _winners(groups).items()}
+def _figures(members: Sequence[SearchResult], best: Mapping[str, SearchResult]) -> dict[str, str]:
     published = {task: value for task in best if (value := _published(task)) is not None}
-    reached = sum(best[task] >= value for task, value in published.items())
+    reached = sum(fitness_of(best[task].winner) >= value for task, value in published.items())
     return {
-        "tasks": f"{len(groups)}",
+        "tasks": f"{len(best)}",
         "runs": f"{len(members)}",
         "designs": f"{sum(one.evaluated for one in members):,}",
         "control steps": f"{sum(int(one.steps[-1]) for one in members if len(one.steps)):,}",
@@ -147,12 +146,12 @@ def _card(task: str, member: SearchResult, record: Record) -> str:
     return card(record, lines)
 
 
-def _gallery(path: Path, groups: Groups) -> str:
+def _gallery(path: Path, best: Mapping[str, SearchResult]) -> str:
     """Write the winners in the worlds of their tasks as a picture, and show it; without tasks of users."""
     ours = task_ids()
     shown = [
         (task, one.winner.candidate.body, f"{task}  {one.winner.fitness:.2f}")
-        for task, one in _winners(groups).items()
+        for task, one in best.items()
         if task in ours and one.winner
     ]
     if not shown:
@@ -208,9 +207,9 @@ def _generations(task: str, member: SearchResult) -> str:
     return f'<details open><summary>{escape(title)}</summary><div class="generations">{columns}</div></details>'
 
 
-def _write_generations(folder: Path, groups: Groups) -> None:
+def _write_generations(folder: Path, best: Mapping[str, SearchResult]) -> None:
     """A picture a task: the best designs of three generations of the best search, a column a generation."""
-    for task, member in _winners(groups).items():
+    for task, member in best.items():
         columns = _three(member)
         rows = min(len(records) for records in columns.values())
         shown = [(generation, records[k]) for k in range(rows) for generation, records in columns.items()]

@@ -26,7 +26,7 @@ class Series:
     """
 
     name: str
-    points: Sequence[tuple[float, float]]
+    points: Sequence[tuple[float, float]] = ()
     kind: str = "line"
     colour: int = 1
     notes: Sequence[str] = ()
@@ -62,7 +62,8 @@ def chart(
     # dots first: lines stay visible on top of them
     for one in sorted(series, key=lambda item: item.kind != "dots"):
         parts += _marks(one, frame)
-    return (legend(series) if names else "") + _svg(parts, f"{y_label} over {x_label}", size)
+    head = legend([one for one in series if one.points]) if names else ""
+    return head + _svg(parts, f"{y_label} over {x_label}", size)
 
 
 def legend(series: Sequence[Series]) -> str:
@@ -71,7 +72,6 @@ def legend(series: Sequence[Series]) -> str:
         f'<li><i class="{"dot" if one.kind == "dots" else one.look or "line"} {"line " if one.look else ""}'
         f's{one.colour}"></i>{escape(one.name)}</li>'
         for one in series
-        if one.points
     )
     return f'<ul class="legend">{"".join(items)}</ul>'
 
