@@ -251,10 +251,7 @@ def picture(curves: Sequence[Row]) -> str:
             mine = [row for row in curves if (row["task"], row["search"], row["axis"]) == (task, search, AXES[0])]
             if mine:
                 found = np.array([[float(row[column]) for column in CURVE_COLUMNS[-len(steps) :]] for row in mine])
-                mean, low, high = (
-                    list(zip(steps, ends, strict=True)) for ends in (found.mean(0), found.min(0), found.max(0))
-                )
-                series.append(dataclasses.replace(name, points=mean, band=[*high, *reversed(low)]))
+                series.append(name.over(steps, found.mean(0), found.min(0), found.max(0)))
         panels.append(chart(series, "control steps", task, PANEL, names=False))
     return sheet(panels, names)
 

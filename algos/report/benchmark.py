@@ -6,7 +6,7 @@ It is made from archives alone, also while the searches are running. Formulas an
 import base64
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, replace
+from dataclasses import astuple
 from html import escape
 from pathlib import Path
 
@@ -178,14 +178,10 @@ def _panel(task: str, named: Mapping[str, Sequence[SearchResult]], x: str, looks
     for name, runs in named.items():
         places, values = progress(runs, x)
         mean, last = values.mean(1), max(last, places[-1])
-        band = []
-        if len(runs) > 1:
-            spread = values.std(1, ddof=1)
-            upper, lower = (list(zip(places, mean + sign * spread, strict=True)) for sign in (1, -1))
-            band = [*upper, *reversed(lower)]
-        series.append(replace(looks[name], points=list(zip(places, mean, strict=True)), band=band))
+        spread = values.std(1, ddof=1) if len(runs) > 1 else None
+        series.append(looks[name].over(places, mean, *(() if spread is None else (mean - spread, mean + spread))))
     if (best := _published(task)) is not None:
-        series.append(replace(KNOWN, points=[(0.0, best), (last, best)]))
+        series.append(KNOWN.over((0.0, last), (best, best)))
     label = {"evaluations": "designs trained", "steps": "control steps"}[x]
     return chart(series, label, task, PANEL, names=False)
 

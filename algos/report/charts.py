@@ -1,10 +1,12 @@
 """Charts as SVG text: lines, steps, bands and dots over two axes. Colours come from the page's style sheet."""
 
+from __future__ import annotations
+
 import base64
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from html import escape
 
 from warpvox.algos.report.page import text
@@ -32,6 +34,11 @@ class Series:
     notes: Sequence[str] = ()
     band: Sequence[tuple[float, float]] = ()
     look: str = ""
+
+    def over(self, places: Iterable[float], mean: Iterable[float], *ends: Iterable[float]) -> Series:
+        """A line of the same looks; ``ends``: the lower and the upper end of its band, if it has one."""
+        points, *band = (list(zip(places, values, strict=True)) for values in (mean, *ends))
+        return replace(self, points=points, band=[*band[1], *reversed(band[0])] if band else ())
 
 
 def ticks(low: float, high: float, count: int = 6) -> list[float]:

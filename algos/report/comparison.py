@@ -6,7 +6,7 @@ After Agarwal et al. (2021); formulas in docs/evaluation.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
 from itertools import permutations
 
@@ -80,9 +80,7 @@ def charts_of(comparison: Comparison, looks: Mapping[str, Series]) -> list[str]:
     series = []
     for name, scores in comparison.scores.items():
         share, low, high = bootstrap(lambda drawn: profile(drawn, thresholds), scores)
-        upper, lower = (list(zip(thresholds, ends, strict=True)) for ends in (high, low))
-        points = list(zip(thresholds, share, strict=True))
-        series.append(replace(looks[name], points=points, band=[*upper, *reversed(lower)]))
+        series.append(looks[name].over(thresholds, share, low, high))
     return [*charts, chart(series, "score", "share of runs above it", PANEL, names=False)]
 
 

@@ -116,7 +116,7 @@ class BayesianSearch(BaseSearch):
             # the summit, or the best new body beside it, or in the pool
             near = np.concatenate([climb.summit[path : path + 1], climb.around[path]])
             if (place := self._best_new(near, np.append(np.inf, climb.at_around[path]))) is not None:
-                proposals.append(Proposal(near[place], parents[start], "posterior"))
+                proposals.append(Proposal(near[place], parents[int(start)], "posterior"))
             elif (place := self._best_new(pool, climb.at_pool[path])) is not None:
                 proposals.append(Proposal(pool[place], parents[place], "posterior"))
         return proposals
