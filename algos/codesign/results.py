@@ -20,6 +20,7 @@ from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.protocols import NOMINAL
 from warpvox.algos.report import FILE as REPORT, FILM, report_page
+from warpvox.algos.report.charts import picture
 from warpvox.algos.report.members import fresh_interval, read_members
 from warpvox.algos.statistics import mean_interval
 from warpvox.algos.training.playing import Playing, load_result, load_trained, own_code
@@ -30,6 +31,7 @@ from warpvox.io.writing import atomic_path, write_text
 from warpvox.runs import find_run, read_summary, write_summary
 from warpvox.view.body_picture import draw_bodies
 from warpvox.view.painter import Painter, save_png
+from warpvox.view.palette import body_svg
 from warpvox.view.rollout import record
 
 if TYPE_CHECKING:
@@ -249,9 +251,6 @@ class Found:
 
     def _repr_html_(self) -> str:
         """The best bodies with their returns, and the curve, for notebooks."""
-        from warpvox.algos.report.charts import picture
-        from warpvox.view.palette import body_svg
-
         cells = "".join(
             f"<td>{body_svg(record.candidate.body, 16)}<br>{record.fitness:.3f} #{record.id}</td>"
             for record in self.designs[:SHOWN]

@@ -13,6 +13,7 @@ from rich.status import Status
 from rich.table import Table
 
 from warpvox.algos.protocols import NOMINAL
+from warpvox.examples import design_for
 from warpvox.io.console import echo, literal, shown
 from warpvox.runs import Run
 
@@ -66,7 +67,6 @@ def record_agent(config: Any) -> Rollout:
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.playing import SHOWN
     from warpvox.envs.vec_env import make_vec
-    from warpvox.examples import design_for
     from warpvox.view.rollout import record
 
     task = config.task or "Walker-v0"

@@ -15,6 +15,7 @@ from warpvox.algos.protocols import ROBUST
 from warpvox.algos.settings import MLP
 from warpvox.errors import ConfigError
 from warpvox.keys import key
+from warpvox.robots.gait import Gait as RobotGait
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
@@ -60,7 +61,6 @@ class Gaits(Screened):
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
         """The gaits of robots that have one, by the bytes of their bodies."""
         from warpvox.algos.codesign.gaits import Gait
-        from warpvox.robots.gait import Gait as RobotGait
         from warpvox.robots.replay import by_cell
 
         return {

@@ -29,6 +29,7 @@ from warpvox.io.console import echo, escaped, shown
 from warpvox.io.writing import to_yaml
 from warpvox.runs import ZOO, as_name, find_run, new_folder, write_summary
 from warpvox.trust import STORED
+from warpvox.types import FRAME_SECONDS
 from warpvox.view.window import SWITCH, Window, wanted, why_no_window
 
 if TYPE_CHECKING:
@@ -175,7 +176,6 @@ def play_in_window(
 
     Time runs as in the simulation: a machine too slow to draw every frame leaves some out.
     """
-    from warpvox.types import FRAME_SECONDS
     from warpvox.view.render import Film
 
     film = Film(rollout, envs, size)

@@ -10,7 +10,9 @@ from rich.text import Text
 
 from warpvox.cli.application import run_command
 from warpvox.configs.tools import TasksConfig
+from warpvox.design import example_designs
 from warpvox.errors import ConfigError, WorldError, listing
+from warpvox.examples import MADE_FOR
 from warpvox.io.console import echo, literal
 
 
@@ -103,9 +105,7 @@ def _print_task(name: str, config: TasksConfig, console: Console) -> None:
 
 def _designs(task: Any) -> str:
     """The example designs that fit the task's world, those made for it first."""
-    from warpvox.design import example_designs
     from warpvox.envs.worlds import task_world
-    from warpvox.examples import MADE_FOR
 
     if task.partners:
         return f"one each for {listing(task.robots)}"
