@@ -1,7 +1,5 @@
 """The end of a search whose designs were compared without a training for each: its best get one."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Gaits that grow: a beam search over the motions of an episode, stage by stage."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Evaluation of a generation of designs in one batch."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

@@ -1,13 +1,11 @@
 """Progress of a design search on a terminal."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -17,15 +15,13 @@ from rich.text import Text
 from warpvox.algos.candidate import FINALIST, Candidate, Listener
 from warpvox.algos.codesign.archive import Record
 from warpvox.algos.codesign.results import fresh_text
+from warpvox.algos.codesign.run import SearchRun
 from warpvox.algos.report import FILE as REPORT
 from warpvox.errors import RunError, counted
 from warpvox.io.console import duration, echo, figure, shell_argument, shown
 from warpvox.runs import find_run
 from warpvox.trust import again
 from warpvox.view.cell_text import body_rows
-
-if TYPE_CHECKING:
-    from warpvox.algos.codesign.run import SearchRun
 
 QUIET_SECONDS = 30.0
 """Without a terminal, seconds between lines."""

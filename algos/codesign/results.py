@@ -1,7 +1,5 @@
 """Pictures and figures that a design search leaves in its folder, kept up to date while it runs; its result."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Mapping
@@ -10,13 +8,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from warpvox import __version__
 from warpvox.algos.candidate import FINALIST, Listener
+from warpvox.algos.checkpoints.policy import Policy
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
+from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.protocols import NOMINAL
 from warpvox.algos.report import FILE as REPORT, FILM, report_page
@@ -33,11 +33,6 @@ from warpvox.view.body_picture import draw_bodies
 from warpvox.view.painter import Painter, save_png
 from warpvox.view.palette import body_svg
 from warpvox.view.rollout import record
-
-if TYPE_CHECKING:
-    from warpvox.algos.checkpoints.policy import Policy
-    from warpvox.algos.codesign.settings import Codesign
-
 
 FRESH = 64
 """Episodes of a winner that its search never met, in tasks that draw at random."""

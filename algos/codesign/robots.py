@@ -1,17 +1,16 @@
 """Robots that a design search begins with (``start``), and those that searches and trainings leave."""
 
-from __future__ import annotations
-
 import dataclasses
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
+from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.training.bodies import has_designs, read_bodies
 from warpvox.design import check_design, full_connections
 from warpvox.errors import ConfigError, RunError
@@ -19,9 +18,6 @@ from warpvox.robots.entry import Robot, read_robot, save_robot, zoo
 from warpvox.robots.network import Network
 from warpvox.robots.replay import policy_of_checkpoint
 from warpvox.runs import ZOO, Run, find_codesign, find_run, read_summary
-
-if TYPE_CHECKING:
-    from warpvox.algos.codesign.settings import Codesign
 
 WEIGHT_BITS = 8
 """Last bits of a weight's 23 that entries leave out, so that those of all tasks fit into a megabyte."""

@@ -3,8 +3,6 @@
 It is made from the archive alone, so it can be made again at any time, also while the search is running.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@
 After Agarwal et al. (2021); formulas in docs/evaluation.md.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape

@@ -1,17 +1,12 @@
 """Common parts of the pages of this package: a frame with style and script, lists of facts, rows of tables."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from functools import partial
 from html import escape
-from typing import TYPE_CHECKING
 
+from warpvox.algos.codesign.archive import Record
 from warpvox.view.palette import body_svg
 from warpvox.view.player import asset, fill_template
-
-if TYPE_CHECKING:
-    from warpvox.algos.codesign.archive import Record
 
 text = partial(asset, package="warpvox.algos.report")
 """The content of a file of this package."""

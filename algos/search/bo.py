@@ -1,7 +1,5 @@
 """Bayesian optimisation (paper section C.2, Algorithm 2, Table 4) with BoTorch."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@
 # pyright: reportMissingTypeStubs=false, reportUnknownLambdaType=false, reportUnknownArgumentType=false
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Generator, Sequence

@@ -1,7 +1,5 @@
 """Genetic algorithm (paper section C.1, Algorithm 1, Table 3): elitism and mutation, no crossover."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from collections.abc import Sequence

@@ -17,8 +17,9 @@ from warpvox.algos.codesign.robots import trained
 from warpvox.algos.training.loading import load_policy
 from warpvox.algos.training.settings import Training
 from warpvox.cli.config import load
-from warpvox.cli.robot_entries import command_of
+from warpvox.cli.robot_entries import command_of, find_sources
 from warpvox.design import full_connections, load_design
+from warpvox.errors import RunError
 from warpvox.io.writing import claimed
 from warpvox.robots.entry import Robot, read_robot, save_robot, zoo, zoo_tasks
 from warpvox.robots.gait import Gait
@@ -192,6 +193,20 @@ def test_of_all_constants_of_a_run_its_command_has_those_that_differ() -> None:
         "warpvox train "
     )
     assert load("train", [robot]).design == "my robots/a, b.json"
+
+
+def test_a_source_is_a_name_a_pattern_or_the_runs_of_a_sweep(tmp_path: Path) -> None:
+    runs, sweep = [tmp_path / "train" / "Walker-v0" / name for name in "ab"], tmp_path / "train" / "sweep_1"
+    for folder in (*runs, sweep):
+        folder.mkdir(parents=True)
+    for number, run in enumerate(runs):
+        (sweep / f"run_{number}.json").write_text(json.dumps({"folder": str(run)}))
+    assert find_sources([str(run) for run in runs]) == runs
+    assert find_sources([str(runs[0].parent / "*"), str(runs[0])]) == runs
+    assert find_sources([str(sweep)]) == find_sources([f"{sweep}.csv"])
+    assert {path.resolve() for path in find_sources([str(sweep)])} == {run.resolve() for run in runs}
+    with pytest.raises(RunError, match="no design search, run or checkpoint at"):
+        find_sources([str(tmp_path / "c*")])
 
 
 def test_designs_that_were_only_compared_give_no_entry(tmp_path: Path) -> None:

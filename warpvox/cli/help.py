@@ -1,7 +1,5 @@
 """The keys of the commands and what they mean, made from the schema."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import functools
