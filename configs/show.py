@@ -9,6 +9,7 @@ from warpvox.algos.protocols import NOMINAL, PROTOCOLS
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, arithmetic_key
 from warpvox.configs.schema import EXPORTS, SHOW
 from warpvox.keys import key
+from warpvox.types import RULES
 from warpvox.view.rollout import AGENTS
 
 POLICY_EXPORTS = ("onnx", "jit")
@@ -78,7 +79,7 @@ class PlayConfig(_PolicyConfig, _RolloutConfig):
         "with agent: body, as for train; null: walker. With a run over many bodies: the bodies to show",
         path="read",
     )
-    rules: str | None = key(None, "with agent: evogym or paper; null: evogym", choices=("evogym", "paper"))
+    rules: str | None = key(None, "with agent: evogym or paper; null: evogym", choices=RULES)
     num_envs: int | None = key(None, "environments; null: one for each design, four where episodes differ", low=1)
     protocol: str = key(NOMINAL, "disturbances of a policy, see `warpvox evaluate --help`", choices=tuple(PROTOCOLS))
     rollout: str | None = key(None, "only show this rollout file, such as a dump of nan_guard=dump", path="read")

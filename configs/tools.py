@@ -7,6 +7,7 @@ from typing import Any
 
 from warpvox.configs.schema import SHOW
 from warpvox.keys import key
+from warpvox.types import RULES
 
 
 @dataclass
@@ -47,7 +48,7 @@ class TasksConfig:
         "task id, module:NAME or file.py:NAME to show in detail, with its world; its key may be omitted",
         path="read",
     )
-    rules: str = key("evogym", "as released (evogym) or as printed (paper)", choices=("evogym", "paper"))
+    rules: str = key("evogym", "as released (evogym) or as printed (paper)", choices=RULES)
     design: Any = key(
         "walker", "body that worlds are shown with, and that the layout of the observation is for", path="read"
     )

@@ -26,6 +26,7 @@ from warpvox.checks import check_choice, check_integer, is_integer, is_list, is_
 from warpvox.devices.out_of_memory import shortage
 from warpvox.envs.about import About, about_of
 from warpvox.errors import TaskError, WarpvoxError, did_you_mean, listing
+from warpvox.types import RULES
 from warpvox.world import WorldObject
 
 if TYPE_CHECKING:
@@ -33,9 +34,6 @@ if TYPE_CHECKING:
 
     from warpvox.envs.random_stream import RandomStream
     from warpvox.envs.snapshot import Snapshot
-
-RULES = ("evogym", "paper")
-"""``evogym``: the benchmark as released (2.0.0). ``paper``: as section B of the paper prints it."""
 
 DIFFICULTIES = ("easy", "medium", "hard")
 

@@ -28,13 +28,12 @@ from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import load_worlds, one_body
 from warpvox.errors import ConfigError, DesignError, SimulationError, did_you_mean, listing
 from warpvox.simulation import Simulation
+from warpvox.types import OBSERVATIONS
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from warpvox.envs.dumps import DivergenceDump
-
-OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 
 StepResult = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 

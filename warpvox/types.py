@@ -15,6 +15,10 @@ FRAME_SECONDS = 1 / 50
 """Nominal seconds of a control step (paper section A.2: 50 Hz)."""
 SIGHT = 5
 """Voxels that robots see up and down."""
+RULES = ("evogym", "paper")
+"""``evogym``: the benchmark as released (2.0.0). ``paper``: as section B of the paper prints it."""
+OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
+"""Kinds of observations: as the task has them or by cell, without the time or with it."""
 
 
 class _Axes(dict[str, int]):

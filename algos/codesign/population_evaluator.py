@@ -185,7 +185,7 @@ def read_evaluation(path: Path | None, about: dict[str, Any]) -> dict[str, Any] 
         content = read_tensors(path)
     except RunError as error:
         raise RunError(
-            f"{str(error).rstrip('.')}. Remove it: these designs are then evaluated anew, to the same end."
+            f"{str(error).rstrip('.')}. Remove it: these designs are then evaluated again, to the same end."
         ) from None
     if content.get("about") != about:
         raise RunError(

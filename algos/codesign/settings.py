@@ -13,9 +13,10 @@ from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation, Speciali
 from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.search.settings import ALGORITHMS, GA, SearchSettings
 from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, physics_of, sim_of
-from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY, RULES, TASK, TORCH_THREADS, arithmetic_key
+from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY, RULE_SETS, TASK, TORCH_THREADS, arithmetic_key
 from warpvox.checks import check_choice
 from warpvox.keys import Settings, key, plain
+from warpvox.types import RULES
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -44,7 +45,7 @@ class Codesign(Settings):
     shape: list[int] = key(
         [5, 5], "rows and columns of the bodies; in the paper [5,5], for Lifter-v0 [5,7]", low=1, form="[rows,columns]"
     )
-    rules: str = key("evogym", RULES, choices=("evogym", "paper"))
+    rules: str = key("evogym", RULE_SETS, choices=RULES)
     search: SearchSettings = key(GA, "how designs are proposed")
     evaluation: Evaluation = key(Specialist, "how designs are compared")
     fitness: str = key(

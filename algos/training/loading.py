@@ -144,6 +144,8 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
     """
     if config.stochastic:
         raise ConfigError("stochastic=true goes with a run; a stored robot has no exploration to sample from.")
+    if config.checkpoint != "best":
+        raise ConfigError("checkpoint goes with a run; a stored robot has one policy.")
     policy = robot.own_policy
     task = config.task if isinstance(config.task, TaskSpec) else allowed("task", robot.task, config.task, file)
     if isinstance(config.task, Code) and task not in task_ids():  # an entry for a task of the user's own has its id

@@ -118,6 +118,8 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
         )
     else:
         count = config.num_envs or len(judged) * (SHOWN if drawn else 1)
+        if every:
+            check_episodes(count, len(judged))  # before make_vec counts environments
     sim = dataclasses.replace(sim_of(trained), device=device, lanes=bodies.lanes(trained, device), grid=bodies.grid)
     options: dict[str, Any] = {"rules": trained.rules, "obs": trained.obs, "seed": trained.seed, "sim": sim}
     env = make_vec(trained.task, judged, count * len(parts), auto_reset=False, **options)

@@ -11,13 +11,13 @@ from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.settings import LOGGERS, PRESETS, REFRESH, PhysicsConfig, Ppo
 from warpvox.examples import design_for
 from warpvox.keys import Settings, check_values, convert, key, plain
+from warpvox.types import OBSERVATIONS, RULES
 
-OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 MOST_THREADS = 1024
 """More than any machine has cores; a stored file may not make a process start a million."""
 ARITHMETICS = ("fast", "exact")
 TASK = "task id (`warpvox tasks` lists them), or a task of your own: module:NAME or file.py:NAME"
-RULES = "rules and constants of the benchmark as released (evogym) or as printed in the paper (paper)"
+RULE_SETS = "rules and constants of the benchmark as released (evogym) or as printed in the paper (paper)"
 TORCH_THREADS = "PyTorch threads; more than 1 slow down small networks and change rounding"
 RAY = "address of a running Ray cluster: auto or host:port; null: start Ray on this machine"
 DEVICES = "auto (CUDA where there is a device, from 256 environments on), cpu, cuda, cuda:<index>"
@@ -73,7 +73,7 @@ class Training(Settings):
         " for a task with several robots {name:body}",
         path="read",
     )
-    rules: str = key("evogym", RULES, choices=("evogym", "paper"))
+    rules: str = key("evogym", RULE_SETS, choices=RULES)
     policy: str = key(
         "mlp",
         "network of the policy: mlp (layers: ppo.hidden), grid, transformer or cpg (all observe voxels: obs=task"

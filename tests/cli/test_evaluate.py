@@ -185,6 +185,12 @@ def test_patterns_match_checkpoints_of_runs(tmp_path: Path) -> None:
     assert names == [("Walker-v0", "model_best.pt"), ("Jumper-v0", "model_best.pt"), ("Jumper-v0", "model_2.pt")]
 
 
+def test_all_bodies_of_a_run_have_as_many_episodes(train: Callable, warpvox: Callable) -> None:
+    folder = train("max_iterations=1", "design=[walker,worm]")
+    fails = "2 bodies need a multiple of that of episodes; got 3"
+    warpvox("evaluate", f"runs={folder}", "episodes=3", *FAST, fails=fails)
+
+
 def test_what_evaluate_refuses(warpvox: Callable, tmp_path: Path) -> None:
     for words, phrase in {
         (): "no run",

@@ -9,8 +9,9 @@ import torch
 
 from warpvox.envs.about import UNITS, About, about, about_of
 from warpvox.envs.registry import get_task, task_ids
-from warpvox.envs.spec import RULES, observes
+from warpvox.envs.spec import observes
 from warpvox.envs.vec_env import make_vec
+from warpvox.types import RULES
 
 COUNT, EXACT = 300, 1e-12
 # Said in words, because they are no expressions of centres and angles; tests/envs/test_rules.py computes them.
