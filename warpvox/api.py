@@ -180,13 +180,13 @@ def evaluate(
     from warpvox.algos.protocols import parts_of
     from warpvox.algos.settings import physics_of
     from warpvox.algos.training.bodies import load_bodies
-    from warpvox.algos.training.job import own_torch
     from warpvox.algos.training.loading import TrainedRun, is_alone, load_policy
     from warpvox.algos.training.playing import Playing, check_episodes, disturbed
     from warpvox.algos.training.policy_table import EvaluatedPolicy, PolicyTable, evaluate_run
     from warpvox.algos.training.settings import Training
     from warpvox.code import Code, is_code
     from warpvox.configs.show import EvaluateConfig
+    from warpvox.devices.startup import own_torch
     from warpvox.envs.vec_env import make_vec
     from warpvox.runs import find_runs
     from warpvox.trust import STORED

@@ -172,11 +172,11 @@ class Loop:
                 raise RunError(f"The evaluator gave {len(outcomes)} outcomes for {len(batch.candidates)} candidates.")
             results = []
             for one, outcome in zip(batch.candidates, outcomes, strict=True):
-                place = sha256 = None
+                file = sha256 = None
                 if self.policies is not None and outcome.policy is not None:
                     # the policy first: the archive never names a missing file
-                    place, sha256 = self.policies.save(one, outcome)
-                results.append(Finished(one.id, outcome, place, sha256))
+                    file, sha256 = self.policies.save(one, outcome)
+                results.append(Finished(one.id, outcome, file, sha256))
             now = time.perf_counter()
             self.archive.finish(results, seconds=now - began)
             began = now

@@ -17,13 +17,12 @@ from warpvox.algos.candidate import FINALIST, Listener
 from warpvox.algos.checkpoints.policy import Policy
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.algos.codesign.settings import Codesign
-from warpvox.algos.evaluate import evaluate
 from warpvox.algos.protocols import NOMINAL
 from warpvox.algos.report import FILE as REPORT, FILM, report_page
 from warpvox.algos.report.charts import picture
 from warpvox.algos.report.members import fresh_interval, read_members
-from warpvox.algos.statistics import mean_interval
-from warpvox.algos.training.playing import Playing, load_result, load_trained, own_code
+from warpvox.algos.training.playing import Playing, load_result, own_code
+from warpvox.algos.training.policy_table import evaluate_run
 from warpvox.envs.registry import get_task
 from warpvox.errors import WarpvoxError, counted
 from warpvox.io.console import duration
@@ -177,8 +176,7 @@ def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
     device = settings.device if settings.executor == "local" else "cpu"
     how: dict[str, Any] = {"protocol": NOMINAL if settings.fitness == NOMINAL else "noise"} | own_code(settings)
     play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **how)
-    env, policy = load_trained(find_run(str(results.folder), settings.output_dir), play)
-    found = mean_interval(evaluate(env, policy).returns.tolist())
+    found = evaluate_run(find_run(str(results.folder), settings.output_dir), play)[0].interval
     return {"mean": found.mean, "low": found.low, "high": found.high, "episodes": FRESH, "seed": seed}
 
 

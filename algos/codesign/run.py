@@ -26,13 +26,13 @@ from warpvox.algos.protocols import episodes_of
 from warpvox.algos.search import BaseSearch, make_search
 from warpvox.algos.search.factory import start_with
 from warpvox.algos.settings import MLP, sim_of
-from warpvox.algos.training.job import own_torch, task_name
+from warpvox.algos.training.job import task_name
 from warpvox.algos.training.metrics import check_logger
 from warpvox.algos.training.pretrained import observed_by
 from warpvox.algos.training.settings import Training
 from warpvox.batch.options import lanes_for
 from warpvox.devices.names import resolve_device
-from warpvox.devices.startup import start_warp
+from warpvox.devices.startup import own_torch, start_warp
 from warpvox.envs.memory import ask, environment_bytes, fitting
 from warpvox.envs.registry import get_task
 from warpvox.envs.worlds import task_world

@@ -12,7 +12,7 @@ from warpvox.algos.search.bo_acquire import (
     fit_model,
     improve,
     log_improvement,
-    own_torch,
+    seeded_torch,
     thompson_starts,
 )
 from warpvox.algos.search.bodies import body_key, mutate
@@ -58,7 +58,7 @@ class BayesianSearch(BaseSearch):
             return [self.random_proposal(rng) for _ in range(count)]
         propose = self._summits if self.settings.acquisition == "pathwise" else self._improved
         scale = max(1.0, *(abs(value) / LARGEST for value in self.fitness))
-        with own_torch(int(rng.integers(2**63))):
+        with seeded_torch(int(rng.integers(2**63))):
             proposals = propose(rng, count, [value / scale for value in self.fitness])
         # a tiny shape may have no more to offer
         return proposals + [self.random_proposal(rng) for _ in range(count - len(proposals))]

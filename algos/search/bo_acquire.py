@@ -28,6 +28,7 @@ from gpytorch.priors import LogNormalPrior
 from warpvox.algos.search.bodies import CELL_TYPES, neighbours
 from warpvox.algos.search.settings import BO
 from warpvox.design import are_valid
+from warpvox.devices.startup import own_torch
 from warpvox.errors import SearchError
 
 NOTHING = 1e-9
@@ -164,21 +165,16 @@ def climb(values: Callable[[np.ndarray], np.ndarray], pool: np.ndarray) -> Climb
 
 
 @contextmanager
-def own_torch(seed: int) -> Generator[None]:
+def seeded_torch(seed: int) -> Generator[None]:
     """Inside, torch draws from ``seed`` on one thread; afterwards it is as before.
 
     Sums of several threads depend on their number, and a search must not depend on the machine's load.
     """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        with torch.random.fork_rng(devices=[]), warnings.catch_warnings():
-            # a fit that stops at its limit of iterations is what is asked for, and nothing to be warned of
-            warnings.simplefilter("ignore")
-            torch.manual_seed(seed)
-            yield
-    finally:
-        torch.set_num_threads(threads)
+    with own_torch(1), warnings.catch_warnings():
+        # a fit that stops at its limit of iterations is what is asked for, and nothing to be warned of
+        warnings.simplefilter("ignore")
+        torch.manual_seed(seed)
+        yield
 
 
 def one_hot(bodies: np.ndarray) -> torch.Tensor:

@@ -30,7 +30,7 @@ from warpvox.algos.training.settings import Designs, Training
 from warpvox.batch.options import SimOptions
 from warpvox.devices.names import resolve_device
 from warpvox.devices.out_of_memory import enough_memory
-from warpvox.devices.startup import start_warp
+from warpvox.devices.startup import own_torch, start_warp
 from warpvox.envs.dumps import DivergenceDump
 from warpvox.envs.memory import ask, environment_bytes
 from warpvox.envs.registry import get_task
@@ -337,20 +337,6 @@ def _share(settings: Training, group: ProcessGroup) -> Training:
         raise ConfigError(f"num_envs={settings.num_envs} cannot be shared out evenly to {group.size} processes.")
     threads = settings.threads or max(1, usable_cores() // group.local_size)
     return dataclasses.replace(settings, num_envs=settings.num_envs // group.size, device=group.device, threads=threads)
-
-
-@contextmanager
-def own_torch(threads: int) -> Iterator[None]:
-    """Training sets torch's threads and seed for its process; the caller's are restored."""
-    known, gpus = torch.get_num_threads(), range(torch.cuda.device_count()) if torch.cuda.is_initialized() else ()
-    torch.set_num_threads(threads)
-    try:
-        with torch.random.fork_rng(gpus, device_type="cuda"):
-            yield
-    finally:
-        torch.set_num_threads(known)
-        if not gpus:  # training has set the seed with which torch begins on a GPU, too: it is the caller's again
-            torch.cuda.manual_seed_all(torch.initial_seed())
 
 
 def continued(settings: Training, source: Run) -> tuple[Training, Path]:

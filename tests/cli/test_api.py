@@ -19,9 +19,9 @@ import torch
 import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint, load_controller
 from warpvox.algos.codesign.stored_policies import policy_sha256
-from warpvox.algos.training.job import own_torch
 from warpvox.cli.config import load
 from warpvox.configs.composition import settings_named
+from warpvox.devices.startup import own_torch
 from warpvox.envs.registry import get_task
 
 KEYS = {"design": "mini", "num_envs": 8, "threads": 1, "device": "cpu", "max_iterations": 2, "eval_interval": 1}

@@ -175,7 +175,7 @@ def test_a_gait_is_listed_shown_played_and_loaded(warpvox: Callable) -> None:
         "warpvox codesign search=bo task=Hurdler-v0 seed=1 training.rungs=[0.2,0.5] training.keep=0.4",
         "warpvox codesign evaluation=gaits fitness=robust evaluation.episodes=16",
         "warpvox train ppo=evogym task=Thrower-v0 design=[[3,3],[4,4]] stop_return=2.5",
-        "warpvox train rules=paper physics.gravity=50.0 ppo.rnn={rnn_type:gru,rnn_num_layers:2} memory_check=false",
+        "warpvox train rules=paper physics.gravity=50 ppo.rnn={rnn_type:gru,rnn_num_layers:2} memory_check=false",
         "warpvox codesign evaluation=shared evaluation.network={width:8,heads:null} start=[zoo:Thrower-v0,walker]",
     ],
 )
@@ -188,7 +188,7 @@ def test_the_command_of_a_configuration_is_the_shortest(line: str) -> None:
 def test_of_all_constants_of_a_run_its_command_has_those_that_differ() -> None:
     for preset, words in (("evogym", []), ("paper", ["physics.preset=paper"])):
         config = dataclasses.asdict(Training(physics=Physics.preset(preset, gravity=50.0)))
-        assert command_of("train", config).split()[2:] == [*words, "physics.gravity=50.0"]
+        assert command_of("train", config).split()[2:] == [*words, "physics.gravity=50"]
     robot = command_of("train", dataclasses.asdict(Training(design="my robots/a, b.json"))).removeprefix(
         "warpvox train "
     )

@@ -8,6 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from warpvox.configs.composition import quoted
 from warpvox.configs.schema import PRESET, PRESET_OF, nodes_of, schema_of
 from warpvox.keys import MISSING, flat
 
@@ -86,7 +87,8 @@ def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str |
             choices = options_of(command, f"{PRESET}/{command}") if name == preset_key(command) else key.choices
             missing = any(choice not in key.help for choice in choices)
             meaning = f"{key.help}: {', '.join(choices)}" if missing else key.help
-            yield name, _text(values.get(name, key.default)), meaning
+            value = values.get(name, key.default)
+            yield name, "?" if value == MISSING else as_typed(value), meaning
 
 
 def add_keys(parser: argparse.ArgumentParser, command: str, values: dict[str, Any]) -> None:
@@ -98,11 +100,14 @@ def add_keys(parser: argparse.ArgumentParser, command: str, values: dict[str, An
         part.add_argument(name, metavar=f"{name}={value or 'NAME'}", nargs="?", help=meaning.replace("%", "%%"))
 
 
-def _text(value: Any) -> str:
+def as_typed(value: Any) -> str:
+    """A value as it is typed in a command."""
+    if isinstance(value, Mapping):
+        return f"{{{','.join(f'{name}:{as_typed(one)}' for name, one in value.items())}}}"
+    if isinstance(value, list):
+        return f"[{','.join(map(as_typed, value))}]"
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
-    if value == MISSING:
-        return "?"
-    if isinstance(value, list):
-        return "[" + ",".join(map(str, value)) + "]"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float) and float(short := f"{value:g}") == value:
+        return short
+    return quoted(value) if isinstance(value, str) and set(value) & set(" ,'\"[]{}()") else str(value)

@@ -11,9 +11,8 @@ from warpvox.algos.disturbance import CHOOSING
 from warpvox.algos.settings import physics_of
 from warpvox.algos.training.settings import Training
 from warpvox.cli.config import load
-from warpvox.cli.help import flat_values, options_of
+from warpvox.cli.help import as_typed, flat_values, options_of
 from warpvox.code import is_code
-from warpvox.configs.composition import quoted
 from warpvox.configs.schema import PRESET
 from warpvox.envs.registry import get_task
 from warpvox.errors import RunError
@@ -109,7 +108,7 @@ def command_of(command: str, config: dict[str, Any]) -> str:
 def _differences(command: str, words: list[str], values: dict[str, Any]) -> list[str]:
     base = _values(command, tuple(words))
     return [
-        f"{name}={_text(value)}"
+        f"{name}={as_typed(value)}"
         for name, value in values.items()
         if name in base and value != base[name] and name not in {*ELSEWHERE, PRESET}
     ]
@@ -118,14 +117,3 @@ def _differences(command: str, words: list[str], values: dict[str, Any]) -> list
 @functools.cache
 def _values(command: str, words: tuple[str, ...]) -> dict[str, Any]:
     return flat_values(command, dataclasses.asdict(load(command, list(words))))
-
-
-def _text(value: Any) -> str:
-    """A value as it is typed."""
-    if isinstance(value, Mapping):
-        return f"{{{','.join(f'{name}:{_text(one)}' for name, one in value.items())}}}"
-    if isinstance(value, list):
-        return f"[{','.join(map(_text, value))}]"
-    if value is None or isinstance(value, bool):
-        return {None: "null", True: "true", False: "false"}[value]
-    return quoted(value) if isinstance(value, str) and set(value) & set(" ,'\"[]{}()") else str(value)

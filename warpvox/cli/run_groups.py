@@ -8,7 +8,7 @@ from typing import Any
 from warpvox.algos.report.learning_curves import Group
 from warpvox.algos.report.members import SHOWN, differing, telling
 from warpvox.cli.config import load
-from warpvox.cli.help import flat_values
+from warpvox.cli.help import as_typed, flat_values
 from warpvox.configs.bench import PPO
 from warpvox.design import example_design, example_designs
 from warpvox.runs import Run
@@ -75,15 +75,10 @@ def _presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
 def _label(values: dict[str, Any], keys: list[str]) -> str:
     parts = []
     for key in [key for key in keys if key in values][:SHOWN]:  # a robot of the zoo has but a few
-        value = _design(values.get(key)) if key == "design" else values.get(key)
-        parts.append(str(value) if key == "task" else f"{key}={_text(value)}")
+        text = _design(values[key]) if key == "design" else as_typed(values[key])
+        text = text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+        parts.append(str(values[key]) if key == "task" else f"{key}={text}")
     return ", ".join(parts) + (", ..." if len(keys) > SHOWN else "")
-
-
-def _text(value: Any) -> str:
-    text = "null" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
-    text = text.lower() if isinstance(value, bool) else text.replace(", ", ",")
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
 
 
 def _design(body: Any) -> str:

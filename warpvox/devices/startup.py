@@ -12,7 +12,8 @@ import logging
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from warpvox.errors import StorageError
@@ -116,3 +117,19 @@ def prepare(torch_threads: int, seed: int) -> None:
     start_warp()
     torch.set_num_threads(torch_threads)
     torch.manual_seed(seed)
+
+
+@contextmanager
+def own_torch(threads: int) -> Iterator[None]:
+    """Inside, torch has so many threads and may be given a seed; afterwards both are the caller's again."""
+    import torch
+
+    known, gpus = torch.get_num_threads(), range(torch.cuda.device_count()) if torch.cuda.is_initialized() else ()
+    torch.set_num_threads(threads)
+    try:
+        with torch.random.fork_rng(gpus, device_type="cuda"):
+            yield
+    finally:
+        torch.set_num_threads(known)
+        if not gpus:  # a seed is also that with which torch begins on a GPU
+            torch.cuda.manual_seed_all(torch.initial_seed())

@@ -15,7 +15,7 @@ from warpvox.algos.search.bo_acquire import (
     improve,
     log_improvement,
     one_hot,
-    own_torch,
+    seeded_torch,
     thompson_starts,
 )
 from warpvox.algos.search.bodies import body_key, neighbours
@@ -60,7 +60,7 @@ def matern(one: np.ndarray, other: np.ndarray, variance: float, length: float) -
 def test_the_posterior_is_that_of_the_text_book() -> None:
     bodies, others = some_bodies(20), some_bodies(15, seed=1)
     fitness = np.array(some_fitness(bodies))
-    with own_torch(0):
+    with seeded_torch(0):
         model = fit_model(bodies, fitness, BO(optimizer_restarts=1))
         posterior = model.posterior(one_hot(others))
     kernel, mean = model.covar_module, model.mean_module.constant.item()
@@ -79,7 +79,7 @@ def test_the_posterior_is_that_of_the_text_book() -> None:
 @pytest.fixture(scope="module")
 def model():
     bodies = some_bodies(30)
-    with own_torch(0):
+    with seeded_torch(0):
         return fit_model(bodies, some_fitness(bodies), BO(optimizer_restarts=2))
 
 
@@ -134,7 +134,7 @@ def test_l_bfgs_climbs_expected_improvement_from_every_start(model, monkeypatch:
 
     monkeypatch.setattr(bo_acquire, "optimize_acqf", watched)
     starts = some_bodies(6, seed=3)
-    with own_torch(0):
+    with seeded_torch(0):
         ends = improve(model, 25.0, starts, 40)
         at_start = seen["acquisition"](one_hot(starts)[:, None]).detach()
     assert isinstance(seen["acquisition"], LogExpectedImprovement)
@@ -148,7 +148,7 @@ def test_l_bfgs_climbs_expected_improvement_from_every_start(model, monkeypatch:
 def test_thompson_sampling_follows_the_posterior(model) -> None:
     """Each place is the best of one sample: over many draws, as often as the posterior says it is the best."""
     pool = some_bodies(6, seed=4)
-    with own_torch(0), torch.no_grad():
+    with seeded_torch(0), torch.no_grad():
         samples = model.posterior(one_hot(pool)).sample(torch.Size([4000]))[..., 0]
         expected = np.bincount(samples.argmax(-1).numpy(), minlength=6) / 4000
         first = [thompson_starts(model, pool, 1)[0] for _ in range(300)]
