@@ -159,7 +159,7 @@ def write_table(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
 def random_return(task: str) -> float:
     """The mean return of random bodies under actions that are uniform in each control step."""
     bodies = [wv.sample_design((5, 5), seed=seed) for seed in range(BODIES)]
-    env = wv.make_vec(task, designs=bodies, num_envs=BODIES, seed=0, device="cpu", arithmetic="exact", auto_reset=False)
+    env = wv.make_vec(task, designs=bodies, num_envs=BODIES, seed=0, device="cpu", dtype="float64", auto_reset=False)
     return evaluate(env, agent_of("random", env)).mean_return
 
 
