@@ -36,7 +36,8 @@ COLUMNS = {
 NEEDED = ("iteration", "steps", "eval_return", "elapsed")
 """Columns that something is made of; others may be missing from a file that an earlier version has written."""
 FILE = "metrics.csv"
-
+LARGEST = 1 << 30
+"""Bytes of such a file that are read; an iteration takes some 140."""
 SERVICES = ("wandb", "neptune")
 """Loggers that are packages of their own; TensorBoard's events are written besides."""
 
@@ -104,7 +105,7 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
     path = folder / FILE
     rows = []
     try:
-        for row in read_table(path, 1 << 30):
+        for row in read_table(path, LARGEST):
             if None in row or None in row.values():
                 continue
             rows.append({name: float(text) if text else math.nan for name, text in row.items()})
