@@ -155,7 +155,11 @@ class World:
         return self.add_object(WorldObject.from_array(name, structure, x, y, connections))
 
     def remove_object(self, name: str) -> WorldObject:
-        """Remove the object ``name`` and return it; the grid keeps its size. WorldError: there is none."""
+        """Remove the object ``name`` and return it; the grid keeps its size.
+
+        Raises:
+            WorldError: there is no such object.
+        """
         return self.objects.pop(self._find(name).name)
 
     def move_object(self, name: str, x: int, y: int) -> WorldObject:

@@ -30,7 +30,7 @@ def draw_bodies(
     shades: Sequence[float] | None = None,
     columns: int = COLUMNS,
 ) -> Image.Image:
-    """A sheet with bodies in rows, each above its caption. DesignError: no body, one that is none, missing captions.
+    """A sheet with bodies in rows, each above its caption.
 
     Args:
         bodies: int8 ``[rows, columns]`` each.
@@ -39,6 +39,9 @@ def draw_bodies(
         cell: pixels of a cell.
         shades: for each body 0 to 1: how strongly the paper below it is coloured; None: not at all.
         columns: bodies in a row at most.
+
+    Raises:
+        DesignError: no body, one that is none, or missing captions.
     """
     gap, line = cell, 22
     bodies = [as_grid(body) for body in bodies]
