@@ -36,6 +36,11 @@ class Episodes:
         self.before: dict[Quantity, torch.Tensor] = {}
         self.drawn, self.times_set = True, 0
 
+    @property
+    def active(self) -> torch.Tensor:
+        """bool ``[num_envs]``: where an episode is running; False: it has ended and waits for its reset."""
+        return ~(self.terminated | self.truncated)
+
     def clear(self, mask: torch.Tensor | None = None) -> None:
         """Set counters and flags to 0, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
         for tensor in self._counts.values():

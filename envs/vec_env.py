@@ -378,77 +378,93 @@ class VoxelVecEnv:
                 then. On CUDA an environment with such entries becomes unstable.
             DeviceError: memory has run out; says what to lower.
         """
-        # An ended environment keeps the actions that its last observation may show.
-        self.sim.take(actions, self._going())
+        # Where an episode has ended, its last actions stay: the last observation may show them.
+        active = None if self.auto_reset else self.episodes.active
+        self.sim.take(actions, active)
         self.episodes.drawn = False
         if self.dump is not None:
             self.dump.before(self.sim.actions)
+
         with enough_memory(fewer(self.num_envs)):
             if self._graph is None:
-                result = self._whole_step()
+                result = self._step_on_device()
             else:
-                result = self._graph(self._whole_step, self.auto_reset)
+                result = self._graph(self._step_on_device, self.auto_reset)
                 self.sim.forget_sensed()
+
         if self.dump is not None:
             self.dump.after(result[1], result[4])
         return result
 
-    def _going(self) -> torch.Tensor | None:
-        """bool ``[num_envs]``: environments whose episode has not ended; None: all, as they are reset at once."""
-        return None if self.auto_reset else ~(self.episodes.terminated | self.episodes.truncated)
+    def _step_on_device(self) -> StepResult:
+        """The part of :meth:`step` that a CUDA graph records.
 
-    def _whole_step(self) -> StepResult:
-        """The part of :meth:`step` that runs on the device, without waiting for it."""
+        Tensors are written in place, and on CUDA nothing is read back. ``active`` (bool ``[num_envs]``) is True where
+        an episode is running: everywhere with ``auto_reset``.
+        """
         episodes = self.episodes
-        going = self._going()
+        active = episodes.active
+
+        # Physics
         self.sim.advance()
-        episodes.length.add_(1 if going is None else going)  # before it is observed
-        before, after = self._snapshot(episodes.before), self._snapshot()
+        episodes.length.add_(active)
+        unstable = self.sim.unstable & active
+        diverged = self.sim.diverged & unstable
+
+        # Observations. They show the new episode length, but the memory from before its update.
+        before = self._snapshot(episodes.before)
+        after = self._snapshot()
         obs = self.layout.observe(after)
-        memory_values = after.update(self.spec.memory)
-        unstable = self.sim.unstable if going is None else self.sim.unstable & going
-        terms, terminated = self.judge(before, after, unstable, going)
-        obs, reward, unstable, diverged = self._sound(obs, terms, unstable, going)
-        terminated, truncated = terminated | unstable, episodes.length >= episodes.limit
-        truncated = truncated if going is None else truncated & going
+        memory = after.update(self.spec.memory)
+
+        # Rewards and terminations
+        reward_terms, terminated = self.evaluate_terms(before, after, unstable, active)
+        reward = cast(torch.Tensor, sum(reward_terms.values()))
+
+        # NaN and infinity. An environment that has them is stopped as diverged. On the CPU two sums show that there are
+        # none, which is the usual case; elsewhere reading a sum would wait for the device.
+        skipped = diverged | ~active
+        if not (self._on_cpu and all_finite(obs, reward) and not skipped.any()):
+            obs, nonfinite = self._finite.step(obs, reward_terms, ~skipped)
+            unstable = unstable | nonfinite
+            diverged = diverged | nonfinite
+            skipped = skipped | nonfinite
+            # The state before the step may be non-finite, too, so only the penalty remains of the reward.
+            for term in self.spec.rewards:
+                reward_terms[term.name] = reward_terms[term.name].masked_fill(skipped, 0.0)
+            reward_terms["unstable"] = unstable.double() * self.spec.unstable_penalty
+            reward = cast(torch.Tensor, sum(reward_terms.values()))
+
+        # Ends of episodes
+        terminated = terminated | unstable
+        truncated = (episodes.length >= episodes.limit) & active
         done = terminated | truncated
+
+        # What the step returns
         episodes.returns.add_(reward)
-        returns, length = episodes.returns.to(self.dtype, copy=True), episodes.length.to(self.dtype)
+        episode = {
+            "return": episodes.returns.to(self.dtype, copy=True),
+            "length": episodes.length.to(self.dtype),
+            "done": done,
+        }
         info = {
             "final_obs": obs,
-            "episode": {"return": returns, "length": length, "done": done},
+            "episode": episode,
             "unstable": unstable,
             "diverged": diverged,
-            "reward_terms": terms,
+            "reward_terms": reward_terms,
         }
+
+        # The next step: new episodes begin, or ended ones wait for their reset with the memory that they ended with.
         episodes.set_before(after)
-        # An ended environment keeps the episode state that its last observation shows.
-        episodes.set_memory(memory_values, None if going is None else going & ~done)
-        if going is None:
-            obs = self._restart(done, obs)
+        if self.auto_reset:
+            episodes.set_memory(memory)
+            obs = self._reset_done(done, obs)
         else:
+            episodes.set_memory(memory, active & ~done)
             terminated, truncated = episodes.end(terminated, truncated)
             self.sim.set_frozen(terminated | truncated)
         return obs, reward.to(self.dtype), terminated, truncated, info
-
-    def _sound(
-        self, obs: torch.Tensor, terms: dict[str, torch.Tensor], unstable: torch.Tensor, going: torch.Tensor | None
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Observation, reward, where the step was stopped and where it diverged, without what is not finite.
-
-        Args:
-            terms: parts of the reward; changed where the step diverged, and where nothing is going on.
-        """
-        diverged, reward = self.sim.diverged & unstable, cast(torch.Tensor, sum(terms.values()))
-        idle = diverged if going is None else diverged | ~going
-        if self._on_cpu and all_finite(obs, reward) and not idle.any():
-            return obs, reward, unstable, diverged
-        obs, odd = self._finite.step(obs, terms, ~idle)
-        unstable, idle = unstable | odd, idle | odd
-        terms["unstable"] = unstable.double() * self.spec.unstable_penalty
-        for term in self.spec.rewards:  # the state before the step may be non-finite: no reward follows from it
-            terms[term.name] = terms[term.name].masked_fill(idle, 0.0)
-        return obs, cast(torch.Tensor, sum(terms.values())), unstable, diverged | odd
 
     def not_finite(self) -> dict[str, int]:
         """In how many environments each term of the task was NaN or infinite so far; waits for the device.
@@ -464,40 +480,44 @@ class VoxelVecEnv:
         column = torch.tensor([columns[TIME].start for columns in self.obs_columns], device=obs.device)
         return obs.scatter(1, column[self.design_index][:, None], self.episode_length[:, None].to(obs.dtype))
 
-    def judge(
-        self, before: Snapshot, after: Snapshot, unstable: torch.Tensor, going: torch.Tensor | None = None
+    def evaluate_terms(
+        self, before: Snapshot, after: Snapshot, unstable: torch.Tensor, active: torch.Tensor
     ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
-        """The parts of the reward (float64 ``[num_envs]`` each) and where the episode terminates.
-
-        Terminations are evaluated on the state after the step; where the step was stopped, that is the one before it.
+        """The terms of the reward (float64 ``[num_envs]`` each, by name) and where the episode terminates.
 
         Args:
+            before, after: the states around the step; equal where the step was stopped.
             unstable: bool ``[num_envs]``, where the step was stopped.
-            going: bool ``[num_envs]``, environments whose episode has not ended; None: all.
+            active: bool ``[num_envs]``, where an episode is running.
         """
-        terms = {term.name: term(before, after) * term.weight for term in self.spec.rewards}
-        terms["unstable"] = unstable.double() * self.spec.unstable_penalty
+        reward_terms: dict[str, torch.Tensor] = {}
+        for term in self.spec.rewards:
+            reward_terms[term.name] = term(before, after) * term.weight
+        reward_terms["unstable"] = unstable.double() * self.spec.unstable_penalty
+
         terminated = unstable
         for term in self.spec.terminations:
-            hit = term(after) if going is None else term(after) & going
-            terms[term.name] = hit.double() * term.bonus
+            hit = term(after) & active
+            reward_terms[term.name] = hit.double() * term.bonus
             terminated = terminated | hit
-        return terms, terminated
+        return reward_terms, terminated
 
-    def _restart(self, done: torch.Tensor, obs: torch.Tensor) -> torch.Tensor:
-        """Reset where ``done``; return the observations for the next step."""
-        if self._on_cpu and not bool(done.any()):
+    def _reset_done(self, done: torch.Tensor, obs: torch.Tensor) -> torch.Tensor:
+        """Reset where ``done``; return ``obs`` with the first observation of the new episodes there."""
+        if self._on_cpu and not done.any():
             return obs
+
         self.sim.reset(done)
         if self._draws is not None:
             self._draws.episode.add_(done)
             self._start_memory(self._draws, done, {})
         self.episodes.clear(done)
-        now = self._snapshot()
-        self.episodes.set_before(now)
-        # A running episode keeps its observation, which was made before the memory was updated.
-        fresh = self._finite.first(self.layout.observe(now), done)
-        return torch.where(done[:, None], fresh, obs)
+
+        state = self._snapshot()
+        self.episodes.set_before(state)
+        # Running episodes keep `obs`: it was made before their memory was updated.
+        first_obs = self._finite.first(self.layout.observe(state), done)
+        return torch.where(done[:, None], first_obs, obs)
 
     def state(self) -> dict[str, Any]:
         """The full state, as tensors with a row for every environment, for :meth:`set_state`."""

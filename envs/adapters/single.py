@@ -240,6 +240,7 @@ def fast_stepper(env: VoxelVecEnv) -> SingleStepper | None:
         return None
     there = Snapshot(env.sim, env.episodes.memory)
     theirs = env.layout.observe(there)[0].numpy()
-    parts, ended = env.judge(there, there, torch.zeros(1, dtype=torch.bool))
+    stopped = torch.zeros(1, dtype=torch.bool)
+    parts, ended = env.evaluate_terms(there, there, stopped, active=~stopped)
     same = judged == ({name: part.item() for name, part in parts.items()}, ended.item())
     return stepper if same and obs.dtype == theirs.dtype and np.array_equal(obs, theirs) else None

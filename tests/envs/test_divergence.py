@@ -197,7 +197,7 @@ def test_actions_that_are_not_finite_stop_an_environment_where_they_cannot_be_lo
     env.sim.take(actions)
     for number, value in enumerate((float("nan"), float("inf"))):
         env.sim.action_buffer[number, 0] = value  # as take leaves them on CUDA
-    obs, reward, terminated, _, info = env._whole_step()
+    obs, reward, terminated, _, info = env._step_on_device()
     assert info["diverged"].tolist() == terminated.tolist() == [True, True, False]
     assert reward[:2].tolist() == [-3.0, -3.0]
     assert torch.equal(info["final_obs"][:2], before[:2])
@@ -213,7 +213,8 @@ def test_tests_for_the_end_look_at_the_old_state_when_the_step_was_stopped() -> 
 
 def test_self_folding_costs_what_the_task_says() -> None:
     env = make_vec("Walker-v0", num_envs=2, device="cpu", threads=1)
-    terms, terminated = env.judge(env._snapshot(), env._snapshot(), torch.tensor([True, False]))
+    unstable, active = torch.tensor([True, False]), torch.tensor([True, True])
+    terms, terminated = env.evaluate_terms(env._snapshot(), env._snapshot(), unstable, active)
     assert (terms["unstable"].tolist(), terminated.tolist()) == ([-3.0, 0.0], [True, False])
 
 
