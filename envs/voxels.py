@@ -18,10 +18,9 @@ from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.spec import Observation
 from warpvox.envs.terms.observations import shape
 from warpvox.simulation import Simulation
-from warpvox.types import Cell
+from warpvox.types import ACTUATORS, ROBOT_CELLS
 from warpvox.world import WorldObject
 
-CELLS = (Cell.EMPTY, Cell.RIGID, Cell.SOFT, Cell.H_ACT, Cell.V_ACT)
 FEATURES = {"positions": slice(0, 8), "velocities": slice(8, 16), "type": slice(16, 21), "neighbours": slice(21, 25)}
 """Columns of the features of a cell.
 
@@ -108,9 +107,9 @@ class VoxelGrid:
         known = np.zeros((self.rows * self.columns, NUM_FEATURES - FEATURES["type"].start))
         padded = np.zeros((self.rows, self.columns), np.int64)
         padded[: source.grid.shape[0], : source.grid.shape[1]] = source.grid
-        known[:, : len(CELLS)] = padded.reshape(-1, 1) == np.array(CELLS)
-        known[cells, len(CELLS) :] = _linked(source)[rows, columns]
-        driving = np.isin(source.grid[rows, columns], (int(Cell.H_ACT), int(Cell.V_ACT)))
+        known[:, : len(ROBOT_CELLS)] = padded.reshape(-1, 1) == np.array(ROBOT_CELLS)
+        known[cells, len(ROBOT_CELLS) :] = _linked(source)[rows, columns]
+        driving = np.isin(source.grid[rows, columns], ACTUATORS)
         return _Cells(source, corners, known, cells[driving])
 
     def __call__(self, state: Snapshot, name: str) -> torch.Tensor:

@@ -17,11 +17,11 @@ from warpvox.design import Design, load_design
 from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.errors import ConfigError, DesignError, WorldError, did_you_mean, listing
 from warpvox.examples import design_for
-from warpvox.types import Cell
+from warpvox.types import EMPTY_LETTER, MATERIALS, Cell
 from warpvox.world import World, WorldObject
 
-_CELLS = {".": Cell.EMPTY, "R": Cell.RIGID, "S": Cell.SOFT, "H": Cell.H_ACT, "V": Cell.V_ACT, "F": Cell.FIXED}
-_RUN = re.compile(r"(\d*)([.RSHVF])")
+_CELLS = {EMPTY_LETTER: Cell.EMPTY} | {material.letter: cell for cell, material in MATERIALS.items()}
+_RUN = re.compile(rf"(\d*)([{''.join(_CELLS)}])")
 
 
 def block(name: str, width: int, height: int, cell: str = "F", x: int = 0, y: int = 0) -> WorldObject:

@@ -18,8 +18,7 @@ from warpvox.errors import DesignError, did_you_mean, listing
 from warpvox.examples import EXAMPLES
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json, read_npy, read_text
 from warpvox.io.writing import atomic_path, write_text
-from warpvox.types import Cell
-from warpvox.view.palette import CELL_NAMES
+from warpvox.types import ACTUATORS, MATERIALS, Cell
 
 Design: TypeAlias = np.ndarray
 """int8 ``[rows, columns]``, row 0 on top, entries are :class:`warpvox.types.Cell`."""
@@ -130,7 +129,7 @@ def _check_rows(rows: Sequence[object], what: str, error: type[Exception]) -> No
 def has_actuator(body: object) -> bool:
     """Whether any cell is a horizontal or vertical actuator."""
     cells = as_grid(body)
-    return bool(((cells == Cell.H_ACT) | (cells == Cell.V_ACT)).any())
+    return bool(np.isin(cells, ACTUATORS).any())
 
 
 def count_pieces(bodies: np.ndarray) -> np.ndarray:
@@ -172,7 +171,7 @@ def repair_design(body: object) -> Design:
     cells, piece = grid.reshape(-1), _pieces(grid)
     sizes = np.bincount(piece[cells != Cell.EMPTY], minlength=cells.size)
     driven = np.zeros_like(sizes)
-    driven[piece[(cells == Cell.H_ACT) | (cells == Cell.V_ACT)]] = 1
+    driven[piece[np.isin(cells, ACTUATORS)]] = 1
     kept = (sizes * driven if driven.any() else sizes).argmax()
     cells[piece != kept] = Cell.EMPTY
     if not driven.any():
@@ -182,7 +181,8 @@ def repair_design(body: object) -> Design:
 
 def are_valid(bodies: np.ndarray) -> np.ndarray:
     """bool ``[n]``: which of the bodies ``[n, rows, columns]`` are one piece and have an actuator."""
-    actuated = ((bodies == Cell.H_ACT) | (bodies == Cell.V_ACT)).any((1, 2))
+    is_actuator: np.ndarray = np.isin(bodies, ACTUATORS)
+    actuated = is_actuator.any((1, 2))
     actuated[actuated] = count_pieces(bodies[actuated]) == 1
     return actuated
 
@@ -411,7 +411,7 @@ def _robot_of(world: dict, source: str) -> list[list[int]]:
     """The cells of the robot of a world in EvoGym's format: its only object with an actuator."""
     try:
         width, objects = world["grid_width"], world["objects"]
-        robots = [name for name, one in objects.items() if {Cell.H_ACT, Cell.V_ACT} & {*one["types"]}]
+        robots = [name for name, one in objects.items() if {*ACTUATORS} & {*one["types"]}]
         if len(robots) != 1:
             raise DesignError(f"{source} is a world with {len(robots)} robots; a design is a world with one.")
         robot = objects[robots[0]]
@@ -464,8 +464,10 @@ def _check_weights(weights: Sequence[float]) -> np.ndarray:
 
 
 def _cell_names(robot_only: bool = False) -> str:
-    cells = [cell for cell in Cell if not (robot_only and cell == Cell.FIXED)]
-    return ", ".join(f"{int(cell)} {CELL_NAMES.get(cell, 'empty')}" for cell in cells)
+    names = [f"{int(cell)} {material.name}" for cell, material in MATERIALS.items()]
+    if robot_only:
+        names.remove(f"{int(Cell.FIXED)} fixed")
+    return ", ".join(["0 empty", *names])
 
 
 def _size(grid: np.ndarray) -> str:

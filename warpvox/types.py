@@ -52,6 +52,45 @@ class Cell(IntEnum):
 
 
 @dataclass(frozen=True)
+class Material:
+    """The material of a cell.
+
+    Attributes:
+        cell: its number in bodies and worlds.
+        name: its name in words.
+        letter: its letter in drawings of text.
+        stiffness: which of the physics' constants it has: ``<stiffness>_main`` and ``<stiffness>_structural``.
+        colours: three of them, red, green and blue (0 to 255) when contracted to 0.6, at rest and extended to 1.6.
+    """
+
+    cell: Cell
+    name: str
+    letter: str
+    stiffness: str
+    colours: tuple[tuple[int, int, int], ...]
+
+
+MATERIALS = {
+    Cell.RIGID: Material(Cell.RIGID, "rigid", "R", "rigid", ((38, 38, 42),) * 3),
+    Cell.SOFT: Material(Cell.SOFT, "soft", "S", "soft", ((190, 192, 196),) * 3),
+    Cell.H_ACT: Material(
+        Cell.H_ACT, "horizontal actuator", "H", "actuator", ((196, 82, 12), (247, 148, 60), (255, 212, 158))
+    ),
+    Cell.V_ACT: Material(
+        Cell.V_ACT, "vertical actuator", "V", "actuator", ((32, 94, 160), (96, 164, 222), (184, 220, 250))
+    ),
+    Cell.FIXED: Material(Cell.FIXED, "fixed", "F", "rigid", ((74, 80, 92),) * 3),
+}
+"""The materials by cell; the colours at rest are those of EvoGym's viewer, as users know them."""
+ACTUATORS = (Cell.H_ACT, Cell.V_ACT)
+"""Cells whose springs change their length."""
+ROBOT_CELLS = (Cell.EMPTY, Cell.RIGID, Cell.SOFT, Cell.H_ACT, Cell.V_ACT)
+"""Cells that the body of a robot may have."""
+EMPTY_LETTER = "."
+"""The letter of an empty cell in drawings of text."""
+
+
+@dataclass(frozen=True)
 class Physics(Settings):
     """The constants of the dynamics; the defaults are those of EvoGym's release 2.2.5 (preset ``evogym``).
 
@@ -138,12 +177,9 @@ class Physics(Settings):
         return replace(_PRESETS[name], **changes)
 
     def stiffness(self, cell: int) -> tuple[float, float]:
-        """Stiffness of a cell's sides and of its diagonals."""
-        if cell == Cell.SOFT:
-            return self.soft_main, self.soft_structural
-        if cell in (Cell.H_ACT, Cell.V_ACT):
-            return self.actuator_main, self.actuator_structural
-        return self.rigid_main, self.rigid_structural
+        """Stiffness of a cell's sides and of its diagonals; an empty cell's is that of a rigid one."""
+        material = MATERIALS.get(Cell(cell), MATERIALS[Cell.RIGID])
+        return getattr(self, f"{material.stiffness}_main"), getattr(self, f"{material.stiffness}_structural")
 
 
 _PAPER = Physics(

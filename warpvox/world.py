@@ -21,7 +21,7 @@ from warpvox.design import LARGEST_GRID, as_grid, full_connections
 from warpvox.errors import WorldError, did_you_mean, listing
 from warpvox.io.reading import Missing, Unreadable, parse_json, read_text
 from warpvox.io.writing import write_text
-from warpvox.types import Cell
+from warpvox.types import ACTUATORS, Cell
 from warpvox.view.palette import body_svg
 
 LARGEST_FILE = 16_000_000
@@ -89,7 +89,7 @@ class WorldObject:
     @functools.cached_property
     def num_actuators(self) -> int:
         """Number of actuator cells."""
-        return int(np.count_nonzero((self.grid == Cell.H_ACT) | (self.grid == Cell.V_ACT)))
+        return int(np.count_nonzero(np.isin(self.grid, ACTUATORS)))
 
     @property
     def is_robot(self) -> bool:

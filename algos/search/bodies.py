@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from warpvox.design import SAMPLING_WEIGHTS, are_valid
+from warpvox.design import are_valid
+from warpvox.types import ROBOT_CELLS
 
-CELL_TYPES = len(SAMPLING_WEIGHTS)
+CELL_TYPES = len(ROBOT_CELLS)
 """A robot's voxel is one of these many types; they count from 0."""
 
 

@@ -8,7 +8,7 @@ from warpvox.algos.candidate import Candidate
 from warpvox.algos.search.base import BaseSearch, Proposal
 from warpvox.algos.search.settings import MapElites
 from warpvox.errors import ConfigError
-from warpvox.types import Cell
+from warpvox.types import ACTUATORS, Cell
 
 try:
     from ribs.archives import GridArchive
@@ -16,7 +16,7 @@ except ImportError as error:
     raise ConfigError("search=map_elites needs the package ribs: pip install 'warpvox[search]'") from error
 
 SHARES = {
-    "actuators": (Cell.H_ACT, Cell.V_ACT),
+    "actuators": ACTUATORS,
     "empty": (Cell.EMPTY,),
     "rigid": (Cell.RIGID,),
     "soft": (Cell.SOFT,),

@@ -15,11 +15,11 @@ from warpvox.envs.about import UNITS, about_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.vec_env import make_vec
 from warpvox.envs.worlds import task_world
-from warpvox.types import Cell
+from warpvox.types import MATERIALS
 from warpvox.view.body_picture import AIR, draw_world, scene_of_world
-from warpvox.view.cell_text import GLYPHS, LOWER, UPPER, print_world
+from warpvox.view.cell_text import LOWER, UPPER, print_world
 from warpvox.view.painter import BELOW
-from warpvox.view.palette import RAMPS
+from warpvox.view.palette import cell_colour
 from warpvox.world import World
 
 ROW = re.compile(r"│\s+(\d+):(\d+) │ (.+?) +│ (\w+) +│ (.+?) +│")
@@ -84,7 +84,7 @@ def test_each_robot_of_a_task_is_shown_with_its_own_body(warpvox: Callable) -> N
     assert "a robot folds into itself: -3" in shown
     assert "6 points of robot: [[3, 3]], 6 points of mate: [[4], [1]]" in " ".join(shown.split())
     top, bottom = shown.splitlines()[-3:-1]
-    assert (top[20], bottom[1:3], bottom[20]) == ("|", "--", "#")
+    assert (top[20], bottom[1:3], bottom[20]) == ("V", "HH", "R")
 
 
 def screen(world: World, width: int = 200, colour: bool = True) -> Console:
@@ -104,7 +104,7 @@ def screen(world: World, width: int = 200, colour: bool = True) -> Console:
 def test_the_world_in_letters(task: str) -> None:
     world = task_world(get_task(task), example_design("walker"))
     lines = screen(world, colour=False).export_text().splitlines()[2:]
-    kinds = {glyph: int(kind) for kind, glyph in GLYPHS.items()}
+    kinds = {".": 0, "R": 1, "S": 2, "H": 3, "V": 4, "F": 5}
     shown: list[list[int]] = []
     for line in lines:
         again = re.fullmatch(r"  \((\d+) more rows like these\)", line)
@@ -116,7 +116,7 @@ def test_the_world_in_letters(task: str) -> None:
 def test_the_world_in_half_blocks(task: str) -> None:
     world = task_world(get_task(task), example_design("walker"))
     console = screen(world)
-    kinds = {RAMPS[kind][1]: int(kind) for kind in RAMPS}
+    kinds = {cell_colour(cell): int(cell) for cell in MATERIALS}
     rows: list[list[list[int]]] = [[]]
     skipped = 0
     for segment in console._record_buffer:
@@ -144,7 +144,7 @@ def test_the_world_in_half_blocks(task: str) -> None:
 def test_wide_worlds_are_folded() -> None:
     world = task_world(get_task("Walker-v0"), example_design("walker"))
     assert max(len(line) for line in screen(world, width=41).export_text().splitlines()) <= 60  # the legend is longer
-    lines = [line for line in screen(world, 41, colour=False).export_text().splitlines() if set(line) == {"%"}]
+    lines = [line for line in screen(world, 41, colour=False).export_text().splitlines() if set(line) == {"F"}]
     assert [len(line) for line in lines] == [40, 40, 20]
 
 
@@ -160,7 +160,7 @@ def test_the_picture_shows_every_cell(task: str, warpvox: Callable) -> None:
         x, y = round((BELOW + column + 0.5) * scale), pixels.shape[0] - round((BELOW + row + 0.5) * scale)
         colour = pixels[y, x]
         if kind:
-            assert np.abs(colour - RAMPS[Cell(kind)][1]).max() <= 12, (task, row, column, kind)
+            assert np.abs(colour - cell_colour(kind)).max() <= 12, (task, row, column, kind)
         else:
             assert colour.min() > 200, (task, row, column)
     assert pixels.shape[0] == round((world.height + BELOW + AIR) * scale)

@@ -11,7 +11,7 @@ from warpvox.errors import DisplayError
 from warpvox.evogym import EvoSim, EvoViewer, EvoWorld
 from warpvox.evogym.simulator_cpp import Camera, Viewer
 from warpvox.types import Cell
-from warpvox.view.palette import RAMPS
+from warpvox.view.palette import cell_colour
 
 SIZE = (300, 150)
 
@@ -42,12 +42,12 @@ def test_pictures_show_what_is_where(sim: EvoSim, mode: str) -> None:
     assert picture.shape == (150, 300, 3)
     assert picture.dtype == np.uint8
     places = {
-        (4.5, 2.5): RAMPS[Cell.H_ACT][1],
-        (5.5, 2.5): RAMPS[Cell.V_ACT][1],
-        (4.5, 1.5): RAMPS[Cell.RIGID][1],
-        (5.5, 1.5): RAMPS[Cell.SOFT][1],
-        (20.5, 3.5): RAMPS[Cell.RIGID][1],
-        (12.5, 0.5): RAMPS[Cell.FIXED][1],
+        (4.5, 2.5): cell_colour(Cell.H_ACT),
+        (5.5, 2.5): cell_colour(Cell.V_ACT),
+        (4.5, 1.5): cell_colour(Cell.RIGID),
+        (5.5, 1.5): cell_colour(Cell.SOFT),
+        (20.5, 3.5): cell_colour(Cell.RIGID),
+        (12.5, 0.5): cell_colour(Cell.FIXED),
     }
     assert {place: at(picture, *place) for place in places} == places
     picture[:] = 0  # it is the caller's
@@ -58,7 +58,7 @@ def test_views_are_stretched_to_the_picture(sim: EvoSim) -> None:
     viewer = make(sim, pos=(5, 2), view_size=(4, 8))
     picture = viewer.render("img")
     colours = [tuple(colour) for colour in picture[75, :].tolist()]  # along y = 2, the middle of the robot
-    dark = RAMPS[Cell.SOFT][1]
+    dark = cell_colour(Cell.SOFT)
     row = [tuple(colour) for colour in picture[80, :].tolist()]  # just below it
     assert row.count(dark) == pytest.approx(75, abs=6)  # one voxel is a quarter of 300 pixels
     assert len(set(colours)) > 1

@@ -13,10 +13,10 @@ from hypothesis import given, strategies as st
 from PIL import Image, ImageSequence
 
 from warpvox.errors import RolloutError
-from warpvox.types import Cell
+from warpvox.types import MATERIALS, Cell
 from warpvox.view import gif, render
 from warpvox.view.painter import camera_path
-from warpvox.view.palette import LEVELS, RAMPS, colour_index, palette
+from warpvox.view.palette import LEVELS, colour_index, palette
 from warpvox.view.rollout import Rollout
 
 
@@ -59,11 +59,11 @@ def test_camera_moves_smoothly(rollouts: Callable[..., Rollout]) -> None:
 
 def test_colours_mean_what_they_mean() -> None:
     table = palette()
-    cells = np.array([int(cell) for cell in RAMPS])
+    cells = np.array([int(cell) for cell in MATERIALS])
     for stretch, stop in ((0.6, 0), (1.0, 1), (1.6, 2), (0.1, 0), (9.0, 2)):
         shown = table[colour_index(cells, np.full(len(cells), stretch))]
         for cell, colour in zip(cells, shown, strict=True):
-            expected = RAMPS[Cell(cell)][stop if cell in (Cell.H_ACT, Cell.V_ACT) else 1]
+            expected = MATERIALS[cell].colours[stop if cell in (Cell.H_ACT, Cell.V_ACT) else 1]
             assert tuple(colour) == expected
 
 

@@ -73,7 +73,7 @@ def test_every_face_has_its_material(rollouts: Callable[..., Rollout], tmp_path:
     rollout = rollouts(3, 1)
     stage = Usd.Stage.Open(str(write_usd(rollout, tmp_path / "rollout.usdc")))
     mesh, cells = mesh_of(stage, 0), rollout.scene(0).cells
-    names = {1: "rigid", 2: "soft", 3: "actuator_horizontal", 4: "actuator_vertical", 5: "fixed"}
+    names = {1: "rigid", 2: "soft", 3: "horizontal_actuator", 4: "vertical_actuator", 5: "fixed"}
     covered = np.zeros(len(cells), int)
     for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
         faces = np.array(subset.GetIndicesAttr().Get())

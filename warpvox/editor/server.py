@@ -36,7 +36,7 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import ConfigError, DeviceError, WarpvoxError
 from warpvox.examples import EXAMPLES
 from warpvox.io.reading import parse_json
-from warpvox.view.palette import CELL_NAMES, RAMPS
+from warpvox.types import MATERIALS
 from warpvox.view.player import asset, fill_template, page_of
 from warpvox.view.rollout import AGENTS
 
@@ -256,8 +256,8 @@ def editor_page(start: dict[str, Any] | None, folder: Path, tasks: list[str]) ->
         "tasks": tasks,
         "agents": list(reversed(AGENTS)),
         "limits": {"body": [BODY_SIDE, BODY_SIDE], "world": list(WORLD_SIZE), "seconds": LONGEST},
-        "colours": {int(cell): ramp[1] for cell, ramp in RAMPS.items()},
-        "names": {0: "empty"} | {int(cell): name for cell, name in CELL_NAMES.items()},
+        "colours": {int(cell): material.colours[1] for cell, material in MATERIALS.items()},
+        "names": {0: "empty"} | {int(cell): material.name for cell, material in MATERIALS.items()},
     }
     part = partial(asset, package="warpvox.editor")
     style, script = asset("player.css") + part("editor.css"), "\n".join(map(part, SCRIPTS))

@@ -10,11 +10,10 @@ from rich.style import Style
 from rich.text import Text
 
 from warpvox.io.console import echo
-from warpvox.types import Cell
-from warpvox.view.palette import CELL_NAMES, RAMPS, cell_colour
+from warpvox.types import EMPTY_LETTER, MATERIALS, Cell
+from warpvox.view.palette import cell_colour
 from warpvox.world import World
 
-GLYPHS = {Cell.EMPTY: ".", Cell.RIGID: "#", Cell.SOFT: "o", Cell.H_ACT: "-", Cell.V_ACT: "|", Cell.FIXED: "%"}
 UPPER, LOWER = "▀", "▄"
 SAME_ROWS = 5
 """Equal rows of a world that are printed one by one."""
@@ -35,7 +34,7 @@ def body_rows(bodies: Sequence[np.ndarray], captions: Sequence[str], console: Co
             cells = body[row] if row >= -len(body) else []
             for cell in map(int, cells):
                 style = f"on rgb({','.join(map(str, cell_colour(cell)))})" if colour and cell else ""
-                text.append("  " if colour else GLYPHS[Cell(cell)], style)
+                text.append("  " if colour else _letter(cell), style)
             text.append(" " * (width - len(cells) * wide))
         text.append("\n")
     for caption, width in zip(captions[:room], columns[:room], strict=True):
@@ -51,14 +50,14 @@ def print_world(world: World, console: Console) -> None:
     kinds = [Cell(kind) for kind in np.unique(cells) if kind]
     echo(console, f"world: {world.width} x {world.height} cells")
     if colour:
-        console.print(Text.assemble(*((f"{UPPER} {CELL_NAMES[kind]}  ", _style(kind)) for kind in kinds)))
+        console.print(Text.assemble(*((f"{UPPER} {MATERIALS[kind].name}  ", _style(kind)) for kind in kinds)))
     else:
-        echo(console, ", ".join(f"{GLYPHS[kind]} {CELL_NAMES[kind]}" for kind in kinds))
+        echo(console, ", ".join(f"{_letter(kind)} {MATERIALS[kind].name}" for kind in kinds))
     for start in range(0, world.width, fold):
         if start:
             console.print()
         piece = cells[:, start : start + fold]
-        lines = _blocks(piece) if colour else [Text("".join(GLYPHS[Cell(kind)] for kind in row)) for row in piece]
+        lines = _blocks(piece) if colour else [Text("".join(map(_letter, row))) for row in piece]
         for _, equal in groupby(lines, key=lambda line: (line.plain, line.spans)):
             rows = list(equal)  # of many equal ones in succession only the first and the last
             if len(rows) > SAME_ROWS:
@@ -67,12 +66,16 @@ def print_world(world: World, console: Console) -> None:
                 console.print(row, soft_wrap=True)
 
 
+def _letter(cell: int) -> str:
+    return MATERIALS[Cell(cell)].letter if cell else EMPTY_LETTER
+
+
 def _has_colour(console: Console) -> bool:
     return console.is_terminal and console.color_system is not None
 
 
 def _style(front: int, back: int = 0) -> Style:
-    colours = [Color.from_rgb(*RAMPS[Cell(kind)][1]) if kind else None for kind in (front, back)]
+    colours = [Color.from_rgb(*cell_colour(kind)) if kind else None for kind in (front, back)]
     return Style(color=colours[0], bgcolor=colours[1])
 
 

@@ -6,50 +6,38 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpvox.types import ACTION_HIGH, ACTION_LOW, Cell
+from warpvox.types import ACTION_HIGH, ACTION_LOW, ACTUATORS, MATERIALS, Cell
 
 if TYPE_CHECKING:
     from warpvox.design import Design
 
-# Colours of cells when contracted to 0.6, at rest and extended to 1.6: the field's familiar ones at rest.
-RAMPS: dict[Cell, tuple[tuple[int, int, int], ...]] = {
-    Cell.RIGID: ((38, 38, 42),) * 3,
-    Cell.SOFT: ((190, 192, 196),) * 3,
-    Cell.H_ACT: ((196, 82, 12), (247, 148, 60), (255, 212, 158)),
-    Cell.V_ACT: ((32, 94, 160), (96, 164, 222), (184, 220, 250)),
-    Cell.FIXED: ((74, 80, 92),) * 3,
-}
-CELL_NAMES = {
-    Cell.RIGID: "rigid",
-    Cell.SOFT: "soft",
-    Cell.H_ACT: "horizontal actuator",
-    Cell.V_ACT: "vertical actuator",
-    Cell.FIXED: "fixed",
-}
-LEVELS = 17  # shades of an actuator; odd, so that one of them is "at rest"
+LEVELS = 17
+"""Shades of an actuator; odd, so that one of them is "at rest"."""
 _MIDDLE = LEVELS // 2
 
 
 def palette() -> np.ndarray:
     """uint8 ``[colours, 3]``: what :func:`colour_index` points into; entries LEVELS * (type - 1) + level."""
     knots = (0, _MIDDLE, LEVELS - 1)
-    rows = [[np.interp(range(LEVELS), knots, channel) for channel in np.transpose(RAMPS[cell])] for cell in RAMPS]
-    return np.rint(np.concatenate([np.transpose(row) for row in rows])).astype(np.uint8)
+    shades = []
+    for material in MATERIALS.values():
+        channels = np.transpose(material.colours)
+        shades.append(np.stack([np.interp(range(LEVELS), knots, channel) for channel in channels], axis=1))
+    return np.rint(np.concatenate(shades)).astype(np.uint8)
 
 
 def colour_index(cells: np.ndarray, stretch: np.ndarray) -> np.ndarray:
     """Entry of :func:`palette` for cells (types 1 to 5) that are stretched; shapes broadcast, int32."""
     wide = np.clip(stretch, ACTION_LOW, ACTION_HIGH) - 1
     level = _MIDDLE + wide * np.where(wide < 0, _MIDDLE / (1 - ACTION_LOW), _MIDDLE / (ACTION_HIGH - 1))
-    actuated = np.isin(cells, (int(Cell.H_ACT), int(Cell.V_ACT)))
+    actuated = np.isin(cells, ACTUATORS)
     shade = np.where(actuated, np.rint(level), _MIDDLE).astype(np.int32)
     return (np.asarray(cells, np.int32) - 1) * LEVELS + shade
 
 
 def cell_colour(cell: int) -> tuple[int, int, int]:
     """The colour of a cell at rest."""
-    ramp = RAMPS[Cell(cell)]
-    return ramp[len(ramp) // 2]
+    return MATERIALS[Cell(cell)].colours[1]
 
 
 def body_svg(body: Design, cell: int = 8) -> str:
@@ -63,7 +51,7 @@ def body_svg(body: Design, cell: int = 8) -> str:
         squares = "".join(f"M{x} {y}h1v1h-1z" for y, x in np.argwhere(body == kind).tolist())
         colour = "#{:02x}{:02x}{:02x}".format(*cell_colour(kind))
         parts.append(f'<path class="c{kind}" fill="{colour}" d="{squares}"/>')
-    names = sorted({CELL_NAMES[Cell(int(value))] for value in np.unique(body) if value})
+    names = sorted({MATERIALS[Cell(value)].name for value in np.unique(body) if value})
     label = f"body of {rows} x {columns} cells: {', '.join(names)}"
     return (
         f'<svg class="body" role="img" aria-label="{label}" viewBox="-.1 -.1 {columns + 0.2:g} {rows + 0.2:g}"'

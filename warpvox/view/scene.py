@@ -10,7 +10,7 @@ import numpy as np
 from warpvox.compile import CompiledWorld
 from warpvox.design import LARGEST_GRID, as_grid
 from warpvox.errors import RolloutError
-from warpvox.types import VOXEL, Cell
+from warpvox.types import ACTUATORS, VOXEL, Cell
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class SceneObject:
     @property
     def is_robot(self) -> bool:
         """Whether the object has actuators."""
-        return bool(np.isin(self.grid, (int(Cell.H_ACT), int(Cell.V_ACT))).any())
+        return bool(np.isin(self.grid, ACTUATORS).any())
 
     @property
     def cells(self) -> np.ndarray:

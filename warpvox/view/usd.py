@@ -17,19 +17,12 @@ from warpvox.checks import check_integer
 from warpvox.devices.out_of_memory import free_memory
 from warpvox.errors import RolloutError
 from warpvox.io.writing import atomic_path
-from warpvox.types import FRAME_SECONDS, VOXEL, Cell
+from warpvox.types import ACTUATORS, FRAME_SECONDS, MATERIALS, VOXEL, Cell
 from warpvox.view.painter import camera_path
-from warpvox.view.palette import RAMPS, colour_index, palette
+from warpvox.view.palette import cell_colour, colour_index, palette
 from warpvox.view.rollout import Rollout
 
 SUFFIXES = (".usdc", ".usd", ".usda")
-SUBSET_NAMES = {
-    Cell.RIGID: "rigid",
-    Cell.SOFT: "soft",
-    Cell.H_ACT: "actuator_horizontal",
-    Cell.V_ACT: "actuator_vertical",
-    Cell.FIXED: "fixed",
-}
 ENVS_PER_ROW = 8  # environments side by side
 GAP = 10 * VOXEL  # between environments
 VIEW = 14 * VOXEL  # height of what the following camera sees
@@ -120,15 +113,15 @@ def _define_materials(stage: Any) -> dict[Cell, Any]:
     """A preview surface for every cell type; those of actuators show displayColor."""
     UsdGeom.Scope.Define(stage, "/World/materials")
     materials = {}
-    for cell, name in SUBSET_NAMES.items():
-        path = f"/World/materials/{name}"
+    for cell in MATERIALS:
+        path = f"/World/materials/{_material_name(cell)}"
         material = UsdShade.Material.Define(stage, path)
         surface = UsdShade.Shader.Define(stage, f"{path}/surface")
         surface.CreateIdAttr("UsdPreviewSurface")
         surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.7)
         diffuse = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
-        rest = Gf.Vec3f(*_linear(np.array(RAMPS[cell][1])).tolist())
-        if cell in (Cell.H_ACT, Cell.V_ACT):
+        rest = Gf.Vec3f(*_linear(np.array(cell_colour(cell))).tolist())
+        if cell in ACTUATORS:
             reader = UsdShade.Shader.Define(stage, f"{path}/colour")
             reader.CreateIdAttr("UsdPrimvarReader_float3")
             reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
@@ -139,6 +132,10 @@ def _define_materials(stage: Any) -> dict[Cell, Any]:
         material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
         materials[cell] = material
     return materials
+
+
+def _material_name(cell: int) -> str:
+    return MATERIALS[Cell(cell)].name.replace(" ", "_")
 
 
 def _linear(colour: np.ndarray) -> np.ndarray:
@@ -194,7 +191,7 @@ def _bind(mesh: Any, cells: np.ndarray, materials: dict[Cell, Any]) -> None:
     binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
     for cell in sorted(set(cells.tolist())):
         faces = Vt.IntArray.FromNumpy(np.flatnonzero(cells == cell).astype(np.int32))
-        subset = binding.CreateMaterialBindSubset(SUBSET_NAMES[Cell(cell)], faces, UsdGeom.Tokens.face)
+        subset = binding.CreateMaterialBindSubset(_material_name(cell), faces, UsdGeom.Tokens.face)
         UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(materials[Cell(cell)])
     binding.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
 
@@ -213,7 +210,7 @@ def _define_terrain(stage: Any, path: str, terrain: np.ndarray, material: Any) -
     points = np.stack(corners, axis=1).astype(np.float32)
     mesh = _define_mesh(stage, path, quads.reshape(-1, 4), np.array([points.min(axis=0), points.max(axis=0)]))
     mesh.GetPointsAttr().Set(_vec3(points))
-    colour = _linear(np.array(RAMPS[Cell.FIXED][1]))
+    colour = _linear(np.array(cell_colour(Cell.FIXED)))
     mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set(_vec3(colour[None]))
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
 

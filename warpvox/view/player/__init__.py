@@ -31,8 +31,7 @@ import numpy as np
 from warpvox.checks import check_integer
 from warpvox.errors import RolloutError
 from warpvox.io.writing import write_text
-from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, VOXEL
-from warpvox.view.palette import CELL_NAMES, RAMPS
+from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, MATERIALS, VOXEL
 from warpvox.view.scene import Scene
 
 if TYPE_CHECKING:
@@ -110,8 +109,8 @@ def _describe(rollout: Rollout, envs: list[int], scale: int, every: int) -> dict
         "voxel": VOXEL,
         "limits": [ACTION_LOW, ACTION_HIGH],
         "about": {key: value for key, value in known.items() if isinstance(value, str | int)},
-        "colours": {int(cell): ramp for cell, ramp in RAMPS.items()},
-        "names": {int(cell): name for cell, name in CELL_NAMES.items()},
+        "colours": {int(cell): material.colours for cell, material in MATERIALS.items()},
+        "names": {int(cell): material.name for cell, material in MATERIALS.items()},
         "scenes": [_describe_scene(rollout.scenes[number]) for number in used],
         "envs": [
             {
