@@ -181,8 +181,8 @@ def repair_design(body: object) -> Design:
 
 def are_valid(bodies: np.ndarray) -> np.ndarray:
     """bool ``[n]``: which of the bodies ``[n, rows, columns]`` are one piece and have an actuator."""
-    is_actuator: np.ndarray = np.isin(bodies, ACTUATORS)
-    actuated = is_actuator.any((1, 2))
+    driven = (bodies == Cell.H_ACT) | (bodies == Cell.V_ACT)
+    actuated = driven.any((1, 2))
     actuated[actuated] = count_pieces(bodies[actuated]) == 1
     return actuated
 
