@@ -1,5 +1,8 @@
 """The columns of observation terms, for designs of different sizes."""
 
+from itertools import accumulate
+
+import numpy as np
 import torch
 
 from warpvox.envs.snapshot import Snapshot
@@ -36,18 +39,21 @@ class ObservationLayout:
         self._gather: torch.Tensor | None = None
         self._zeros = torch.zeros((sim.num_envs, 1), dtype=sim.dtype, device=sim.device)
         counts = self.refresh()
-        least, most = counts.min(0).values, counts.max(0).values
+        least: list[int] = counts.min(0).tolist()
+        most: list[int] = counts.max(0).tolist()
         if sim.grid is not None:
-            most = torch.tensor([value[0].numel() for value in self._values])
-            named = [dict(term.params).get("name") in sim.action_columns[0] for term in terms]
-            bodies = torch.tensor(named) & torch.tensor([value.ndim == 3 for value in self._values])
-            acting = torch.tensor([robot != "" for robot in self._robots])
-            least = least.masked_fill(bodies, 2 * LEAST_POINTS).masked_fill(acting, 0)
-        starts, stops = map(int, least.cumsum(0) - least), map(int, most.cumsum(0))
-        self.places = {term.name: slice(*at) for term, at in zip(terms, zip(starts, stops, strict=True), strict=True)}
-        self.always = int(least.sum())
+            most = [value[0].numel() for value in self._values]
+            for k, (term, value, robot) in enumerate(zip(terms, self._values, self._robots, strict=True)):
+                if robot:
+                    least[k] = 0
+                elif value.ndim == 3 and dict(term.params).get("name") in sim.action_columns[0]:
+                    least[k] = 2 * LEAST_POINTS
+        starts = [0, *accumulate(least)]
+        stops = accumulate(most)
+        self.places = {term.name: slice(start, stop) for term, start, stop in zip(terms, starts, stops, strict=False)}
+        self.always = starts[-1]
 
-    def refresh(self) -> torch.Tensor:
+    def refresh(self) -> np.ndarray:
         """Read the sizes of the designs again, after they have changed: columns ``[designs, terms]``."""
         sim, terms = self._sim, self._terms
         actions = [{name: at.stop - at.start for name, at in columns.items()} for columns in sim.action_columns]
@@ -58,13 +64,13 @@ class ObservationLayout:
             else torch.arange(value.shape[1]) < torch.tensor([[sizes.get(robot, value.shape[1])] for sizes in actions])
             for term, value, robot in zip(terms, self._values, self._robots, strict=True)
         ]
-        counts = torch.stack([mask.sum(1) for mask in real], dim=1)  # [designs, terms]
+        counts = np.stack([mask.numpy().sum(1) for mask in real], axis=1)  # [designs, terms]
         full = torch.cat(real, dim=1)
-        totals = counts.sum(1)
+        totals = torch.from_numpy(counts.sum(1))
         # Where bodies may be exchanged, there is room for the largest.
         self.num_obs = int(totals.max()) if sim.grid is None else full.shape[1]
         self.mask = (torch.arange(self.num_obs) < totals[:, None]).to(sim.device)
-        stops: list[list[int]] = counts.cumsum(1).numpy().tolist()
+        stops: list[list[int]] = counts.cumsum(1).tolist()
         names = [term.name for term in terms]
         sizes = {tuple(row) for row in stops}  # designs of one size have one entry
         columns = {

@@ -5,8 +5,9 @@ stream they are on, and can be part of a graph that torch captures. Memory is to
 work on that stream is pending. Warp's own streams, allocator and copies are not used.
 """
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -32,6 +33,11 @@ def register_limited(registers: int, block: int) -> Any:
 BLOCK = 64
 """Threads of a CUDA block. With one thread an environment the step takes 240 registers a thread: one block of Warp's
 256 fits into a multiprocessor, and a batch of 4,096 environments would keep 16 multiprocessors busy."""
+
+SMALL = 1 << 16
+"""Bytes of the largest array that shares a block of memory with others."""
+ALIGNMENT = 64
+"""Bytes of a cache line, at which arrays begin."""
 
 _streams: dict[tuple[str, int], wp.Stream] = {}
 
@@ -101,6 +107,41 @@ def zeros(shape: tuple[int, ...], dtype: Any, device: str) -> wp.array:
     dtype = {int: wp.int32, float: wp.float32}.get(dtype, dtype)
     scalar, inner = getattr(dtype, "_wp_scalar_type_", dtype), getattr(dtype, "_shape_", ())
     return wp.from_torch(torch.zeros((*shape, *inner), dtype=wp.dtype_to_torch(scalar), device=device), dtype=dtype)
+
+
+def zeros_together(kinds: Mapping[str, tuple[tuple[int, ...], Any]], device: str) -> dict[str, wp.array]:
+    """Zeroed arrays by name, from their shapes and types. On the CPU the small ones share one block of memory.
+
+    A simulation of one environment has a hundred arrays of some hundred bytes, and every allocation takes 15 us.
+    """
+    if on_cuda(device):
+        return {name: zeros(shape, dtype, device) for name, (shape, dtype) in kinds.items()}
+
+    # Places in the block
+    place = {}
+    end = 0
+    for name, (shape, dtype) in kinds.items():
+        size = math.prod(shape) * wp.types.type_size_in_bytes(dtype)
+        if size <= SMALL:
+            place[name] = end
+            end += -(-size // ALIGNMENT) * ALIGNMENT
+    block = np.zeros(end + ALIGNMENT, np.uint8)
+    begin = -(-block.ctypes.data // ALIGNMENT) * ALIGNMENT
+
+    # Arrays. Each of those in the block keeps it alive.
+    cpu = wp.get_device("cpu")
+    arrays = {}
+    for name, (shape, dtype) in kinds.items():
+        if name in place:
+            keep = functools.partial(_keep, block)
+            arrays[name] = wp.array(ptr=begin + place[name], shape=shape, dtype=dtype, device=cpu, deleter=keep)
+        else:
+            arrays[name] = zeros(shape, dtype, device)
+    return arrays
+
+
+def _keep(block: np.ndarray, pointer: int, size: int) -> None:
+    """What Warp calls to free an array whose memory is part of ``block``, which goes with the last of its arrays."""
 
 
 def from_numpy(values: Any, dtype: Any, device: str) -> wp.array:

@@ -25,7 +25,7 @@ from typing import Any
 
 import warp as wp
 
-from warpvox.kernels.device import zeros
+from warpvox.kernels.device import zeros_together
 from warpvox.kernels.lanes import REALS
 
 REAL = "real"  # the precision of the springs, float32 or float64
@@ -256,7 +256,5 @@ def bytes_of(table: Table, sizes: dict[str, int], precision: str) -> int:
 def allocate(table, sizes, precision, device) -> dict[str, wp.array]:
     """Zeroed arrays for every field of a table."""
     real = REALS[precision]
-    return {
-        name: zeros(rows(shape, sizes), real if kind is REAL else kind, device)
-        for name, (kind, shape, _) in table.items()
-    }
+    kinds = {name: (rows(shape, sizes), real if kind is REAL else kind) for name, (kind, shape, _) in table.items()}
+    return zeros_together(kinds, device)

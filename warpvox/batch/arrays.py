@@ -126,11 +126,13 @@ def put_tables(state: Buffers, tables: dict[str, np.ndarray], rows: np.ndarray |
     for name in MODEL.keys() & tables.keys():
         if not tables[name].size:
             continue
-        view = wp.to_torch(state.arrays[name])
-        given = torch.from_numpy(np.ascontiguousarray(tables[name])).to(view.device, view.dtype)
-        place = tuple(slice(n) for n in given.shape[1:])
-        chosen = slice(len(given)) if rows is None else torch.as_tensor(rows, device=view.device)
-        view[(chosen, *place)] = given
+        values = tables[name]
+        place = (slice(len(values)) if rows is None else rows, *map(slice, values.shape[1:]))
+        if state.device == "cpu":  # numpy is the faster one with small arrays
+            state.arrays[name].numpy()[place] = values
+        else:
+            view = wp.to_torch(state.arrays[name])
+            view[place] = torch.from_numpy(np.ascontiguousarray(values)).to(view.device, view.dtype)
 
 
 def _set_constants(state: Buffers, physics: Physics) -> None:

@@ -17,7 +17,7 @@ from warpvox.world import World
 
 
 class CompiledWorlds(Sequence):
-    """The worlds of a batch compiled one by one, when they are asked for."""
+    """The worlds of a batch compiled one by one, in fast arithmetic when they are asked for."""
 
     def __init__(self, batch: Batch) -> None:
         self._batch = batch
@@ -27,7 +27,10 @@ class CompiledWorlds(Sequence):
         return len(self._batch.entries)
 
     def __getitem__(self, number: int) -> CompiledWorld:
-        world = self._batch.entries[number].world  # IndexError ends a loop over them
+        entry = self._batch.entries[number]  # IndexError ends a loop over them
+        if self._batch.arithmetic == "exact":
+            return self._batch.compiled[entry.group]
+        world = entry.world
         if id(world) not in self._made:
             self._made[id(world)] = world, compile_world(world, self._batch.physics, self._batch.loose)
         return self._made[id(world)][1]
