@@ -221,11 +221,17 @@ TAPE = {
 def rows(shape: str, sizes: dict[str, int]) -> tuple[int, ...]:
     """The size of each axis of a shape such as 'pack 2*point lane'; never 0, which Warp could not index."""
 
-    def axis(term):
-        factor, _, name = term.rpartition("*")
-        return int(factor or 1) * (int(name) if name.isdigit() else sizes[name])
+    return tuple([max(factor * sizes[name] if name else factor, 1) for factor, name in _axes(shape)])
 
-    return tuple(max(axis(term), 1) for term in shape.split())
+
+@functools.cache
+def _axes(shape: str) -> list[tuple[int, str]]:
+    """Factor and shape symbol (empty: none) of each axis of such a shape."""
+    axes = []
+    for term in shape.split():
+        factor, _, name = term.rpartition("*")
+        axes.append((int(name), "") if name.isdigit() else (int(factor or 1), name))
+    return axes
 
 
 @functools.cache

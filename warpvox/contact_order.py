@@ -38,7 +38,9 @@ class HashSet:
     """
 
     def __init__(self) -> None:
-        self._size = self._count = 0
+        self._count = 0
+        self._size = 0  # the place in BUCKETS of ...
+        self._modulus = 1  # ... how many buckets there are
         self._buckets: dict[int, dict[int, None]] = {}  # they, and the numbers in each, from the last to the first
 
     def __iter__(self):
@@ -48,30 +50,29 @@ class HashSet:
         return self._count
 
     def __contains__(self, number: int) -> bool:
-        return number in self._buckets.get(number % BUCKETS[self._size], ())
+        return number in self._buckets.get(number % self._modulus, ())
 
     def add(self, number: int) -> None:
-        if number in self:
+        if number in self._buckets.get(number % self._modulus, ()):
             return
-        self._count += 1
-        if self._count > (BUCKETS[self._size] if self._size else 0):
+        if self._count == self._modulus or not self._size:  # full; the first bucket is never used
             before = list(self)
             self._size += 1
+            self._modulus = BUCKETS[self._size]
             self._buckets = {}
             for other in before:
-                self._place(other)
-        self._place(number)
-
-    def _place(self, number: int) -> None:
-        self._buckets.setdefault(number % BUCKETS[self._size], {})[number] = None
+                self._buckets.setdefault(other % self._modulus, {})[other] = None
+        self._count += 1
+        self._buckets.setdefault(number % self._modulus, {})[number] = None
 
     def discard(self, number: int) -> None:
-        if number in self:
+        place = number % self._modulus
+        bucket = self._buckets.get(place)
+        if bucket is not None and number in bucket:
             self._count -= 1
-            bucket = number % BUCKETS[self._size]
-            del self._buckets[bucket][number]
-            if not self._buckets[bucket]:
-                del self._buckets[bucket]
+            del bucket[number]
+            if not bucket:
+                del self._buckets[place]
 
 
 @dataclass
@@ -170,18 +171,26 @@ def _merge(tree: Tree, near: list[HashSet]) -> None:
     Of equals the first node is joined, with the first of its neighbours. A diagonal neighbour need not know of it, so
     sets may hold nodes that have been joined.
     """
+    boxes = tree.boxes
     open_nodes = dict.fromkeys(range(len(tree.cells)))  # in ascending order
     have_neighbours = True
     # Sizes of the smallest common boxes, or less: a size grows, unseen here, when the other node is joined.
     queue: list[tuple[float, int]] = []
 
     def smallest(node: int) -> tuple[float, int]:
-        found = math.inf, node
+        left, bottom, right, top = boxes[node]
+        least = math.inf
+        chosen = node
         for other in near[node] if have_neighbours else open_nodes:
             if other in open_nodes and other != node:
-                size = _area(_union(tree.boxes[node], tree.boxes[other]))
-                found = (size, other) if size < found[0] else found
-        return found
+                # the area of the union, without a call: most of the time goes here
+                box = boxes[other]
+                width = (right if right > box[2] else box[2]) - (left if left < box[0] else box[0])
+                height = (top if top > box[3] else box[3]) - (bottom if bottom < box[1] else box[1])
+                if width * height < least:
+                    least = width * height
+                    chosen = other
+        return least, chosen
 
     def enqueue(nodes: Iterable[int]) -> None:
         for node in nodes:

@@ -442,13 +442,13 @@ class Simulation(Sensing):
         put_tables(self._state, {name: values[which] for name, values in tables.items()}, packs)
         # Lanes without an environment too: torn apart, they would have the candidates of the others made again.
         self._views["pos"][packs] = self.array("rest_pos")[packs]
+        self._objects.refresh()
         self._follow_worlds()
         self.reset(touched)
         self._write(before, others)
 
     def _follow_worlds(self) -> None:
         """Update everything that depends on where the points of the environments' worlds lie."""
-        self._objects.refresh()
         self.designs.forget()
         self.design_index.copy_(torch.as_tensor(self._batch.index))
         numbers = np.array([int.from_bytes(entry.key[:8], "little", signed=True) for entry in self._batch.entries])
