@@ -30,12 +30,8 @@ class ObservationLayout:
 
     def __init__(self, terms: tuple[Observation, ...], sim: Simulation, state: Snapshot) -> None:
         self._terms, self._sim, self._dtype = terms, sim, sim.dtype
-        states = [Snapshot(sim, state.memory_values, copies=True) for _ in terms]
-        self._values = [term(own) for term, own in zip(terms, states, strict=True)]
-        # Of which robot a term has a column for every action ("": of none): smaller bodies have fewer.
-        read = [[name for what, name, *_ in own.quantities if what == "robot_actions"] for own in states]
-        whole = [value.shape[1:] == (sim.num_actions,) for value in self._values]
-        self._robots = [one[0] if each and len(one) == 1 else "" for one, each in zip(read, whole, strict=True)]
+        self._values = [term(state) for term in terms]
+        self._robots = [self._robot_of(term, value, state) for term, value in zip(terms, self._values, strict=True)]
         self._gather: torch.Tensor | None = None
         self._zeros = torch.zeros((sim.num_envs, 1), dtype=sim.dtype, device=sim.device)
         counts = self.refresh()
@@ -52,6 +48,15 @@ class ObservationLayout:
         stops = accumulate(most)
         self.places = {term.name: slice(start, stop) for term, start, stop in zip(terms, starts, stops, strict=False)}
         self.always = starts[-1]
+
+    def _robot_of(self, term: Observation, value: torch.Tensor, state: Snapshot) -> str:
+        """Of which robot a term has a column for every action ("": of none): smaller bodies have fewer."""
+        if value.shape[1:] != (self._sim.num_actions,):
+            return ""
+        own = Snapshot(self._sim, state.memory_values, copies=True)
+        term(own)
+        robots = [name for what, name, *_ in own.quantities if what == "robot_actions"]
+        return robots[0] if len(robots) == 1 else ""
 
     def refresh(self) -> np.ndarray:
         """Read the sizes of the designs again, after they have changed: columns ``[designs, terms]``."""

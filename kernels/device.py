@@ -150,8 +150,16 @@ def from_numpy(values: Any, dtype: Any, device: str) -> wp.array:
     inner = len(getattr(dtype, "_shape_", ()))
     array = zeros(values.shape[: values.ndim - inner], dtype, device)
     if math.prod(values.shape):
+        put(array, values, slice(None))
+    return array
+
+
+def put(array: wp.array, values: np.ndarray, place: Any) -> None:
+    """Write values into ``array[place]``, an index as numpy has them."""
+    if array.device.is_cpu:  # small arrays are written faster by numpy
+        array.numpy()[place] = values
+    else:
         import torch
 
         view = wp.to_torch(array)
-        view.copy_(torch.from_numpy(values).to(view.dtype))
-    return array
+        view[place] = torch.from_numpy(np.ascontiguousarray(values)).to(view.device, view.dtype)

@@ -9,7 +9,7 @@ import warp as wp
 
 from warpvox.batch.packs import Batch
 from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
-from warpvox.kernels.device import from_numpy, on_cuda, zeros
+from warpvox.kernels.device import on_cuda, put, zeros_together
 from warpvox.kernels.group import LINKS, Group, choose
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, STALE, allocate, structs
 from warpvox.types import Physics
@@ -82,11 +82,21 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
             return None
     model, data = allocate(MODEL, sizes, precision, device), allocate(DATA, sizes, precision, device)
     types = structs(precision)
+    row = taken.row if taken is not None and not on_cuda(device) else 0
+    own = zeros_together(
+        {
+            "env_pack": ((len(batch.index),), int),
+            "env_lane": ((len(batch.index),), int),
+            "scratch": ((packs, row) if row else (1, 1), wp.float64),
+        },
+        device,
+    )
+    put(own["env_pack"], batch.env_pack, slice(None))
+    put(own["env_lane"], batch.env_lane, slice(None))
     state = Buffers(
         batch.arithmetic, precision, device, width, lanes, units, packs, len(batch.index), batch.physics.dt, sizes,
         types.Model(), types.Data(), model | data,
-        from_numpy(batch.env_pack, int, device), from_numpy(batch.env_lane, int, device), taken,
-        zeros((1, 1) if taken is None or on_cuda(device) else (packs, taken.row), wp.float64, device),
+        own["env_pack"], own["env_lane"], taken, own["scratch"],
     )  # fmt: skip
     for struct, arrays in ((state.model, model), (state.data, data)):
         for name, array in arrays.items():
@@ -128,11 +138,7 @@ def put_tables(state: Buffers, tables: dict[str, np.ndarray], rows: np.ndarray |
             continue
         values = tables[name]
         place = (slice(len(values)) if rows is None else rows, *map(slice, values.shape[1:]))
-        if state.device == "cpu":  # numpy is the faster one with small arrays
-            state.arrays[name].numpy()[place] = values
-        else:
-            view = wp.to_torch(state.arrays[name])
-            view[place] = torch.from_numpy(np.ascontiguousarray(values)).to(view.device, view.dtype)
+        put(state.arrays[name], values, place)
 
 
 def _set_constants(state: Buffers, physics: Physics) -> None:
