@@ -20,12 +20,13 @@ the sub-step's start: ``disp`` is the position, ``stages`` holds velocities and 
 
 import functools
 import math
+from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
-from warpvox.kernels.device import zeros_together
+from warpvox.kernels.device import allocate as device_arrays
 from warpvox.kernels.lanes import REALS
 
 REAL = "real"  # the precision of the springs, float32 or float64
@@ -259,8 +260,8 @@ def bytes_of(table: Table, sizes: dict[str, int], precision: str) -> int:
     )
 
 
-def allocate(table, sizes, precision, device) -> dict[str, wp.array]:
+def allocate(table: Table, sizes: dict[str, int], precision: str, device: str) -> Mapping[str, wp.array]:
     """Zeroed arrays for every field of a table."""
     real = REALS[precision]
     kinds = {name: (rows(shape, sizes), real if kind is REAL else kind) for name, (kind, shape, _) in table.items()}
-    return zeros_together(kinds, device)
+    return device_arrays(kinds, device)

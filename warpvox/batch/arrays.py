@@ -1,5 +1,6 @@
 """The arrays of a simulation: their sizes, allocation and values, from the tables of a batch."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,7 @@ import warp as wp
 
 from warpvox.batch.packs import Batch
 from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
-from warpvox.kernels.device import on_cuda, put, zeros_together
+from warpvox.kernels.device import from_numpy, on_cuda, put, set_fields, zeros
 from warpvox.kernels.group import LINKS, Group, choose
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, STALE, allocate, structs
 from warpvox.types import Physics
@@ -50,7 +51,7 @@ class Buffers:
     sizes: dict[str, int]
     model: Any
     data: Any
-    arrays: dict[str, wp.array]
+    arrays: Mapping[str, wp.array]
     env_pack: wp.array
     env_lane: wp.array
     group: Group | None = None
@@ -80,33 +81,22 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
         taken = choose(sizes["point"], sizes["spring"], precision, device, sizes["mover"])
         if taken is None or batch.cut or links.max(initial=0) > LINKS:
             return None
-    model, data = allocate(MODEL, sizes, precision, device), allocate(DATA, sizes, precision, device)
+    arrays = allocate(MODEL | DATA, sizes, precision, device)
     types = structs(precision)
-    row = taken.row if taken is not None and not on_cuda(device) else 0
-    own = zeros_together(
-        {
-            "env_pack": ((len(batch.index),), int),
-            "env_lane": ((len(batch.index),), int),
-            "scratch": ((packs, row) if row else (1, 1), wp.float64),
-        },
-        device,
-    )
-    put(own["env_pack"], batch.env_pack, slice(None))
-    put(own["env_lane"], batch.env_lane, slice(None))
     state = Buffers(
         batch.arithmetic, precision, device, width, lanes, units, packs, len(batch.index), batch.physics.dt, sizes,
-        types.Model(), types.Data(), model | data,
-        own["env_pack"], own["env_lane"], taken, own["scratch"],
+        types.Model(), types.Data(), arrays,
+        from_numpy(batch.env_pack, int, device), from_numpy(batch.env_lane, int, device), taken,
+        zeros((1, 1) if taken is None or on_cuda(device) else (packs, taken.row), wp.float64, device),
     )  # fmt: skip
-    for struct, arrays in ((state.model, model), (state.data, data)):
-        for name, array in arrays.items():
-            setattr(struct, name, array)
+    set_fields(state.model, arrays, MODEL)
+    set_fields(state.data, arrays, DATA)
     _set_constants(state, batch.physics)
     put_tables(state, tables | {"pack_mesh": which.astype(np.int32)})
     # Lanes without an environment hold a body at rest, frozen.
-    rest_pos = wp.to_torch(model["rest_pos"])[torch.as_tensor(which, device=device)]
-    wp.to_torch(data["pos"]).copy_(rest_pos)
-    wp.to_torch(data["drift"]).fill_(STALE)
+    rest_pos = tables["rest_pos"][which]
+    put(arrays, "pos", (slice(None), slice(rest_pos.shape[1])), rest_pos)
+    put(arrays, "drift", slice(None), STALE)
     return state
 
 
@@ -138,7 +128,7 @@ def put_tables(state: Buffers, tables: dict[str, np.ndarray], rows: np.ndarray |
             continue
         values = tables[name]
         place = (slice(len(values)) if rows is None else rows, *map(slice, values.shape[1:]))
-        put(state.arrays[name], values, place)
+        put(state.arrays, name, place, values)
 
 
 def _set_constants(state: Buffers, physics: Physics) -> None:
