@@ -257,7 +257,7 @@ def order_arrays(design) -> dict[str, np.ndarray]:
             moving = base + len(node)
         else:
             source = body.source
-            rows, columns = np.array(list(body.surface)).T
+            rows, columns = table.cells.T
             at = (source.y + source.height - 1 - rows) * design.width + source.x + columns
             cell_leaf[at] = leaves + base
         nodes.append(node)
@@ -280,6 +280,7 @@ class TreeTable(NamedTuple):
         inner: bool ``[nodes]``: nodes that are no leaves.
         area: ``[nodes]``: of their boxes.
         leaves: int32 ``[voxels]``: the nodes of the surface voxels.
+        cells: int ``[voxels, 2]``: row and column of these.
         depth: levels below the root.
     """
 
@@ -287,6 +288,7 @@ class TreeTable(NamedTuple):
     inner: np.ndarray
     area: np.ndarray
     leaves: np.ndarray
+    cells: np.ndarray
     depth: int
 
 
@@ -307,6 +309,7 @@ def _tree_table(body) -> TreeTable:
         inner=np.array([pair is not None for pair in tree.children]),
         area=np.array([_area(box) for box in tree.boxes]),
         leaves=np.array([leaf_of[cell] for cell in body.surface], np.int32),
+        cells=np.array(list(body.surface)),
         depth=tree.depth(),
     )
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 import warp as wp
 
 from warpvox.batch.packs import Batch

@@ -87,7 +87,10 @@ class EvoWorld:
             )
         height, width = np.maximum(self.grid.shape, (y + rows, x + columns)).tolist()
         core.check_size(width, height, f" with '{obj.name}'")
-        self.grid = np.pad(self.grid, ((0, height - self.grid.shape[0]), (0, width - self.grid.shape[1])))
+        if self.grid.shape != (height, width):
+            smaller = self.grid
+            self.grid = np.zeros((height, width), smaller.dtype)
+            self.grid[: smaller.shape[0], : smaller.shape[1]] = smaller
         self.grid[y : y + rows, x : x + columns] = obj.grid
         self.objects[obj.name] = obj
 
