@@ -1,5 +1,8 @@
 """The columns of observation terms, for designs of different sizes."""
 
+from itertools import accumulate
+
+import numpy as np
 import torch
 
 from warpvox.envs.snapshot import Snapshot
@@ -27,27 +30,35 @@ class ObservationLayout:
 
     def __init__(self, terms: tuple[Observation, ...], sim: Simulation, state: Snapshot) -> None:
         self._terms, self._sim, self._dtype = terms, sim, sim.dtype
-        states = [Snapshot(sim, state.memory_values, copies=True) for _ in terms]
-        self._values = [term(own) for term, own in zip(terms, states, strict=True)]
-        # Of which robot a term has a column for every action ("": of none): smaller bodies have fewer.
-        read = [[name for what, name, *_ in own.quantities if what == "robot_actions"] for own in states]
-        whole = [value.shape[1:] == (sim.num_actions,) for value in self._values]
-        self._robots = [one[0] if each and len(one) == 1 else "" for one, each in zip(read, whole, strict=True)]
+        self._values = [term(state) for term in terms]
+        self._robots = [self._robot_of(term, value, state) for term, value in zip(terms, self._values, strict=True)]
         self._gather: torch.Tensor | None = None
         self._zeros = torch.zeros((sim.num_envs, 1), dtype=sim.dtype, device=sim.device)
         counts = self.refresh()
-        least, most = counts.min(0).values, counts.max(0).values
+        least: list[int] = counts.min(0).tolist()
+        most: list[int] = counts.max(0).tolist()
         if sim.grid is not None:
-            most = torch.tensor([value[0].numel() for value in self._values])
-            named = [dict(term.params).get("name") in sim.action_columns[0] for term in terms]
-            bodies = torch.tensor(named) & torch.tensor([value.ndim == 3 for value in self._values])
-            acting = torch.tensor([robot != "" for robot in self._robots])
-            least = least.masked_fill(bodies, 2 * LEAST_POINTS).masked_fill(acting, 0)
-        starts, stops = map(int, least.cumsum(0) - least), map(int, most.cumsum(0))
-        self.places = {term.name: slice(*at) for term, at in zip(terms, zip(starts, stops, strict=True), strict=True)}
-        self.always = int(least.sum())
+            most = [value[0].numel() for value in self._values]
+            for k, (term, value, robot) in enumerate(zip(terms, self._values, self._robots, strict=True)):
+                if robot:
+                    least[k] = 0
+                elif value.ndim == 3 and dict(term.params).get("name") in sim.action_columns[0]:
+                    least[k] = 2 * LEAST_POINTS
+        starts = [0, *accumulate(least)]
+        stops = accumulate(most)
+        self.places = {term.name: slice(start, stop) for term, start, stop in zip(terms, starts, stops, strict=False)}
+        self.always = starts[-1]
 
-    def refresh(self) -> torch.Tensor:
+    def _robot_of(self, term: Observation, value: torch.Tensor, state: Snapshot) -> str:
+        """Of which robot a term has a column for every action ("": of none): smaller bodies have fewer."""
+        if value.shape[1:] != (self._sim.num_actions,):
+            return ""
+        own = Snapshot(self._sim, state.memory_values, copies=True)
+        term(own)
+        robots = [name for what, name, *_ in own.quantities if what == "robot_actions"]
+        return robots[0] if len(robots) == 1 else ""
+
+    def refresh(self) -> np.ndarray:
         """Read the sizes of the designs again, after they have changed: columns ``[designs, terms]``."""
         sim, terms = self._sim, self._terms
         actions = [{name: at.stop - at.start for name, at in columns.items()} for columns in sim.action_columns]
@@ -58,13 +69,13 @@ class ObservationLayout:
             else torch.arange(value.shape[1]) < torch.tensor([[sizes.get(robot, value.shape[1])] for sizes in actions])
             for term, value, robot in zip(terms, self._values, self._robots, strict=True)
         ]
-        counts = torch.stack([mask.sum(1) for mask in real], dim=1)  # [designs, terms]
+        counts = np.stack([mask.numpy().sum(1) for mask in real], axis=1)  # [designs, terms]
         full = torch.cat(real, dim=1)
-        totals = counts.sum(1)
+        totals = torch.from_numpy(counts.sum(1))
         # Where bodies may be exchanged, there is room for the largest.
         self.num_obs = int(totals.max()) if sim.grid is None else full.shape[1]
         self.mask = (torch.arange(self.num_obs) < totals[:, None]).to(sim.device)
-        stops: list[list[int]] = counts.cumsum(1).numpy().tolist()
+        stops: list[list[int]] = counts.cumsum(1).tolist()
         names = [term.name for term in terms]
         sizes = {tuple(row) for row in stops}  # designs of one size have one entry
         columns = {

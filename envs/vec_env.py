@@ -154,9 +154,10 @@ class VoxelVecEnv:
         if self._draws is not None:
             check_memory(spec, sim, self._draws)
             self._start_memory(self._draws, None, {})
-        check_terms(spec, sim, self._snapshot())
+        probe = self._snapshot()
+        check_terms(spec, sim, probe)
         # Rewards compare with the state before a step: find out once which quantities they need.
-        before, probe = self._snapshot(), self._snapshot()
+        before = self._snapshot()
         for term in spec.rewards:
             term(before, probe)
         self.episodes.before = {quantity: before.value(quantity).clone() for quantity in before.quantities}

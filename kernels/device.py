@@ -5,8 +5,9 @@ stream they are on, and can be part of a graph that torch captures. Memory is to
 work on that stream is pending. Warp's own streams, allocator and copies are not used.
 """
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -32,6 +33,11 @@ def register_limited(registers: int, block: int) -> Any:
 BLOCK = 64
 """Threads of a CUDA block. With one thread an environment the step takes 240 registers a thread: one block of Warp's
 256 fits into a multiprocessor, and a batch of 4,096 environments would keep 16 multiprocessors busy."""
+
+SMALL = 1 << 16
+"""Bytes of the largest array that shares a block of memory with others."""
+ALIGNMENT = 64
+"""Bytes of a cache line, at which arrays begin."""
 
 _streams: dict[tuple[str, int], wp.Stream] = {}
 
@@ -101,6 +107,119 @@ def zeros(shape: tuple[int, ...], dtype: Any, device: str) -> wp.array:
     dtype = {int: wp.int32, float: wp.float32}.get(dtype, dtype)
     scalar, inner = getattr(dtype, "_wp_scalar_type_", dtype), getattr(dtype, "_shape_", ())
     return wp.from_torch(torch.zeros((*shape, *inner), dtype=wp.dtype_to_torch(scalar), device=device), dtype=dtype)
+
+
+class HostArrays(Mapping[str, wp.array]):
+    """Zeroed arrays on the CPU by name. The small ones share a block of memory.
+
+    A simulation of one environment has a hundred arrays of some hundred bytes. To allocate them one by one, and to make
+    all of them known to Warp, takes longer than a control step: Warp's array is made when it is asked for by name.
+
+    Args:
+        kinds: shapes and types by name.
+    """
+
+    def __init__(self, kinds: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
+        self._kinds = kinds
+        self._arrays: dict[str, wp.array] = {}
+        self._memory: dict[str, tuple[np.ndarray, int, int]] = {}  # a block, where an array begins in it, its address
+
+        shared: dict[str, int] = {}
+        end = 0
+        for name, (shape, dtype) in kinds.items():
+            size = math.prod(shape) * _layout(dtype)[2]
+            if size <= SMALL:
+                shared[name] = end
+                end += -(-size // ALIGNMENT) * ALIGNMENT
+            else:
+                block = _aligned(size)
+                self._memory[name] = block, 0, block.ctypes.data
+        block = _aligned(end)
+        address = block.ctypes.data
+        for name, begin in shared.items():
+            self._memory[name] = block, begin, address + begin
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._kinds)
+
+    def __len__(self) -> int:
+        return len(self._kinds)
+
+    def __getitem__(self, name: str) -> wp.array:
+        if name not in self._arrays:
+            shape, dtype = self._kinds[name]
+            block, _, address = self._memory[name]
+            keep = functools.partial(_keep, block)
+            self._arrays[name] = wp.array(ptr=address, shape=shape, dtype=dtype, device="cpu", deleter=keep)
+        return self._arrays[name]
+
+    def numpy(self, name: str) -> np.ndarray:
+        """An array as numpy has it, not a copy; the last axis is a vector's."""
+        shape, dtype = self._kinds[name]
+        block, begin, _ = self._memory[name]
+        scalar, inner, _ = _layout(dtype)
+        return np.ndarray((*shape, *inner), scalar, block, begin)
+
+    def set_fields(self, struct: Any, names: Iterable[str]) -> None:
+        """Set the fields of a Warp struct of these names to the arrays, which the caller keeps as long as it."""
+        fields = struct.__ctype__()
+        for name in names:
+            shape, dtype = self._kinds[name]
+            field = getattr(fields, name)
+            field.data = self._memory[name][2]
+            field.ndim = len(shape)
+            stride = _layout(dtype)[2]
+            for axis in range(len(shape) - 1, -1, -1):
+                field.shape[axis] = shape[axis]
+                field.strides[axis] = stride
+                stride *= shape[axis]
+
+
+def _aligned(size: int) -> np.ndarray:
+    """So many zeroed bytes, which begin at a cache line."""
+    block = np.zeros(size + ALIGNMENT, np.uint8)
+    begin = -block.ctypes.data % ALIGNMENT
+    return block[begin : begin + size]
+
+
+@functools.cache
+def _layout(dtype: Any) -> tuple[np.dtype, tuple[int, ...], int]:
+    """The scalar type of an array of Warp's, the shape of a vector, and the bytes of an entry."""
+    scalar = getattr(dtype, "_wp_scalar_type_", dtype)
+    scalar = np.dtype(wp.dtype_to_numpy({int: wp.int32, float: wp.float32}.get(scalar, scalar)))
+    inner = tuple(getattr(dtype, "_shape_", ()))
+    return scalar, inner, scalar.itemsize * math.prod(inner)
+
+
+def _keep(block: np.ndarray, pointer: int, size: int) -> None:
+    """What Warp calls to free an array whose memory is part of ``block``, which goes with the last of its arrays."""
+
+
+def allocate(kinds: Mapping[str, tuple[tuple[int, ...], Any]], device: str) -> Mapping[str, wp.array]:
+    """Zeroed arrays by name, from their shapes and types."""
+    if on_cuda(device):
+        return {name: zeros(shape, dtype, device) for name, (shape, dtype) in kinds.items()}
+    return HostArrays(kinds)
+
+
+def put(arrays: Mapping[str, wp.array], name: str, place: Any, values: Any) -> None:
+    """Write numpy's values, or one number, into ``arrays[name][place]``."""
+    if isinstance(arrays, HostArrays):
+        arrays.numpy(name)[place] = values
+    else:
+        import torch
+
+        view = wp.to_torch(arrays[name])
+        view[place] = torch.as_tensor(np.ascontiguousarray(values), dtype=view.dtype, device=view.device)
+
+
+def set_fields(struct: Any, arrays: Mapping[str, wp.array], names: Iterable[str]) -> None:
+    """Set the fields of a Warp struct of these names to arrays."""
+    if isinstance(arrays, HostArrays):
+        arrays.set_fields(struct, names)
+    else:
+        for name in names:
+            setattr(struct, name, arrays[name])
 
 
 def from_numpy(values: Any, dtype: Any, device: str) -> wp.array:

@@ -20,12 +20,13 @@ the sub-step's start: ``disp`` is the position, ``stages`` holds velocities and 
 
 import functools
 import math
+from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
-from warpvox.kernels.device import zeros
+from warpvox.kernels.device import allocate as device_arrays
 from warpvox.kernels.lanes import REALS
 
 REAL = "real"  # the precision of the springs, float32 or float64
@@ -221,11 +222,17 @@ TAPE = {
 def rows(shape: str, sizes: dict[str, int]) -> tuple[int, ...]:
     """The size of each axis of a shape such as 'pack 2*point lane'; never 0, which Warp could not index."""
 
-    def axis(term):
-        factor, _, name = term.rpartition("*")
-        return int(factor or 1) * (int(name) if name.isdigit() else sizes[name])
+    return tuple([max(factor * sizes[name] if name else factor, 1) for factor, name in _axes(shape)])
 
-    return tuple(max(axis(term), 1) for term in shape.split())
+
+@functools.cache
+def _axes(shape: str) -> list[tuple[int, str]]:
+    """Factor and shape symbol (empty: none) of each axis of such a shape."""
+    axes = []
+    for term in shape.split():
+        factor, _, name = term.rpartition("*")
+        axes.append((int(name), "") if name.isdigit() else (int(factor or 1), name))
+    return axes
 
 
 @functools.cache
@@ -253,10 +260,8 @@ def bytes_of(table: Table, sizes: dict[str, int], precision: str) -> int:
     )
 
 
-def allocate(table, sizes, precision, device) -> dict[str, wp.array]:
+def allocate(table: Table, sizes: dict[str, int], precision: str, device: str) -> Mapping[str, wp.array]:
     """Zeroed arrays for every field of a table."""
     real = REALS[precision]
-    return {
-        name: zeros(rows(shape, sizes), real if kind is REAL else kind, device)
-        for name, (kind, shape, _) in table.items()
-    }
+    kinds = {name: (rows(shape, sizes), real if kind is REAL else kind) for name, (kind, shape, _) in table.items()}
+    return device_arrays(kinds, device)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -56,15 +57,22 @@ def check_known(given: Iterable[str], *functions: Callable[..., Any], without: I
     left_out = ("self",)
     names: dict[str, None] = {}
     for function in functions:
-        found = inspect.signature(function).parameters.items()
-        named = [name for name, one in found if one.kind not in (one.VAR_KEYWORD, one.VAR_POSITIONAL)]
+        named, takes_any = _arguments(function)
         names |= dict.fromkeys(name for name in named if name not in left_out)
         left_out = ("self", *without)
-    for name in given if all(one.kind is not one.VAR_KEYWORD for _, one in found) else ():
+    for name in () if takes_any else given:
         if name not in names:
             owner, hint = functions[0].__qualname__.removesuffix(".__init__"), did_you_mean(name, names)
             known = f"There are {listing(names, len(names))}."
             raise UnknownArgumentError(f"{owner} got an unexpected keyword argument {name!r}.{hint} {known}")
+
+
+@functools.lru_cache
+def _arguments(function: Callable[..., Any]) -> tuple[tuple[str, ...], bool]:
+    """The names of the arguments of a function, and whether it takes any others by name."""
+    found = inspect.signature(function).parameters.values()
+    named = tuple(one.name for one in found if one.kind not in (one.VAR_KEYWORD, one.VAR_POSITIONAL))
+    return named, any(one.kind is one.VAR_KEYWORD for one in found)
 
 
 def check_integer(

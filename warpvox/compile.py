@@ -6,8 +6,10 @@ each by name; inside an object points in the order in which its voxels, row by r
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+import functools
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,17 +20,26 @@ from warpvox.world import World, WorldObject
 
 # Corners and sides of a voxel in clockwise order; side k runs from corner k to corner k + 1.
 TL, TR, BR, BL = range(4)
-CREATION = (TL, TR, BL, BR)
-SIDE_ENDS = ((TL, TR), (BL, BR), (TL, BL), (TR, BR))  # top, bottom, left, right: the order in which sides are made
 FILL = {"pushed": -1, "fixed_at": -1, "order": -1}
 """Padding of tables, if not 0."""
 NOTHING_MOVES = "The world has nothing that can move: add a robot or an object with a cell that is not fixed."
-SIDE_BIT = {"top": 1, "right": 2, "bottom": 4, "left": 8}
+TOP, RIGHT, BOTTOM, LEFT = 1, 2, 4, 8
+"""Bits of the sides of a voxel."""
+MOST_KEPT = 32
+"""Objects whose meshes are kept; a benchmark task has at most 21."""
+LARGEST_KEPT = 2_000
+"""Filled cells of the largest object whose mesh is kept. A cell takes 2 kB."""
+
+
+T = TypeVar("T")
 
 
 @dataclass
 class Body:
-    """One object as a mesh. Index arrays count from the object's own first point or spring."""
+    """One object as a mesh. Index arrays count from the object's own first point or spring.
+
+    Equal objects share the lists, dictionaries and tables: they are not written to after the mesh is made.
+    """
 
     name: str
     source: WorldObject
@@ -39,7 +50,8 @@ class Body:
     surface: dict[tuple[int, int], int] = field(default_factory=dict)  # (row, column) -> bits, surface voxels only
     springs: list[list] = field(default_factory=list)  # [a, b, rest, stiffness]
     drives: dict[int, list[int]] = field(default_factory=dict)  # spring -> actions
-    links: set = field(default_factory=set)  # connected neighbours, both ways, as pairs of (row, column)
+    linked: dict[tuple[int, int], int] = field(default_factory=dict)  # (row, column) -> bits of connected neighbours
+    tables: dict[Callable, Any] = field(default_factory=dict, repr=False, compare=False)  # see `table`
     first_point: int = 0
     first_action: int = 0
     loose: bool = False  # may begin an episode elsewhere
@@ -52,6 +64,12 @@ class Body:
     def kind(self, cell: tuple[int, int]) -> int:
         """Type of a cell."""
         return int(self.source.grid[cell])
+
+    def table(self, make: Callable[[Body], T]) -> T:
+        """What ``make`` gives for this mesh, whatever its place in a world; made once for equal objects."""
+        if make not in self.tables:
+            self.tables[make] = make(self)
+        return self.tables[make]
 
 
 @dataclass
@@ -88,98 +106,123 @@ def compile_objects(
 ) -> CompiledWorld:
     """The same of some objects, on a grid of ``size`` (columns, rows); there may be nothing that moves."""
     ordered = sorted(objects, key=lambda o: (not o.is_robot, o.name))
-    terrain = {o.name for o in ordered if o.is_static and o.name not in loose}
-    bodies = [mesh(o, physics) for o in ordered if o.name not in terrain]
+    bodies = []
+    statics = []
     point = action = 0
-    for body in bodies:
-        body.loose = body.name in loose
-        body.first_point, body.first_action = point, action
+    for source in ordered:
+        body = mesh(source, physics)
+        is_loose = source.name in loose
+        if source.is_static and not is_loose:
+            statics.append(body)
+            continue
+        bodies.append(replace(body, first_point=point, first_action=action, loose=is_loose))
         point += len(body.points)
-        action += body.source.num_actuators
-    return CompiledWorld(bodies, [mesh(o, physics) for o in ordered if o.name in terrain], *size)
+        action += source.num_actuators
+    return CompiledWorld(bodies, statics, *size)
 
 
 def mesh(source: WorldObject, physics: Physics) -> Body:
-    """Points, springs and surface of one object (paper section A.1)."""
-    body = Body(source.name, source, links=_links(source))
-    for row, column in np.argwhere(source.grid).tolist():
-        _add_voxel(body, (row, column), physics)
+    """Points, springs and surface of one object (paper section A.1).
+
+    Those of small objects that are no robots are kept: many worlds with the same terrain come one after the other.
+    """
+    if source.is_robot or np.count_nonzero(source.grid) > LARGEST_KEPT:
+        return _make_mesh(source, physics)
+    return _kept_mesh(source, physics)
+
+
+def _make_mesh(source: WorldObject, physics: Physics) -> Body:
+    body = Body(source.name, source, linked=_linked_sides(source))
+    for cell, bits in body.linked.items():
+        _add_voxel(body, cell, bits, physics)
     _orient_surface(body)
-    _set_stiffness(body, physics)
-    _set_drives(body)
-    for cell, corners in body.corners.items():
-        if body.kind(cell) == Cell.FIXED:
+    kinds = source.grid.tolist()
+    _set_stiffness(body, kinds, physics)
+    _set_drives(body, kinds)
+    for (row, column), corners in body.corners.items():
+        if kinds[row][column] == Cell.FIXED:
             for p in corners:
                 body.fixed[p] = True
     return body
 
 
-def _links(source: WorldObject) -> set[tuple[tuple[int, int], tuple[int, int]]]:
-    """Connected neighbours, both ways, as pairs of (row, column)."""
-    columns = source.width
-    pairs = set()
+_kept_mesh = functools.lru_cache(MOST_KEPT)(_make_mesh)
+
+
+def _linked_sides(source: WorldObject) -> dict[tuple[int, int], int]:
+    """The sides at which each filled cell is connected, by (row, column), row by row from the top left."""
+    rows, columns = np.nonzero(source.grid)
+    linked = dict.fromkeys(zip(rows.tolist(), columns.tolist(), strict=True), 0)
     for a, b in source.connections.tolist():
-        ca, cb = divmod(a, columns), divmod(b, columns)
-        pairs.update({(ca, cb), (cb, ca)})
-    return pairs
+        first = divmod(a, source.width)
+        second = divmod(b, source.width)
+        below = second[0] > first[0]
+        linked[first] |= BOTTOM if below else RIGHT
+        linked[second] |= TOP if below else LEFT
+    return linked
 
 
-def _add_voxel(body: Body, cell: tuple[int, int], physics: Physics) -> None:
+def _add_voxel(body: Body, cell: tuple[int, int], bits: int, physics: Physics) -> None:
+    """Add the points and springs of a cell that no connected cell before it has made."""
     row, column = cell
-    near = {
-        "top": (row - 1, column),
-        "bottom": (row + 1, column),
-        "left": (row, column - 1),
-        "right": (row, column + 1),
-    }
-    linked = {side: (cell, other) in body.links for side, other in near.items()}
-    corners = {}
-    for corner in CREATION:
-        found = _find_corner(body, cell, corner)
-        if found is None:
-            found = _new_point(body, row + (corner in (BL, BR)), column + (corner in (TR, BR)))
-        corners[corner] = found
-    body.corners[cell] = [corners[c] for c in range(4)]
-    top = body.sides[near["top"]][2] if linked["top"] else None
-    left = body.sides[near["left"]][1] if linked["left"] else None
-    made = []
-    for side, (a, b) in zip((top, None, left, None), SIDE_ENDS, strict=True):
-        made.append(len(body.springs) if side is None else side)
-        if side is None:
-            body.springs.append([corners[a], corners[b], VOXEL, physics.rigid_main])
-    body.sides[cell] = [made[0], made[3], made[1], made[2]]
-    bits = sum(SIDE_BIT[side] for side in near if not linked[side])
-    if bits:
-        body.surface[cell] = bits
+    above = body.corners[row - 1, column] if bits & TOP else None
+    left = body.corners[row, column - 1] if bits & LEFT else None
+
+    # Corners that connected cells above, to the left, or diagonally over one of both, have made. The last of them
+    # counts: where connections are cut, they may have different points.
+    top_left = top_right = bottom_left = None
+    if above:
+        top_left = above[BL]
+        top_right = above[BR]
+    if left:
+        top_left = left[TR]
+        bottom_left = left[BR]
+    linked = body.linked
+    if (above and linked[row - 1, column] & LEFT) or (left and linked[row, column - 1] & TOP):
+        top_left = body.corners[row - 1, column - 1][BR]
+    if (above and linked[row - 1, column] & RIGHT) or (bits & RIGHT and linked[row, column + 1] & TOP):
+        top_right = body.corners[row - 1, column + 1][BL]
+
+    # New points
+    if top_left is None:
+        top_left = _new_point(body, row, column)
+    if top_right is None:
+        top_right = _new_point(body, row, column + 1)
+    if bottom_left is None:
+        bottom_left = _new_point(body, row + 1, column)
+    bottom_right = _new_point(body, row + 1, column + 1)
+    body.corners[cell] = [top_left, top_right, bottom_right, bottom_left]
+
+    # Sides: the lower one of the cell above, the right one of the cell to the left, else new springs
+    springs = body.springs
+    if above:
+        top_side = body.sides[row - 1, column][2]
+    else:
+        top_side = len(springs)
+        springs.append([top_left, top_right, VOXEL, physics.rigid_main])
+    bottom_side = len(springs)
+    springs.append([bottom_left, bottom_right, VOXEL, physics.rigid_main])
+    if left:
+        left_side = body.sides[row, column - 1][1]
+    else:
+        left_side = len(springs)
+        springs.append([top_left, bottom_left, VOXEL, physics.rigid_main])
+    right_side = len(springs)
+    springs.append([top_right, bottom_right, VOXEL, physics.rigid_main])
+    body.sides[cell] = [top_side, right_side, bottom_side, left_side]
+
+    free_sides = (TOP | RIGHT | BOTTOM | LEFT) & ~bits
+    if free_sides:
+        body.surface[cell] = free_sides
 
 
 def _orient_surface(body: Body) -> None:
     """Surface sides run clockwise: the order of a point's forces depends on which end of a spring it is."""
     for cell, bits in body.surface.items():
-        for k in (2, 3):  # bottom and left were made the other way round
-            if bits >> k & 1:
+        for k, side in ((2, BOTTOM), (3, LEFT)):  # these were made the other way round
+            if bits & side:
                 spring = body.springs[body.sides[cell][k]]
                 spring[0], spring[1] = spring[1], spring[0]
-
-
-def _find_corner(body: Body, cell: tuple[int, int], corner: int) -> int | None:
-    """The point that a connected voxel above or to the left has made at this corner; the last candidate counts."""
-    (row, column), links = cell, body.links
-    up, side = (-1 if corner in (TL, TR) else 1), (-1 if corner in (TL, BL) else 1)
-    vertical, horizontal, diagonal = (row + up, column), (row, column + side), (row + up, column + side)
-    mirror_v = {TL: BL, TR: BR, BL: TL, BR: TR}[corner]
-    mirror_h = {TL: TR, TR: TL, BL: BR, BR: BL}[corner]
-    mirror_d = {TL: BR, TR: BL, BL: TR, BR: TL}[corner]
-    by_vertical, by_horizontal = (cell, vertical) in links, (cell, horizontal) in links
-    found = None
-    if by_vertical and vertical in body.corners:
-        found = body.corners[vertical][mirror_v]
-    if by_horizontal and horizontal in body.corners:
-        found = body.corners[horizontal][mirror_h]
-    around = (by_vertical and (vertical, diagonal) in links) or (by_horizontal and (horizontal, diagonal) in links)
-    if around and diagonal in body.corners:
-        found = body.corners[diagonal][mirror_d]
-    return found
 
 
 def _new_point(body: Body, row: int, column: int) -> int:
@@ -192,14 +235,15 @@ def _new_point(body: Body, row: int, column: int) -> int:
     return len(body.points) - 1
 
 
-def _set_stiffness(body: Body, physics: Physics) -> None:
+def _set_stiffness(body: Body, kinds: list[list[int]], physics: Physics) -> None:
     """Stiffness of the sides by the preset's rule for shared ones; two diagonals a voxel."""
     diagonal = (VOXEL * VOXEL + VOXEL * VOXEL) ** 0.5
+    by_kind = {int(kind): physics.stiffness(kind) for kind in Cell}
     stiffest: dict[int, float] = {}
-    for cell, corners in body.corners.items():
-        kind = body.kind(cell)
-        main, structural = physics.stiffness(kind)
-        for s in body.sides[cell]:
+    for (row, column), corners in body.corners.items():
+        kind = kinds[row][column]
+        main, structural = by_kind[kind]
+        for s in body.sides[row, column]:
             if physics.shared_edge == "stiffest":
                 stiffest[s] = max(stiffest.get(s, 0.0), main)
                 body.springs[s][3] = stiffest[s]
@@ -209,13 +253,12 @@ def _set_stiffness(body: Body, physics: Physics) -> None:
         body.springs.append([corners[TL], corners[BR], diagonal, structural])
 
 
-def _set_drives(body: Body) -> None:
+def _set_drives(body: Body, kinds: list[list[int]]) -> None:
     """Which actions drive which sides: top and bottom of a horizontal actuator, left and right of a vertical one."""
     action = 0
-    for cell in body.cells:
-        kind = body.kind(cell)
+    for (row, column), (top, right, bottom, left) in body.sides.items():
+        kind = kinds[row][column]
         if kind in (Cell.H_ACT, Cell.V_ACT):
-            top, right, bottom, left = body.sides[cell]
             for s in (top, bottom) if kind == Cell.H_ACT else (left, right):
                 body.drives.setdefault(s, []).append(action)
             action += 1
@@ -287,105 +330,154 @@ def _join(values: list[np.ndarray], fill: int) -> np.ndarray:
 
 def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
     """Arrays of one compiled world, named as in :data:`warpvox.kernels.state.MODEL` where they mean the same."""
-    bodies = design.bodies
-    ends, rests, stiffness, drives, rigid, corner, side, owner, robot, grid = ([] for _ in range(10))
-    robots = design.robots
-    for index, body in enumerate(bodies):
-        base = body.first_point
-        place = {}
-        for s, (a, b, rest, k) in enumerate(body.springs):
-            if body.fixed[a] and body.fixed[b] and s not in body.drives:
-                continue  # always at rest: no force, no strain
-            place[s] = len(ends)
-            ends.append([a + base, b + base])
-            rests.append(rest)
-            stiffness.append(k)
-            actions = [action + body.first_action for action in body.drives.get(s, ())] + [-1, -1]
-            drives.append(actions[:2])
-        for cell in body.cells:
-            if body.kind(cell) == Cell.RIGID:
-                rigid += [place[s] for s in body.sides[cell] if s in place]
-        for cell, bits in body.surface.items():
-            corner.append([p + base for p in body.corners[cell]])
-            side.append(bits)
-            owner.append(index)
-            robot.append(index if body.source.is_robot else -1)  # robots come first
-            grid.append([cell[1], cell[0]])
-    rest_pos = [value for body in bodies for point in body.points for value in point]
-    lattice = _lattice(design)
-    fixed = [f for body in bodies for f in body.fixed]
-    tied = {p for pair in ends for p in pair}
-    active = [p for p, is_fixed in enumerate(fixed) if not is_fixed or p in tied]
-    pushed = np.reshape(np.where(np.isin(corner, active), corner, -1), (-1, 4))
-    fixed_voxel = pushed.max(axis=1) < 0
-    fixed_at = _fixed_voxels(design, fixed_voxel, owner, grid)
-    whole = dict(
-        points=len(fixed),
-        actives=len(active),
-        springs=len(ends),
-        rigids=len(rigid),
-        voxels=len(side),
-        movables=len(side) - np.count_nonzero(fixed_at >= 0),
-        robots=len(robots),
-        actions=sum(body.source.num_actuators for body in bodies),
-    )
-    arrays = dict(
-        fixed=fixed,
-        active=[r for p in active for r in (2 * p, 2 * p + 1)],
-        spring_ends=np.reshape(ends, (-1, 2)),
-        spring_drive=np.reshape(drives, (-1, 2)),
-        link_start=np.concatenate([[0], np.cumsum(np.bincount(np.array(ends, int).ravel(), minlength=len(fixed)))]),
-        link=_links_of_points(ends),
-        rigid_spring=rigid,
-        corner=np.reshape(corner, (-1, 4)),
-        pushed=pushed,
-        side=side,
-        body=owner,
-        robot=robot,
-        grid=np.reshape(grid, (-1, 2)),
-        fixed_voxel=fixed_voxel,
-        movable=np.setdiff1d(np.arange(len(fixed_voxel)), fixed_at),
-        fixed_at=fixed_at,
-        fold_limit=[len(body.surface) for body in robots],
-    )
-    reals = dict(rest_pos=rest_pos, spring_rest=rests, spring_k=stiffness, terrain_box=lattice[1])
-    out = {name: np.asarray(value, dtype=np.int32) for name, value in (whole | arrays).items()}
-    out |= {name: np.asarray(value, dtype=np.float64) for name, value in reals.items()}
-    out["terrain"] = np.array([design.width, design.height], dtype=np.int32)
-    out["terrain_side"] = lattice[0]
-    return out
+    # Tables of the objects, one behind the other. Numbers of points, springs and actions count on.
+    parts = {name: [values] for name, values in NO_OBJECT.items()}
+    springs = 0
+    for number, body in enumerate(design.bodies):
+        own = body.table(_body_arrays)
+        drives = own["spring_drive"]
+        voxels = np.full(len(own["side"]), number, np.int32)
+        placed = {
+            "spring_ends": own["spring_ends"] + body.first_point,
+            "spring_drive": np.where(drives >= 0, drives + body.first_action, -1),
+            "rigid_spring": own["rigid_spring"] + springs,
+            "corner": own["corner"] + body.first_point,
+            "body": voxels,
+            "robot": voxels if body.source.is_robot else np.full_like(voxels, -1),  # robots come first
+        }
+        for name, values in (own | placed).items():
+            parts[name].append(values)
+        springs += len(drives)
+    out: dict[str, Any] = {name: np.concatenate(values) for name, values in parts.items()}
+
+    # Points that are free or hang on a spring
+    ends = out["spring_ends"].ravel()
+    active = out["fixed"] == 0
+    active[ends] = True
+    points = np.flatnonzero(active)
+    out["active"] = np.stack([2 * points, 2 * points + 1], axis=1).ravel()
+    out["link"] = _links_of_points(ends)
+    out["link_start"] = np.concatenate([[0], np.cumsum(np.bincount(ends, minlength=len(active)))])
+
+    # Surface voxels
+    out["pushed"] = np.where(active[out["corner"]], out["corner"], -1)
+    out["fixed_voxel"] = out["pushed"].max(axis=1) < 0
+    out["fixed_at"] = _fixed_voxels(design, out["fixed_voxel"], out["body"], out["grid"])
+    movable = np.ones(len(out["side"]), bool)
+    movable[out["fixed_at"][out["fixed_at"] >= 0]] = False
+    out["movable"] = np.flatnonzero(movable)
+    out["fold_limit"] = [len(body.surface) for body in design.robots]
+
+    # Sizes
+    out["points"] = len(active)
+    out["actives"] = len(points)
+    out["springs"] = springs
+    out["rigids"] = len(out["rigid_spring"])
+    out["voxels"] = len(movable)
+    out["movables"] = np.count_nonzero(movable)
+    out["robots"] = len(design.robots)
+    out["actions"] = sum(body.source.num_actuators for body in design.bodies)
+
+    out["terrain"] = [design.width, design.height]
+    out["terrain_side"], terrain_box = _lattice(design)
+    reals = {name: out.pop(name) for name in ("rest_pos", "spring_rest", "spring_k")}
+    return {name: np.asarray(values, np.int32) for name, values in out.items()} | reals | {"terrain_box": terrain_box}
 
 
-def _links_of_points(ends: list[list[int]]) -> np.ndarray:
+NO_OBJECT = {
+    "fixed": np.zeros(0, np.int32),
+    "rest_pos": np.zeros(0),
+    "spring_ends": np.zeros((0, 2), np.int32),
+    "spring_rest": np.zeros(0),
+    "spring_k": np.zeros(0),
+    "spring_drive": np.zeros((0, 2), np.int32),
+    "rigid_spring": np.zeros(0, np.int32),
+    "corner": np.zeros((0, 4), np.int32),
+    "side": np.zeros(0, np.int32),
+    "body": np.zeros(0, np.int32),
+    "robot": np.zeros(0, np.int32),
+    "grid": np.zeros((0, 2), np.int32),
+}
+"""Tables of a world without objects that move."""
+
+
+def _body_arrays(body: Body) -> dict[str, np.ndarray]:
+    """Tables of points, springs and surface voxels of one object, whose numbers begin at 0."""
+    # Springs, without those that are always at rest: they give no force and have no strain
+    place = {}
+    ends = []
+    rests = []
+    stiffness = []
+    drives = []
+    for s, (a, b, rest, k) in enumerate(body.springs):
+        if body.fixed[a] and body.fixed[b] and s not in body.drives:
+            continue
+        place[s] = len(ends)
+        ends.append((a, b))
+        rests.append(rest)
+        stiffness.append(k)
+        drives.append([*body.drives.get(s, ()), -1, -1][:2])
+    kinds = body.source.grid.tolist()
+    rigid = []
+    for (row, column), sides in body.sides.items():
+        if kinds[row][column] == Cell.RIGID:
+            rigid += [place[s] for s in sides if s in place]
+
+    return {
+        "fixed": np.array(body.fixed, np.int32),
+        "rest_pos": np.array(body.points, np.float64).ravel(),
+        "spring_ends": np.array(ends, np.int32).reshape(-1, 2),
+        "spring_rest": np.array(rests, np.float64),
+        "spring_k": np.array(stiffness, np.float64),
+        "spring_drive": np.array(drives, np.int32).reshape(-1, 2),
+        "rigid_spring": np.array(rigid, np.int32),
+        "corner": np.array([body.corners[cell] for cell in body.surface], np.int32).reshape(-1, 4),
+        "side": np.array(list(body.surface.values()), np.int32),
+        "grid": np.array(list(body.surface), np.int32).reshape(-1, 2)[:, ::-1],  # column and row
+    }
+
+
+def _links_of_points(ends: np.ndarray) -> np.ndarray:
     """Springs point by point: s at the first end of spring s, then -1 - s at the second, each in ascending order."""
-    point = np.array(ends, int).ravel()
-    order = np.lexsort((np.arange(len(point)), np.arange(len(point)) % 2, point))
+    entry = np.arange(len(ends))
+    order = np.lexsort((entry, entry % 2, ends))
     return np.where(order % 2 == 0, order // 2, -1 - order // 2)
 
 
-def _fixed_voxels(design: CompiledWorld, fixed: np.ndarray, owner: list[int], grid: list[list[int]]) -> np.ndarray:
+def _fixed_voxels(design: CompiledWorld, fixed: np.ndarray, owner: np.ndarray, grid: np.ndarray) -> np.ndarray:
     """For every cell of the terrain lattice the surface voxel that always stays there, or -1."""
-    width, height = design.width, design.height
-    at = np.full(width * height, -1)
-    for v, (column, row) in enumerate(grid):
-        body = design.bodies[owner[v]]
-        if fixed[v] and not body.loose:
-            source = body.source
-            at[(source.y + source.height - 1 - row) * width + source.x + column] = v
+    at = np.full(design.width * design.height, -1)
+    for number, body in enumerate(design.bodies):
+        if not body.loose:
+            voxels = np.flatnonzero(fixed & (owner == number))
+            at[_lattice_cells(design, body.source, grid[voxels])] = voxels
     return at
 
 
 def _lattice(design: CompiledWorld) -> tuple[np.ndarray, np.ndarray]:
     """Surface bits and bounds of the static cells, on the world's grid with row 0 at the bottom."""
-    width, height = design.width, design.height
-    bits = np.zeros(width * height, dtype=np.int32)
-    bounds = np.zeros((width * height, 4))
+    bits = np.zeros(design.width * design.height, np.int32)
+    bounds = np.zeros((design.width * design.height, 4))
     for body in design.statics:
-        source = body.source
-        for (row, column), corners in body.corners.items():
-            at = (source.y + source.height - 1 - row) * width + source.x + column
-            left, top = body.points[corners[TL]]
-            right, bottom = body.points[corners[BR]]
-            bounds[at] = left, right, bottom, top
-            bits[at] = body.surface.get((row, column), 0)
+        cells, body_bits, body_bounds = body.table(_static_cells)
+        at = _lattice_cells(design, body.source, cells)
+        bits[at] = body_bits
+        bounds[at] = body_bounds
     return bits, bounds
+
+
+def _static_cells(body: Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Column and row, surface bits and bounds (left, right, bottom, top) of the cells of an object."""
+    cells = np.array(body.cells)[:, ::-1]
+    bits = [body.surface.get(cell, 0) for cell in body.corners]
+    points = np.array(body.points)
+    corners = np.array(list(body.corners.values()))
+    left_top = points[corners[:, TL]]
+    right_bottom = points[corners[:, BR]]
+    bounds = np.stack([left_top[:, 0], right_bottom[:, 0], right_bottom[:, 1], left_top[:, 1]], axis=1)
+    return cells, np.array(bits, np.int32), bounds
+
+
+def _lattice_cells(design: CompiledWorld, source: WorldObject, cells: np.ndarray) -> np.ndarray:
+    """Where cells of an object, ``[n, 2]`` columns and rows, lie in the lattice of the world."""
+    return (source.y + source.height - 1 - cells[:, 1]) * design.width + source.x + cells[:, 0]

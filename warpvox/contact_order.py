@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,8 @@ MOST_OBJECTS = 1024  # whose pairs fit into the 20 bits above the path
 BUCKETS = (1, 13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753, 42043, 85229, 172933, 351061, 712697, 1447153)
 CARDINAL = ((-1, 0), (1, 0), (0, -1), (0, 1))  # row and column of neighbours: top, bottom, left, right
 DIAGONAL = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+SIDE = {(-1, 0): 1, (0, 1): 2, (1, 0): 4, (0, -1): 8}
+"""The bit of ``Body.linked`` for a neighbour in this direction."""
 
 
 class HashSet:
@@ -35,7 +38,9 @@ class HashSet:
     """
 
     def __init__(self) -> None:
-        self._size = self._count = 0
+        self._count = 0
+        self._size = 0  # the place in BUCKETS of ...
+        self._modulus = 1  # ... how many buckets there are
         self._buckets: dict[int, dict[int, None]] = {}  # they, and the numbers in each, from the last to the first
 
     def __iter__(self):
@@ -45,30 +50,29 @@ class HashSet:
         return self._count
 
     def __contains__(self, number: int) -> bool:
-        return number in self._buckets.get(number % BUCKETS[self._size], ())
+        return number in self._buckets.get(number % self._modulus, ())
 
     def add(self, number: int) -> None:
-        if number in self:
+        if number in self._buckets.get(number % self._modulus, ()):
             return
-        self._count += 1
-        if self._count > (BUCKETS[self._size] if self._size else 0):
+        if self._count == self._modulus or not self._size:  # full; the first bucket is never used
             before = list(self)
             self._size += 1
+            self._modulus = BUCKETS[self._size]
             self._buckets = {}
             for other in before:
-                self._place(other)
-        self._place(number)
-
-    def _place(self, number: int) -> None:
-        self._buckets.setdefault(number % BUCKETS[self._size], {})[number] = None
+                self._buckets.setdefault(other % self._modulus, {})[other] = None
+        self._count += 1
+        self._buckets.setdefault(number % self._modulus, {})[number] = None
 
     def discard(self, number: int) -> None:
-        if number in self:
+        place = number % self._modulus
+        bucket = self._buckets.get(place)
+        if bucket is not None and number in bucket:
             self._count -= 1
-            bucket = number % BUCKETS[self._size]
-            del self._buckets[bucket][number]
-            if not self._buckets[bucket]:
-                del self._buckets[bucket]
+            del bucket[number]
+            if not bucket:
+                del self._buckets[place]
 
 
 @dataclass
@@ -144,11 +148,13 @@ def _neighbours(body, cell, node_of: dict) -> HashSet:
 
 def _connected(body, cell, dy: int, dx: int) -> bool:
     """Whether a neighbour is linked to the cell, a diagonal one over a cell beside both."""
+    bits = body.linked
     if dy == 0 or dx == 0:
-        return (cell, (cell[0] + dy, cell[1] + dx)) in body.links
-    corner = (cell[0] + dy, cell[1] + dx)
-    around = ((cell[0] + dy, cell[1]), (cell[0], cell[1] + dx))
-    return any((cell, side) in body.links and (side, corner) in body.links for side in around)
+        return bool(bits[cell] & SIDE[dy, dx])
+    row, column = cell
+    over_row = bits[cell] & SIDE[dy, 0] and bits[row + dy, column] & SIDE[0, dx]
+    over_column = bits[cell] & SIDE[0, dx] and bits[row, column + dx] & SIDE[dy, 0]
+    return bool(over_row or over_column)
 
 
 def _union(a, b):
@@ -165,18 +171,26 @@ def _merge(tree: Tree, near: list[HashSet]) -> None:
     Of equals the first node is joined, with the first of its neighbours. A diagonal neighbour need not know of it, so
     sets may hold nodes that have been joined.
     """
+    boxes = tree.boxes
     open_nodes = dict.fromkeys(range(len(tree.cells)))  # in ascending order
     have_neighbours = True
     # Sizes of the smallest common boxes, or less: a size grows, unseen here, when the other node is joined.
     queue: list[tuple[float, int]] = []
 
     def smallest(node: int) -> tuple[float, int]:
-        found = math.inf, node
+        left, bottom, right, top = boxes[node]
+        least = math.inf
+        chosen = node
         for other in near[node] if have_neighbours else open_nodes:
             if other in open_nodes and other != node:
-                size = _area(_union(tree.boxes[node], tree.boxes[other]))
-                found = (size, other) if size < found[0] else found
-        return found
+                # the area of the union, without a call: most of the time goes here
+                box = boxes[other]
+                width = (right if right > box[2] else box[2]) - (left if left < box[0] else box[0])
+                height = (top if top > box[3] else box[3]) - (bottom if bottom < box[1] else box[1])
+                if width * height < least:
+                    least = width * height
+                    chosen = other
+        return least, chosen
 
     def enqueue(nodes: Iterable[int]) -> None:
         for node in nodes:
@@ -219,51 +233,94 @@ def order_arrays(design) -> dict[str, np.ndarray]:
         SimulationError: the world has more objects, or objects of deeper trees, than a contact's place in the order
             can tell apart.
     """
-    trees = {body.name: tree_of(body) for body in design.bodies + design.statics}
-    _check_places(design, trees)
-    ordered = sorted((b.source for b in design.bodies + design.statics), key=lambda o: (not o.is_robot, o.name))
-    place = {o.name: n for n, o in enumerate(ordered)}
-    rows, areas, leaf, moving = [], [], [], 0
+    objects = design.bodies + design.statics
+    tables = [body.table(_tree_table) for body in objects]
+    _check_places(design, {body.name: table.depth for body, table in zip(objects, tables, strict=True)})
+    ordered = sorted((body.source for body in objects), key=lambda source: (not source.is_robot, source.name))
+    place = {source.name: number for number, source in enumerate(ordered)}
+
+    nodes = []
+    leaf = []
     cell_leaf = np.zeros(design.width * design.height, dtype=np.int32)
-    for body in design.bodies + design.statics:
-        tree, base = trees[body.name], len(rows)
-        rank, middle = tree.ranks()
-        leaves = {}
-        for n, (cell, pair, box) in enumerate(zip(tree.cells, tree.children, tree.boxes, strict=True)):
-            areas.append(_area(box))
-            if pair:
-                rows.append([base + pair[0], base + pair[1], middle[n], 0])
-            else:
-                leaves[cell] = base + n
-                rows.append([-1, rank[n], place[body.name], base + len(tree.cells) - 1])
-        source = body.source
-        if body in design.bodies:
-            for cell in body.surface:
-                rows[leaves[cell]][0] = -1 - len(leaf)
-                leaf.append(leaves[cell])
-            moving = len(rows)
+    base = voxel = moving = 0
+    for number, (body, table) in enumerate(zip(objects, tables, strict=True)):
+        # Nodes count on from those of the objects before.
+        node = table.node.copy()
+        node[table.inner, :2] += base
+        node[~table.inner, 2] = place[body.name]
+        node[~table.inner, 3] += base
+        leaves = table.leaves
+        if number < len(design.bodies):
+            node[leaves, 0] = -1 - np.arange(voxel, voxel + len(leaves))
+            leaf.append(leaves + base)
+            voxel += len(leaves)
+            moving = base + len(node)
         else:
-            for row, column in body.surface:
-                at = (source.y + source.height - 1 - row) * design.width + source.x + column
-                cell_leaf[at] = leaves[row, column]
+            source = body.source
+            rows, columns = table.cells.T
+            at = (source.y + source.height - 1 - rows) * design.width + source.x + columns
+            cell_leaf[at] = leaves + base
+        nodes.append(node)
+        base += len(node)
     return dict(
-        objects=np.array(len(ordered), np.int32),
+        objects=np.array(len(objects), np.int32),
         nodes=np.array(moving, np.int32),
-        node=np.array(rows, dtype=np.int32),
-        node_area=np.array(areas),
-        leaf=np.array(leaf, dtype=np.int32),
+        node=np.concatenate(nodes),
+        node_area=np.concatenate([table.area for table in tables]),
+        leaf=np.concatenate(leaf, dtype=np.int32, casting="same_kind"),
         cell_leaf=cell_leaf,
     )
 
 
-def _check_places(design, trees: dict[str, Tree]) -> None:
+class TreeTable(NamedTuple):
+    """The tree of an object as arrays, whose numbers begin at 0.
+
+    Attributes:
+        node: int32 ``[nodes, 4]`` as in the Model; of leaves the first entry is -1 and the object 0.
+        inner: bool ``[nodes]``: nodes that are no leaves.
+        area: ``[nodes]``: of their boxes.
+        leaves: int32 ``[voxels]``: the nodes of the surface voxels.
+        cells: int ``[voxels, 2]``: row and column of these.
+        depth: levels below the root.
+    """
+
+    node: np.ndarray
+    inner: np.ndarray
+    area: np.ndarray
+    leaves: np.ndarray
+    cells: np.ndarray
+    depth: int
+
+
+def _tree_table(body) -> TreeTable:
+    tree = tree_of(body)
+    rank, middle = tree.ranks()
+    root = len(tree.cells) - 1
+    rows = []
+    leaf_of = {}
+    for n, pair in enumerate(tree.children):
+        if pair:
+            rows.append((*pair, middle[n], 0))
+        else:
+            rows.append((-1, rank[n], 0, root))
+            leaf_of[tree.cells[n]] = n
+    return TreeTable(
+        node=np.array(rows, np.int32),
+        inner=np.array([pair is not None for pair in tree.children]),
+        area=np.array([_area(box) for box in tree.boxes]),
+        leaves=np.array([leaf_of[cell] for cell in body.surface], np.int32),
+        cells=np.array(list(body.surface)),
+        depth=tree.depth(),
+    )
+
+
+def _check_places(design, depth: dict[str, int]) -> None:
     remedy = "arithmetic='fast' does not keep this order and has no such limit."
-    if len(trees) > MOST_OBJECTS:
+    if len(depth) > MOST_OBJECTS:
         raise SimulationError(
             f"Exact arithmetic keeps the released order of contacts for up to {MOST_OBJECTS} objects; this world has"
-            f" {len(trees)}. {remedy}"
+            f" {len(depth)}. {remedy}"
         )
-    depth = {name: tree.depth() for name, tree in trees.items()}
     body = max((b.name for b in design.bodies), key=depth.__getitem__)  # one of the two objects of a contact can move
     other = max(depth, key=depth.__getitem__)
     if depth[body] + depth[other] > DEEPEST:

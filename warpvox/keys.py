@@ -132,7 +132,7 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
 
     ConfigError: a value of another type, or a part that has no field of a name.
     """
-    hints = get_type_hints(type(config))
+    hints = _hints(type(config))
     for item in dataclasses.fields(config):
         if item.name not in without:
             value, usual = getattr(config, item.name), item.default_factory
@@ -140,6 +140,12 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
                 value = changed(usual(), value, prefix + item.name)
             # also of a frozen dataclass
             object.__setattr__(config, item.name, converted(value, hints[item.name], prefix + item.name))
+
+
+@functools.lru_cache
+def _hints(kind: type) -> dict[str, Any]:
+    """The types of the fields of a dataclass."""
+    return get_type_hints(kind)
 
 
 def flat(values: Mapping[str, Any], whole: Collection[str] = (), prefix: str = "") -> dict[str, Any]:

@@ -113,8 +113,9 @@ class Simulation(Sensing):
         self._begin_sensing()
         self._action_places: dict[str, torch.Tensor] = {}
         self._follow_worlds()
-        self._views["frozen"].fill_(1)  # lanes that belong to no environment stay so
-        self.reset()
+        # The buffers begin as after a reset. Lanes that belong to no environment stay frozen.
+        self._views["frozen"].fill_(1)
+        self._views["frozen"].view(-1)[self.slot] = 0
 
     def __reduce_ex__(self, protocol: object) -> NoReturn:
         raise SimulationError("A simulation cannot be copied or pickled: another's set_state() takes its state().")
@@ -442,13 +443,15 @@ class Simulation(Sensing):
         put_tables(self._state, {name: values[which] for name, values in tables.items()}, packs)
         # Lanes without an environment too: torn apart, they would have the candidates of the others made again.
         self._views["pos"][packs] = self.array("rest_pos")[packs]
+        self._objects.refresh()
+        for mine, new in zip(self._loose, self._objects.loose_points(self.loose), strict=True):
+            mine.copy_(new)  # in place: a captured step may read it
         self._follow_worlds()
         self.reset(touched)
         self._write(before, others)
 
     def _follow_worlds(self) -> None:
         """Update everything that depends on where the points of the environments' worlds lie."""
-        self._objects.refresh()
         self.designs.forget()
         self.design_index.copy_(torch.as_tensor(self._batch.index))
         numbers = np.array([int.from_bytes(entry.key[:8], "little", signed=True) for entry in self._batch.entries])
@@ -461,8 +464,6 @@ class Simulation(Sensing):
         self._has_row = count.repeat_interleave(2, dim=1)
         for name, places in self._action_places.items():
             places.copy_(self._places_of_actions(name))
-        for mine, new in zip(self._loose, self._objects.loose_points(self.loose), strict=True):
-            mine.copy_(new)  # in place: a captured step may read it
 
 
 STATE_FIELDS = ("pos", "vel", "true_vel", "frozen", "status", "time")

@@ -174,7 +174,7 @@ class Physics(Settings):
             ConfigError: unknown preset or constant, or a value out of range.
         """
         check_choice("physics", name, _PRESETS)
-        return replace(_PRESETS[name], **changes)
+        return replace(_PRESETS[name], **changes) if changes else _PRESETS[name]
 
     def stiffness(self, cell: int) -> tuple[float, float]:
         """Stiffness of a cell's sides and of its diagonals; an empty cell's is that of a rigid one."""

@@ -96,7 +96,7 @@ class WorldObject:
         """Whether the object holds an actuator."""
         return self.num_actuators > 0
 
-    @property
+    @functools.cached_property
     def is_static(self) -> bool:
         """Whether the object is made of fixed cells only, so that nothing of it ever moves."""
         return bool(np.isin(self.grid, (int(Cell.EMPTY), int(Cell.FIXED))).all())
@@ -108,6 +108,10 @@ class WorldObject:
 
     def key(self) -> bytes:
         """Return bytes that are equal exactly for equal objects."""
+        return self._key
+
+    @functools.cached_property
+    def _key(self) -> bytes:
         head = json.dumps([self.name, self.x, self.y, *self.grid.shape, len(self.connections)]).encode()
         return head + self.grid.tobytes() + self.connections.tobytes()
 

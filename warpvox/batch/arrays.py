@@ -1,15 +1,15 @@
 """The arrays of a simulation: their sizes, allocation and values, from the tables of a batch."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 import warp as wp
 
 from warpvox.batch.packs import Batch
 from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
-from warpvox.kernels.device import from_numpy, on_cuda, zeros
+from warpvox.kernels.device import from_numpy, on_cuda, put, set_fields, zeros
 from warpvox.kernels.group import LINKS, Group, choose
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, STALE, allocate, structs
 from warpvox.types import Physics
@@ -50,7 +50,7 @@ class Buffers:
     sizes: dict[str, int]
     model: Any
     data: Any
-    arrays: dict[str, wp.array]
+    arrays: Mapping[str, wp.array]
     env_pack: wp.array
     env_lane: wp.array
     group: Group | None = None
@@ -80,23 +80,22 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
         taken = choose(sizes["point"], sizes["spring"], precision, device, sizes["mover"])
         if taken is None or batch.cut or links.max(initial=0) > LINKS:
             return None
-    model, data = allocate(MODEL, sizes, precision, device), allocate(DATA, sizes, precision, device)
+    arrays = allocate(MODEL | DATA, sizes, precision, device)
     types = structs(precision)
     state = Buffers(
         batch.arithmetic, precision, device, width, lanes, units, packs, len(batch.index), batch.physics.dt, sizes,
-        types.Model(), types.Data(), model | data,
+        types.Model(), types.Data(), arrays,
         from_numpy(batch.env_pack, int, device), from_numpy(batch.env_lane, int, device), taken,
         zeros((1, 1) if taken is None or on_cuda(device) else (packs, taken.row), wp.float64, device),
     )  # fmt: skip
-    for struct, arrays in ((state.model, model), (state.data, data)):
-        for name, array in arrays.items():
-            setattr(struct, name, array)
+    set_fields(state.model, arrays, MODEL)
+    set_fields(state.data, arrays, DATA)
     _set_constants(state, batch.physics)
     put_tables(state, tables | {"pack_mesh": which.astype(np.int32)})
     # Lanes without an environment hold a body at rest, frozen.
-    rest_pos = wp.to_torch(model["rest_pos"])[torch.as_tensor(which, device=device)]
-    wp.to_torch(data["pos"]).copy_(rest_pos)
-    wp.to_torch(data["drift"]).fill_(STALE)
+    rest_pos = tables["rest_pos"][which]
+    put(arrays, "pos", (slice(None), slice(rest_pos.shape[1])), rest_pos)
+    put(arrays, "drift", slice(None), STALE)
     return state
 
 
@@ -126,11 +125,9 @@ def put_tables(state: Buffers, tables: dict[str, np.ndarray], rows: np.ndarray |
     for name in MODEL.keys() & tables.keys():
         if not tables[name].size:
             continue
-        view = wp.to_torch(state.arrays[name])
-        given = torch.from_numpy(np.ascontiguousarray(tables[name])).to(view.device, view.dtype)
-        place = tuple(slice(n) for n in given.shape[1:])
-        chosen = slice(len(given)) if rows is None else torch.as_tensor(rows, device=view.device)
-        view[(chosen, *place)] = given
+        values = tables[name]
+        place = (slice(len(values)) if rows is None else rows, *map(slice, values.shape[1:]))
+        put(state.arrays, name, place, values)
 
 
 def _set_constants(state: Buffers, physics: Physics) -> None:

@@ -17,7 +17,7 @@ from warpvox.world import World
 
 
 class CompiledWorlds(Sequence):
-    """The worlds of a batch compiled one by one, when they are asked for."""
+    """The worlds of a batch compiled one by one, in fast arithmetic when they are asked for."""
 
     def __init__(self, batch: Batch) -> None:
         self._batch = batch
@@ -27,7 +27,10 @@ class CompiledWorlds(Sequence):
         return len(self._batch.entries)
 
     def __getitem__(self, number: int) -> CompiledWorld:
-        world = self._batch.entries[number].world  # IndexError ends a loop over them
+        entry = self._batch.entries[number]  # IndexError ends a loop over them
+        if self._batch.arithmetic == "exact":
+            return self._batch.compiled[entry.group]
+        world = entry.world
         if id(world) not in self._made:
             self._made[id(world)] = world, compile_world(world, self._batch.physics, self._batch.loose)
         return self._made[id(world)][1]
@@ -58,7 +61,7 @@ class Objects:
         self.terrain = {body.name for world in batch.compiled for body in world.statics}
         self.device = state.device
         self.refresh()
-        self.num_points = {name: self._most(name) for name in self.names}
+        self.num_points = self._most_points()
 
     def refresh(self) -> None:
         """Update which points the environments have."""
@@ -109,11 +112,18 @@ class Objects:
             counts = counts + torch.tensor(still, device=counts.device)[self._batch.groups]
         return counts
 
-    def _most(self, name: str) -> int:
-        most = int(self.counts(name).max())
-        grid = self._batch.grid
-        if grid is not None and any(name in frame.names for frame in self._batch.frames):
-            most = max(most, most_points(*grid, self._batch.cut))
+    def _most_points(self) -> dict[str, int]:
+        """By name the most points that an object has in any world, or may have."""
+        moving = self.point_range[self._example]
+        counts = (moving[..., 1] - moving[..., 0]).amax(0).tolist()
+        most: dict[str, int] = dict(zip(self.names, counts, strict=True))
+        for compiled in self._batch.compiled:
+            for body in compiled.statics:
+                most[body.name] = max(most[body.name], len(body.points))
+        if self._batch.grid is not None:
+            largest = most_points(*self._batch.grid, self._batch.cut)
+            for name in {name for frame in self._batch.frames for name in frame.names}:
+                most[name] = max(most[name], largest)
         return most
 
     def point_mask(self, name: str) -> torch.Tensor:

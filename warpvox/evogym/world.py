@@ -7,6 +7,7 @@ Here rows count upward, as in the release: row 0 of ``grid`` is the lowest. Arra
 from __future__ import annotations
 
 import errno
+import functools
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -86,7 +87,10 @@ class EvoWorld:
             )
         height, width = np.maximum(self.grid.shape, (y + rows, x + columns)).tolist()
         core.check_size(width, height, f" with '{obj.name}'")
-        self.grid = np.pad(self.grid, ((0, height - self.grid.shape[0]), (0, width - self.grid.shape[1])))
+        if self.grid.shape != (height, width):
+            smaller = self.grid
+            self.grid = np.zeros((height, width), smaller.dtype)
+            self.grid[: smaller.shape[0], : smaller.shape[1]] = smaller
         self.grid[y : y + rows, x : x + columns] = obj.grid
         self.objects[obj.name] = obj
 
@@ -150,8 +154,8 @@ class WorldObject:
     def __init__(self) -> None:
         self.name, self.pos, self.grid_size = "", Pair(0, 0), Pair(0, 0)
         self.grid = np.zeros((0, 0), int)
-        self.voxels: list[Pair] = []
-        self.neighbors: dict[Pair, list[Pair]] = {}
+        self.voxels = []
+        self.neighbors = {}
 
     @classmethod
     def from_json(cls, file_path: str) -> WorldObject:
@@ -170,6 +174,7 @@ class WorldObject:
         if len(objects) != 1:
             names = listing(obj.name for obj in objects)
             raise WorldError(f"The file '{file_path}' must hold one object, but holds {len(objects)}: {names}.")
+        self.__dict__.clear()
         self.__dict__.update(objects[0].__dict__)
 
     @classmethod
@@ -207,16 +212,34 @@ class WorldObject:
         self.grid = np.flipud(obj.grid).astype(int)
         rows, columns = self.grid.shape
         self.grid_size = Pair(columns, rows)
-        self.voxels = [Pair(int(x), int(y)) for y, x in np.argwhere(self.grid)]
-        self.neighbors = {voxel: [] for voxel in self.voxels}
-        for pair in obj.connections.tolist():
+        self._made_of = obj
+        for name in ("voxels", "neighbors"):
+            self.__dict__.pop(name, None)
+
+    # Few read the two lists: most objects only go from a task into its simulation. They are made when they are read.
+
+    @functools.cached_property
+    def voxels(self) -> list[Pair]:
+        return _filled(self._made_of)
+
+    @functools.cached_property
+    def neighbors(self) -> dict[Pair, list[Pair]]:
+        rows, columns = self._made_of.grid.shape
+        neighbors: dict[Pair, list[Pair]] = {voxel: [] for voxel in _filled(self._made_of)}
+        for pair in self._made_of.connections.tolist():
             a, b = (Pair(cell % columns, rows - 1 - cell // columns) for cell in pair)
-            self.neighbors[a].append(b)
-            self.neighbors[b].append(a)
+            neighbors[a].append(b)
+            neighbors[b].append(a)
+        return neighbors
 
     def to_core(self) -> core.WorldObject:
         """The same object as :class:`warpvox.world.WorldObject`."""
-        return core.WorldObject.from_array(self.name, self.get_structure(), *self.get_pos(), self.get_connections())
+        structure = self.get_structure()
+        if "neighbors" not in self.__dict__:  # nobody can have changed them
+            made_of = self._made_of
+            if self.name == made_of.name and np.array_equal(structure, made_of.grid):
+                return made_of if self.get_pos() == (made_of.x, made_of.y) else made_of.moved(*self.get_pos())
+        return core.WorldObject.from_array(self.name, structure, *self.get_pos(), self.get_connections())
 
     def translate(self, dx: int, dy: int) -> None:
         """Move by some cells; WorldError if a coordinate becomes negative."""
@@ -266,6 +289,11 @@ class WorldObject:
 
     def __repr__(self) -> str:
         return f"WorldObject({self})"
+
+
+def _filled(obj: core.WorldObject) -> list[Pair]:
+    """Column and row, counted from below, of the cells of an object, from its lowest row on."""
+    return [Pair(x, y) for y, x in np.argwhere(np.flipud(obj.grid)).tolist()]
 
 
 def _read(file_path: str) -> list[WorldObject]:
