@@ -33,6 +33,9 @@ SAFE_FOLDER = os.path.dirname(os.__file__)
 _starting = threading.RLock()
 """Held while the current folder and the environment are those for a start."""
 
+DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(10))}
+"""Names that Windows keeps."""
+
 HANGUP: int | None = getattr(signal, "SIGHUP", None)
 """Sent when the terminal's window or connection is closed; None on Windows, which has no such signal."""
 
@@ -52,9 +55,9 @@ def stop_signals() -> tuple[int, ...]:
 def safe_start(move: bool = True) -> Iterator[None]:
     """Interpreters that are started within the block import from the current folder only if this one does.
 
-    ``python -c`` and ``python -m``, by which libraries start theirs, look into the current folder first, and Ray has its
-    workers do so. Python 3.11 and later can be told not to by :data:`SAFE_PATH`. For Python 3.10 and for Ray the block
-    runs in :data:`SAFE_FOLDER`; a child whose place matters changes to the right folder itself.
+    ``python -c`` and ``python -m``, by which libraries start theirs, look into the current folder first, and Ray has
+    its workers do so. Python 3.11 and later can be told not to by :data:`SAFE_PATH`. For Python 3.10 and for Ray the
+    block runs in :data:`SAFE_FOLDER`; a child whose place matters changes to the right folder itself.
 
     Args:
         move: False: the block stays in the current folder. Nothing then protects children of Python 3.10.
@@ -139,6 +142,11 @@ def _quotas(root: Path = Path("/")) -> Iterator[int]:
             quota, period = " ".join((folder / name).read_text() for name in names).split()
             if quota.isdigit():  # neither "max" nor version 1's -1
                 yield math.ceil(int(quota) / int(period))
+
+
+def is_device_name(name: str) -> bool:
+    """Whether Windows takes a file's name for a device, whatever its suffix; files are to open there, too."""
+    return name.partition(".")[0].rstrip(" ").upper() in DEVICES
 
 
 def processor_name() -> str:

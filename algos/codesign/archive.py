@@ -467,7 +467,7 @@ def _write_error(path: Path, error: Exception) -> StorageError:
     elif "readonly" in reason and not path.is_file():
         reason = "it has vanished; was it removed or renamed?"
     elif "full" in reason or getattr(error, "errno", None) == errno.ENOSPC:
-        reason = "database or disk is full; free some space, then go on with resume="
+        reason = "database or disk is full; free some space, or use a folder on another disk"
         cause = OSError(errno.ENOSPC, reason)
     return StorageError(f"{path} cannot be written: {reason}.", cause)
 

@@ -184,11 +184,8 @@ def run_hydra(
     words, sys.argv = sys.argv, [sys.argv[0], *flags, *place, *overrides]
     try:
         # From Python 3.14 on argparse refuses an object as a help text, which Hydra 1.3 has.
-        with (
-            hydras_errors(),
-            safe_start(move=False),
-            patch.object(argparse.ArgumentParser, "_check_help", lambda *_: None, create=True),
-        ):
+        lenient = patch.object(argparse.ArgumentParser, "_check_help", lambda *_: None, create=True)
+        with hydras_errors(), lenient, safe_start(move=False):  # of launchers' processes
             hydra.main(version_base="1.3", config_path="pkg://warpvox.configs", config_name=command)(task)()
     finally:
         sys.argv = words
