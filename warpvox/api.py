@@ -67,7 +67,7 @@ def train(
     from warpvox.algos.training.settings import Training
     from warpvox.batch.options import SimOptions
     from warpvox.runs import TRAINING, find_run
-    from warpvox.trust import typed, with_code
+    from warpvox.trust import check_services, typed, with_code
 
     given = settings | {key: value for key, value in {"task": task, "design": design}.items() if value is not None}
     base = given.pop("task") if isinstance(task, Training) else None
@@ -103,6 +103,7 @@ def train(
     if source is None:
         config = with_code(config, typed(config))
     else:
+        check_services(config, source.config, given)
         config = with_code(config, typed(config, given), source.config, source.folder)
     job = Job(config, named, source)
     place = None if folder in ("auto", None) else Path(folder).expanduser()

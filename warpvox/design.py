@@ -330,12 +330,13 @@ def save_design(path: str | os.PathLike[str], body: object) -> Path:
     suffix = target.suffix.lower()
     if suffix == ".json":
         rows = ",\n  ".join(str(row) for row in grid.tolist())
-        write_text(target, f'{{"body": [\n  {rows}\n]}}\n')
+        write_text(target, f'{{"body": [\n  {rows}\n]}}\n', follow=True)
     elif suffix == ".npz":
-        with atomic_path(target) as temporary, open(temporary, "wb") as file:  # numpy would add to a name in capitals
+        # Into an open file: numpy would add its suffix to one in capitals.
+        with atomic_path(target, follow=True) as temporary, open(temporary, "wb") as file:
             np.savez(file, grid, full_connections(grid).T)
     elif suffix == ".npy":
-        with atomic_path(target) as temporary, open(temporary, "wb") as file:
+        with atomic_path(target, follow=True) as temporary, open(temporary, "wb") as file:
             np.save(file, grid)
     else:
         raise DesignError(f"Cannot save a design as '{target.name}': use one of {', '.join(_FILE_SUFFIXES)}.")

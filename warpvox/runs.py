@@ -4,7 +4,6 @@ import dataclasses
 import errno
 import functools
 import glob
-import json
 import os
 import re
 import shutil
@@ -23,15 +22,15 @@ from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, arc
 from warpvox.checks import is_number
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.reading import Unreadable, parse_yaml, read_facts, read_text
-from warpvox.io.writing import MARK, check_writable, claimed, complaint, sweep, write_text
+from warpvox.io.writing import MARK, check_encodable, check_writable, claimed, complaint, sweep, to_json, write_text
 from warpvox.robots.entry import Robot, zoo
 from warpvox.robots.gait import Gait
-from warpvox.system import processor_name
+from warpvox.system import is_device_name, processor_name
 
 CONFIG, SUMMARY = "config.yaml", "summary.json"
 NUMBERS = ("evaluations", "steps", "elapsed_seconds", "best_fitness", "pretraining_steps")  # of a summary
-LARGEST_CONFIG = 1_000_000
-"""Bytes that the configuration may have."""
+LARGEST_CONFIG = 100_000
+"""Bytes that the configuration may have: reading as much takes seconds."""
 ZOO = "zoo:"
 """How the name of a stored robot begins where a run or a design is expected."""
 BEST = "model_best.pt"
@@ -287,6 +286,8 @@ def check_output(config: Any) -> None:
 
 def check_name(name: str | None) -> None:
     """Raise ConfigError unless ``name`` can end the name of a folder."""
+    if name and (not name.strip(".") or is_device_name(name)):
+        raise ConfigError(f"name cannot be '{name}', which stands for something else than a folder of its own.")
     if name and NOT_IN_NAMES.search(name):
         raise ConfigError(f"name may hold letters, digits and . _ + - only, got '{name:.200}'.")
     if name and (len(name) > LONGEST_NAME or len(os.fsencode(name)) > LONGEST_BYTES):
@@ -301,6 +302,7 @@ def as_name(text: str) -> str:
 
 def make_folder(parent: Path, stamp: str, ending: str = "") -> Path:
     """A new folder; runs that start in the same second get a number."""
+    check_encodable(parent)
     for number in range(1, 1000):
         folder = parent / (stamp + (f"-{number}" if number > 1 else "") + ending)
         try:
@@ -340,6 +342,7 @@ def run_folder(
         place.is_dir() and all(file.name in known or file.name.startswith(MARK) for file in place.iterdir())
     ):
         raise RunError(f"{place} exists already: name another folder, or resume={place} to go on with a run.")
+    check_encodable(place)
     place.mkdir(parents=True, exist_ok=True)
     return going_on(place, text)
 
@@ -373,7 +376,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
     """Write ``summary.json``: ``content``, and which version of the program has made it."""
     made = {"version": __version__, "commit": _commit(), "processor": _processors()}
-    write_text(folder / SUMMARY, json.dumps(content | made, indent=2) + "\n", make_folders=False)
+    write_text(folder / SUMMARY, to_json(content | made) + "\n", make_folders=False)
 
 
 def _processors() -> str:

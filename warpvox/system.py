@@ -11,6 +11,7 @@ import platform
 import re
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -25,6 +26,16 @@ WINDOWS = sys.platform == "win32"
 GONE = {errno.EPIPE, errno.ECONNRESET, errno.ESHUTDOWN, *([errno.EINVAL] if WINDOWS else [])}
 """Errors of a pipe or socket whose reader has gone."""
 
+SAFE_PATH = "PYTHONSAFEPATH"
+"""Variable of the environment by which interpreters from Python 3.11 on leave the current folder out of their path."""
+SAFE_FOLDER = os.path.dirname(os.__file__)
+"""The folder of the standard library: what is imported from there would be imported anyway."""
+_starting = threading.RLock()
+"""Held while the current folder and the environment are those for a start."""
+
+DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(10))}
+"""Names that Windows keeps."""
+
 HANGUP: int | None = getattr(signal, "SIGHUP", None)
 """Sent when the terminal's window or connection is closed; None on Windows, which has no such signal."""
 
@@ -38,6 +49,36 @@ def stop_signals() -> tuple[int, ...]:
     if HANGUP is not None and signal.getsignal(HANGUP) is not signal.SIG_IGN:
         found.append(HANGUP)
     return tuple(found)
+
+
+@contextmanager
+def safe_start(move: bool = True) -> Iterator[None]:
+    """Interpreters that are started within the block import from the current folder only if this one does.
+
+    ``python -c`` and ``python -m``, by which libraries start theirs, look into the current folder first, and Ray has
+    its workers do so. Python 3.11 and later can be told not to by :data:`SAFE_PATH`. For Python 3.10 and for Ray the
+    block runs in :data:`SAFE_FOLDER`; a child whose place matters changes to the right folder itself.
+
+    Args:
+        move: False: the block stays in the current folder. Nothing then protects children of Python 3.10.
+    """
+    with _starting:
+        here, before = os.getcwd(), os.environ.get(SAFE_PATH)
+        if any(os.path.realpath(entry) == os.path.realpath(here) for entry in sys.path):
+            yield
+            return
+        os.environ[SAFE_PATH] = "1"
+        try:
+            if move:
+                os.chdir(SAFE_FOLDER)
+            yield
+        finally:
+            if move:
+                os.chdir(here)
+            if before is None:
+                del os.environ[SAFE_PATH]
+            else:
+                os.environ[SAFE_PATH] = before
 
 
 @contextmanager
@@ -101,6 +142,11 @@ def _quotas(root: Path = Path("/")) -> Iterator[int]:
             quota, period = " ".join((folder / name).read_text() for name in names).split()
             if quota.isdigit():  # neither "max" nor version 1's -1
                 yield math.ceil(int(quota) / int(period))
+
+
+def is_device_name(name: str) -> bool:
+    """Whether Windows takes a file's name for a device, whatever its suffix; files are to open there, too."""
+    return name.partition(".")[0].rstrip(" ").upper() in DEVICES
 
 
 def processor_name() -> str:

@@ -13,6 +13,7 @@ from typing import Any
 
 from rich.console import Console
 
+from warpvox.algos.training.metrics import SERVICES
 from warpvox.code import Code, invocation, is_code, sources_of
 from warpvox.errors import ConfigError, RunError
 from warpvox.io.console import echo, escaped
@@ -57,14 +58,28 @@ def with_code(config: Any, given: Mapping[str, Any], stored: Mapping[str, Any] |
     return config
 
 
-def check_address(config: Any, stored: Mapping[str, Any], named: Collection[str]) -> None:
-    """Raise ConfigError if only a file says which Ray cluster to connect to, which can make whoever does run code."""
+def check_services(config: Any, stored: Mapping[str, Any], named: Collection[str]) -> None:
+    """Raise ConfigError if only a file says which service to connect to.
+
+    A Ray cluster can make whoever connects to it run code; for loggers see :func:`check_account`.
+    """
+    if "logger" not in named:
+        check_account(stored.get("logger"))
     address = stored.get("address")
     if address is not None and "address" not in named and getattr(config, "executor", None) == "ray":
         raise ConfigError(
             f"The stored configuration names a Ray cluster, address={escaped(address)}. Who connects to a cluster can"
             f" be made to run code: name it yourself (address={escaped(address)}), or add address=null to start Ray on"
             " this machine, or executor=local."
+        )
+
+
+def check_account(logger: Any) -> None:
+    """Raise ConfigError for a logger that only a file names: it would send figures to the user's own account."""
+    if logger in SERVICES:
+        raise ConfigError(
+            f"The stored configuration sends figures to your account of {logger}: add logger={logger} if you want"
+            " that, or logger=none."
         )
 
 

@@ -214,7 +214,7 @@ class World:
             indent=1,
         )
         if path is not None:
-            write_text(path, text + "\n")
+            write_text(path, text + "\n", follow=True)
         return text
 
     def copy(self) -> World:

@@ -45,7 +45,7 @@ def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
         RunError: the file does not do what the policy does; it is not kept. StorageError: it cannot be written.
     """
     policy, whole = _copied(policy), io.BytesIO()
-    with atomic_path(path) as temporary, _quiet():
+    with atomic_path(path, follow=True) as temporary, _quiet():
         if policy.spec.voxels is None and policy.spec.gait is None:
             program = torch.jit.script(policy)
         else:  # networks of the user's may not be scriptable
@@ -77,7 +77,7 @@ def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
     import onnx
 
     policy = _copied(policy)
-    with atomic_path(path) as temporary, _quiet():
+    with atomic_path(path, follow=True) as temporary, _quiet():
         program = torch.onnx.export(
             policy,
             (torch.zeros(2, policy.num_obs),),  # of one row torch may take the number of rows for fixed

@@ -19,7 +19,7 @@ import re
 import sqlite3
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path, PurePath
@@ -44,6 +44,8 @@ WAIT_SECONDS = 30.0
 """How long to wait for a reader to finish."""
 
 TABLES = Path(__file__).with_suffix(".sql").read_text(encoding="utf-8")
+JOURNAL = bytes.fromhex("d9d505f920a163d7")
+"""SQLite's mark of a journal; at its end, that it belongs to a transaction of several files."""
 KINDS = {
     "id": int, "generation": int, "body": str, "origin": str, "seed": int, "fitness": float, "steps": int,
     "stopped": int, "reused": int, "policy": str, "policy_sha256": str, "seconds": float,
@@ -432,11 +434,26 @@ def _transaction(db: sqlite3.Connection, kind: str = "IMMEDIATE") -> Iterator[No
 
 
 def _connect(path: Path, mode: str, wait: float = WAIT_SECONDS) -> sqlite3.Connection:
+    _check_journal(Path(f"{path.resolve()}-journal"))
     # transactions are opened by hand: isolation_level=None turns the module's own off
     options = {"uri": True, "timeout": wait, "isolation_level": None, "check_same_thread": False}
     db = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", **options)
     db.row_factory = sqlite3.Row
     return db
+
+
+def _check_journal(journal: Path) -> None:
+    """Raise sqlite3.DatabaseError if a journal says that it belongs to another one, as ours never does.
+
+    SQLite deletes the file of that name, whatever it is, when it undoes what the journal is about.
+    """
+    if not journal.is_file():
+        return
+    with suppress(OSError), journal.open("rb") as file:  # what cannot be read SQLite cannot read either
+        file.seek(0, os.SEEK_END)
+        file.seek(max(0, file.tell() - len(JOURNAL)))
+        if file.read() == JOURNAL:
+            raise sqlite3.DatabaseError(f"{journal.name} is not of this archive alone; remove it")
 
 
 def _lock_for_writing(path: Path) -> sqlite3.Connection:
@@ -467,7 +484,7 @@ def _write_error(path: Path, error: Exception) -> StorageError:
     elif "readonly" in reason and not path.is_file():
         reason = "it has vanished; was it removed or renamed?"
     elif "full" in reason or getattr(error, "errno", None) == errno.ENOSPC:
-        reason = "database or disk is full; free some space, then go on with resume="
+        reason = "database or disk is full; free some space, or use a folder on another disk"
         cause = OSError(errno.ENOSPC, reason)
     return StorageError(f"{path} cannot be written: {reason}.", cause)
 

@@ -10,12 +10,14 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
 from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Parents
 from warpvox.algos.codesign.loop import Batch, Report
 from warpvox.errors import ConfigError, RunError, WarpvoxError, first_line
+from warpvox.system import safe_start
 
 POLL_SECONDS = 0.5
 """How often progress is asked for."""
@@ -26,9 +28,10 @@ WORKER_TIMEOUT = 600.0
 
 
 class _Worker:
-    """Ray actor: evaluates in one thread and reports progress in another."""
+    """Ray actor: evaluates in one thread and reports progress in another; in the folder ``here``, if it is there."""
 
-    def __init__(self, make: Callable[[], DesignEvaluator]) -> None:
+    def __init__(self, make: Callable[[], DesignEvaluator], here: Path) -> None:
+        change_folder(here)
         self._make, self._evaluator = make, None
         self._events: deque[dict[str, Any]] = deque(maxlen=100)
 
@@ -81,7 +84,7 @@ class RayExecutor:
         return len(self._workers)
 
     def _start_worker(self) -> _Handle:
-        actor = self._class.remote(self._make)
+        actor = self._class.remote(self._make, Path.cwd())
         return _Handle(actor, actor.ready.options(concurrency_group="watch").remote())
 
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
@@ -180,6 +183,12 @@ class _Handle:
         self.news: Any = None
 
 
+def change_folder(here: Path) -> None:
+    """Have a worker resolve relative paths as the program that it works for; other machines may lack the folder."""
+    with suppress(OSError):
+        os.chdir(here)
+
+
 def connect(address: str | None, workers: int | None, cpus: int, gpus: float | None) -> tuple[Any, int, float]:
     """Connect to a cluster, or start Ray here; returns the module, the number of workers, and the GPUs of each.
 
@@ -219,7 +228,8 @@ def _start(address: str | None, cpus: int) -> Any:
         options = {"include_dashboard": False, "num_cpus": max(cpus, os.cpu_count() or 1)}
     before = signal.getsignal(signal.SIGTERM)
     try:
-        ray.init(**options, logging_level=logging.ERROR, log_to_driver=False)
+        with safe_start():
+            ray.init(**options, logging_level=logging.ERROR, log_to_driver=False)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         raise RunError(f"Ray cannot be reached {where}: {first_line(error)}") from None
     finally:

@@ -14,7 +14,7 @@ from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.training.bodies import has_designs, read_bodies
 from warpvox.design import check_design, full_connections
 from warpvox.errors import ConfigError, RunError
-from warpvox.robots.entry import Robot, read_robot, save_robot, zoo
+from warpvox.robots.entry import Robot, check_facts, read_robot, save_robot, zoo
 from warpvox.robots.network import Network
 from warpvox.robots.replay import policy_of_checkpoint
 from warpvox.runs import ZOO, Run, find_codesign, find_run, read_summary
@@ -162,4 +162,9 @@ def _about(run: Run) -> dict[str, Any]:
     config = {name: value for name, value in run.config.items() if name not in ("output_dir", "name")}
     if "start" in config:
         config["start"] = [text if ":" in text else _place(text) for text in config["start"]]
-    return {"wall_s": summary.get("elapsed_seconds"), **known, "config": config}
+    about = {"wall_s": summary.get("elapsed_seconds"), **known, "config": config}
+    try:
+        check_facts(about)  # before hours of evaluations
+    except RunError as error:
+        raise RunError(f"{run.folder}: {error}") from None
+    return about

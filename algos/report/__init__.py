@@ -4,9 +4,9 @@ It is made from the archive alone, so it can be made again at any time, also whi
 """
 
 import base64
+import html
 import json
 from collections.abc import Mapping, Sequence
-from html import escape
 from pathlib import Path
 
 from warpvox.algos.candidate import FINALIST
@@ -14,7 +14,7 @@ from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.report.charts import Series, chart, sparkline
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.errors import RunError
-from warpvox.io.console import shell_argument
+from warpvox.io.console import in_html, shell_argument
 from warpvox.runs import CONFIG, find_run
 from warpvox.trust import again
 from warpvox.view.palette import body_svg
@@ -45,7 +45,7 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
         "curves": chart(learning, "control steps", "return"),
         "tree": family_tree(line) if line else '<p class="faint">Nothing to show yet.</p>',
         "rows": "".join(_row(record) for record in records),
-        "settings": escape(json.dumps(archive.settings, indent=2)),
+        "settings": html.escape(json.dumps(archive.settings, indent=2)),
     }
     return page("search.html", title or "design search", slots)
 
@@ -98,9 +98,9 @@ def _card(record: Record, folder: Path) -> str:
     if record.policy is not None and (place / CONFIG).is_file():
         try:
             keys = again(find_run(str(place), "").config)
-            more += f"<code>warpvox play {escape(shell_argument('run', place) + keys)}</code>"
+            more += f"<code>warpvox play {in_html(shell_argument('run', place) + keys)}</code>"
         except RunError as error:  # of this design alone
-            more += f'<p class="faint">{escape(str(error))}</p>'
+            more += f'<p class="faint">{in_html(str(error))}</p>'
         if (place / FILM).is_file():
             data = base64.b64encode((place / FILM).read_bytes()).decode()
             film = f'<img src="data:image/webp;base64,{data}" alt="an episode of design {record.id}">'
@@ -122,7 +122,7 @@ def _row(record: Record) -> str:
         (None, body_svg(item.body, 5)),
         ("" if record.fitness is None else record.fitness, "" if record.fitness is None else f"{record.fitness:.4f}"),
         (item.generation, f"{item.generation}"),
-        (None, escape(item.origin)),
+        (None, in_html(item.origin)),
         (None, ", ".join(f"#{parent}" for parent in item.parents)),
         (record.steps or 0, "" if record.steps is None else f"{record.steps:,}"),
         (None, sparkline([value for _, value in record.curve], 72, 20)),
@@ -174,7 +174,7 @@ def family_tree(line: Sequence[Record]) -> str:
     for record in shown:
         x, y = _corner(where[record.id], column, row)
         item = record.candidate
-        note = f"design {record.id}, generation {item.generation}, {escape(item.origin)}, fitness {record.fitness:.3f}"
+        note = f"design {record.id}, generation {item.generation}, {in_html(item.origin)}, fitness {record.fitness:.3f}"
         last = " winner" if record is shown[-1] else ""
         parts.append(
             f'<g class="node{last}" transform="translate({x} {y})"><title>{note}</title>'

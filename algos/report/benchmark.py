@@ -7,7 +7,6 @@ import base64
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +19,15 @@ from warpvox.algos.report.gallery import write_gallery
 from warpvox.algos.report.members import SearchResult, fitness_of, progress, read_members
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.envs.registry import known_returns, task_ids
-from warpvox.io.writing import write_table, write_text
+from warpvox.io.console import in_html
+from warpvox.io.writing import check_links, write_table, write_text
 from warpvox.view.body_picture import draw_bodies
 from warpvox.view.painter import save_png
 
 TOP = 4
 """Designs of a generation that are shown."""
+GENERATIONS, WINNERS = "generations", "winners.png"
+"""Pictures beside the page: a folder with one a task, and the best designs of all tasks."""
 Groups = Mapping[str, Mapping[str, Sequence[SearchResult]]]
 """Searches with a result by task and name."""
 
@@ -40,6 +42,7 @@ def write_benchmark(folder: Path, archives: Sequence[Path], facts: Mapping[str, 
         archives: folders of design searches; see :func:`warpvox.algos.report.members.read_members` for their names.
         facts: what stands under the title, by name, besides the figures of the searches.
     """
+    check_links(folder, (GENERATIONS, WINNERS))
     members = read_members(archives)
     groups = _groups(members)
     comparison, best = compare(groups), _winners(groups)
@@ -50,12 +53,12 @@ def write_benchmark(folder: Path, archives: Sequence[Path], facts: Mapping[str, 
         for x, charts in panels.items():
             write_text(folder / f"{x}.svg", sheet(charts, [*series.values(), KNOWN], min(4, len(charts))))
         write_text(folder / "comparison.svg", sheet(compared, list(series.values())))
-        _write_generations(folder / "generations", best)
+        _write_generations(folder / GENERATIONS, best)
     slots = {
         "facts": fact_list(_figures(members, best) | dict(facts or {})),
         "rows": "".join(_row(task, name, runs) for task, named in groups.items() for name, runs in named.items()),
         "winners": "".join(_card(task, one, one.winner) for task, one in best.items() if one.winner) or NOTHING,
-        "gallery": _gallery(folder / "winners.png", best),
+        "gallery": _gallery(folder / WINNERS, best),
         "names": legend([*series.values(), KNOWN]),
         "comparison": comparison_html(comparison, compared),
         "generations": "".join(_generations(task, one) for task, one in best.items()) or NOTHING,
@@ -127,7 +130,7 @@ def _row(task: str, name: str, runs: Sequence[SearchResult]) -> str:
         (total := sum(int(one.steps[-1]) for one in runs), f"{total:,}"),
         (sum(seconds), duration(sum(seconds))) if seconds else ("", ""),
     ]
-    return row([(None, escape(task)), (None, escape(name)), *numbers])
+    return row([(None, in_html(task)), (None, in_html(name)), *numbers])
 
 
 def duration(seconds: float) -> str:
@@ -200,7 +203,7 @@ def _generations(task: str, member: SearchResult) -> str:
         for generation, records in _three(member).items()
     )
     title = f"{task} · {member.search}, seed {member.seed}"
-    return f'<details open><summary>{escape(title)}</summary><div class="generations">{columns}</div></details>'
+    return f'<details open><summary>{in_html(title)}</summary><div class="generations">{columns}</div></details>'
 
 
 def _write_generations(folder: Path, best: Mapping[str, SearchResult]) -> None:

@@ -7,10 +7,10 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from html import escape
 
 from warpvox.algos.report.page import text
 from warpvox.algos.statistics import Interval
+from warpvox.io.console import in_html
 
 SIZE, PANEL = (920, 340), (440, 250)
 """Pixels of a chart that has a row for itself, and of one of several."""
@@ -77,7 +77,7 @@ def legend(series: Sequence[Series]) -> str:
     """The names of series with their colours."""
     items = (
         f'<li><i class="{"dot" if one.kind == "dots" else one.look or "line"} {"line " if one.look else ""}'
-        f's{one.colour}"></i>{escape(one.name)}</li>'
+        f's{one.colour}"></i>{in_html(one.name)}</li>'
         for one in series
     )
     return f'<ul class="legend">{"".join(items)}</ul>'
@@ -95,12 +95,12 @@ def intervals(rows: Sequence[tuple[str, int, Interval]], x_label: str) -> str:
             low, high = (frame.at((end, 0.0))[0] for end in (one.low, one.high))
             parts.append(f'<path class="curve s{colour}" d="M{low:.1f} {y:.1f}H{high:.1f}"/>')
         parts.append(f'<circle class="s{colour}" cx="{x:.1f}" cy="{y:.1f}" r="5"/>')
-        parts.append(f'<text x="{LEFT}" y="{y - 9:.1f}">{escape(name)} {escape(str(one))}</text>')
+        parts.append(f'<text x="{LEFT}" y="{y - 9:.1f}">{in_html(name)} {in_html(str(one))}</text>')
     return _svg(parts, x_label, size)
 
 
 def _svg(parts: Sequence[str], label: str, size: tuple[int, int]) -> str:
-    head = f'<svg class="chart" role="img" aria-label="{escape(label)}" viewBox="0 0 {size[0]} {size[1]}">'
+    head = f'<svg class="chart" role="img" aria-label="{in_html(label)}" viewBox="0 0 {size[0]} {size[1]}">'
     return f"{head}{''.join(parts)}</svg>"
 
 
@@ -115,7 +115,7 @@ def sheet(charts: Sequence[str], series: Sequence[Series] = (), columns: int = 2
     parts, top, x = [], 34 if series else 8, 8.0
     for one in series:
         parts.append(f'<path class="curve s{one.colour} {one.look}" d="M{x:g} 18h18"/>')
-        parts.append(f'<text x="{x + 24:g}" y="22">{escape(one.name)}</text>')
+        parts.append(f'<text x="{x + 24:g}" y="22">{in_html(one.name)}</text>')
         x += 48 + 7 * len(one.name)
     wide = max([columns * max([width for _, width, _ in shown], default=0), x])
     for start in range(0, len(shown), columns):
@@ -141,7 +141,7 @@ def sheet(charts: Sequence[str], series: Sequence[Series] = (), columns: int = 2
 def picture(points: Sequence[tuple[float, float]], x_label: str, y_label: str, kind: str = "line") -> str:
     """A curve as ``<img>`` with a style of its own, for notebooks."""
     text = sheet([chart([Series("", points, kind)], x_label, y_label, PANEL, names=False)], columns=1)
-    return f'<img alt="{escape(y_label)}" src="data:image/svg+xml;base64,{base64.b64encode(text.encode()).decode()}">'
+    return f'<img alt="{in_html(y_label)}" src="data:image/svg+xml;base64,{base64.b64encode(text.encode()).decode()}">'
 
 
 def sparkline(values: Sequence[float], width: int = 96, height: int = 24) -> str:
@@ -190,8 +190,8 @@ def _axes(frame: _Frame, x_label: str, y_label: str, y_ticks: bool = True) -> li
         parts.append(f'<path class="tick" d="M{x:.1f} {floor}v5"/>')
         parts.append(f'<text x="{x:.1f}" y="{floor + 18}" text-anchor="middle">{_number(value)}</text>')
     parts.append(f'<path class="axis" d="M{LEFT} {floor}H{right}"/>')
-    parts.append(f'<text class="label" x="{right}" y="{height - 4}" text-anchor="end">{escape(x_label)}</text>')
-    parts.append(f'<text class="label" x="{LEFT}" y="{TOP - 10}">{escape(y_label)}</text>')
+    parts.append(f'<text class="label" x="{right}" y="{height - 4}" text-anchor="end">{in_html(x_label)}</text>')
+    parts.append(f'<text class="label" x="{LEFT}" y="{TOP - 10}">{in_html(y_label)}</text>')
     return parts
 
 
@@ -201,7 +201,7 @@ def _marks(series: Series, frame: _Frame) -> list[str]:
     if series.kind == "dots" or len(places) == 1:  # a line of one point could not be seen
         parts = []
         for (number, _), (x, y) in zip(kept, places, strict=True):
-            note = f"<title>{escape(series.notes[number])}</title>" if series.notes else ""
+            note = f"<title>{in_html(series.notes[number])}</title>" if series.notes else ""
             parts.append(f'<circle class="s{series.colour}" cx="{x:.1f}" cy="{y:.1f}" r="3.5">{note}</circle>')
         return parts
     if not places:

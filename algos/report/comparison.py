@@ -5,7 +5,6 @@ After Agarwal et al. (2021); formulas in docs/evaluation.md.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from itertools import permutations
 
 import numpy as np
@@ -25,6 +24,7 @@ from warpvox.algos.statistics import (
     profile,
 )
 from warpvox.envs.registry import known_returns
+from warpvox.io.console import in_html
 
 MEASURES = {"interquartile mean": interquartile_mean, "mean": mean, "optimality gap": optimality_gap}
 THRESHOLDS = 61
@@ -90,7 +90,7 @@ def comparison_html(comparison: Comparison, charts: Sequence[str]) -> str:
     pairs = comparison.improvements()
     if pairs:
         body = "".join(
-            row([(None, escape(first)), (None, escape(second)), (one.mean, escape(str(one)))])
+            row([(None, in_html(first)), (None, in_html(second)), (one.mean, in_html(str(one)))])
             for (first, second), one in pairs.items()
         )
         heads = "<tr><th>search</th><th>better than</th><th class='num'>probability of improvement</th></tr>"
@@ -104,4 +104,4 @@ def comparison_html(comparison: Comparison, charts: Sequence[str]) -> str:
     if comparison.left_out:
         left_out = ", ".join(comparison.left_out)
         text += f" Left out, without a published return or without runs of every search: {left_out}."
-    return "".join([*parts, f'<p class="faint">{escape(text)}</p>'])
+    return "".join([*parts, f'<p class="faint">{in_html(text)}</p>'])

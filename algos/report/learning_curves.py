@@ -128,7 +128,7 @@ def write_curves(
     # Equal runs make equal files: names inside an SVG are hashes with a random salt otherwise.
     kind = target.suffix[1:].lower()
     undated = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
-    with atomic_path(target) as temporary, rc_context({"svg.hashsalt": "warpvox"}):
+    with atomic_path(target, follow=True) as temporary, rc_context({"svg.hashsalt": "warpvox"}):
         figure.savefig(temporary, format=kind, metadata=undated)
     _write_csv(panels, target.with_suffix(".csv"), x)
     return target

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable, Mapping
 from functools import partial
-from html import escape
 
 from warpvox.algos.codesign.archive import Record
+from warpvox.io.console import in_html
 from warpvox.view.palette import body_svg
 from warpvox.view.player import asset, fill_template
 
@@ -19,18 +19,20 @@ def page(template: str, title: str, slots: Mapping[str, str]) -> str:
     Args:
         slots: HTML for the ``{{names}}`` in it.
     """
-    frame = {"title": escape(title), "style": text("page.css"), "script": text("page.js")}
+    frame = {"title": in_html(title), "style": text("page.css"), "script": text("page.js")}
     return fill_template(text("page.html"), {}, main=fill_template(text(template), {}, **slots), **frame)
 
 
 def fact_list(facts: Mapping[str, object]) -> str:
     """Names with their values, for a ``<dl class="facts">``."""
-    return "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(str(value))}</dd></div>" for name, value in facts.items())
+    return "".join(
+        f"<div><dt>{in_html(name)}</dt><dd>{in_html(str(value))}</dd></div>" for name, value in facts.items()
+    )
 
 
 def card(record: Record, lines: Iterable[str], cell: int = 22, more: str = "", film: str = "") -> str:
     """A design with its fitness, some lines of text and more HTML, ``film`` above; ``cell``: pixels of a voxel."""
-    spans = "".join(f"<span>{escape(line)}</span>" for line in lines)
+    spans = "".join(f"<span>{in_html(line)}</span>" for line in lines)
     head = f'<figure class="card">{film}{body_svg(record.candidate.body, cell)}<figcaption><b>{record.fitness:.3f}</b>'
     return f"{head}{spans}{more}</figcaption></figure>"
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.algos.interrupt import handling, terminable
-from warpvox.system import HANGUP
+from warpvox.system import HANGUP, safe_start
 
 INTERRUPTED = "interrupted"
 LOG = "log.txt"
@@ -102,19 +102,20 @@ class _Worker:
     def start(cls, make: Make) -> _Worker:
         context = multiprocessing.get_context("spawn")  # a fork would copy threads of torch and Warp half
         ours, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs, make))
+        process = context.Process(target=_serve, args=(theirs, make, Path.cwd()))
         # from its first moment: the process takes over what is ignored
-        with handling((signal.SIGINT, HANGUP), signal.SIG_IGN):
+        with safe_start(), handling((signal.SIGINT, HANGUP), signal.SIG_IGN):
             process.start()
         theirs.close()
         return cls(process, ours)
 
 
-def _serve(pipe: Connection, make: Make) -> None:
-    """The main loop of a worker: it ends with the process that has started it.
+def _serve(pipe: Connection, make: Make, here: Path) -> None:
+    """The main loop of a worker in the folder ``here``: it ends with the process that has started it.
 
     What a terminal sends to all processes, SIGINT and SIGHUP, it ignores; SIGTERM is what :meth:`LocalPool.stop` sends.
     """
+    os.chdir(here)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Windows does not hand down what is ignored
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with contextlib.suppress(EOFError):
@@ -163,7 +164,7 @@ class RayPool:
         self._numbers: dict[Any, int] = {}
 
     def begin(self, number: int, job: Any, folder: Path) -> None:
-        self._numbers[self._task.remote(self._make, job, folder.absolute())] = number
+        self._numbers[self._task.remote(self._make, job, folder.absolute(), Path.cwd())] = number
 
     def wait(self, seconds: float) -> list[tuple[int, Outcome]]:
         if not self._numbers:
@@ -190,7 +191,10 @@ class RayPool:
         self._ray.shutdown()
 
 
-def _make_there(make: Make, job: Any, folder: Path) -> Outcome:
+def _make_there(make: Make, job: Any, folder: Path, here: Path) -> Outcome:
+    from warpvox.algos.codesign.ray_executor import change_folder
+
+    change_folder(here)
     if not folder.is_dir():
         error = f"There is no folder {folder} on {platform.node()}: a suite needs a disk that all machines share."
         return {"status": "failed", "error": error}

@@ -14,6 +14,7 @@ from tiny import tiny
 import warpvox as wv
 from warpvox.cli import main
 from warpvox.cli.config import load
+from warpvox.cli.suite_plan import gone_on_with
 from warpvox.design import full_connections
 from warpvox.errors import ConfigError
 from warpvox.io.writing import to_yaml
@@ -151,6 +152,18 @@ def test_a_cluster_that_a_file_names_is_not_connected_to() -> None:
         load("codesign", ["search=ga", "training=fast"], base=base)
     for words in (["address=evil.example:6379"], ["address=null"], ["executor=local"]):
         load("codesign", ["search=ga", "training=fast", *words], base=base)
+
+
+@pytest.mark.parametrize("service", ["wandb", "neptune"])
+def test_an_account_that_a_file_names_is_not_used(service: str) -> None:
+    base = {"logger": service}
+    with pytest.raises(ConfigError, match=f"logger={service}"):
+        load("train", ["seed=1"], base=base)
+    with pytest.raises(ConfigError, match=f"logger={service}"):
+        gone_on_with([f"logger={service}"], [], Path())
+    for choice in (service, "none"):
+        assert load("train", [f"logger={choice}"], base=base).logger == choice
+        assert gone_on_with([f"logger={service}"], [f"logger={choice}"], Path())[1] == [f"logger={choice}"]
 
 
 def calls(tree: ast.AST) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -136,6 +137,15 @@ def test_an_entry_waits_until_another_process_has_written_its_own(
     assert "the entry has 100.000000 in them; kept" in warpvox("zoo", f"add={run}", "folder=mine").out
     other.join()
     assert read_robot("mine/Walker-v0.npz").choosing_return == 100
+
+
+def test_a_source_with_a_number_that_json_lacks_is_not_evaluated(warpvox: Callable, train: Callable) -> None:
+    folder = train()
+    config = folder / "config.yaml"
+    config.write_text(re.sub("(?m)^seed: .*$", "seed: .inf", config.read_text()))
+    outcome = warpvox("zoo", f"add=[{folder}]", "folder=mine", code=2)
+    assert "JSON lacks" in outcome.err
+    assert not list(Path("mine").glob("*.npz"))
 
 
 def test_an_entry_has_cost_what_its_pretrained_policy_has(warpvox: Callable, train: Callable) -> None:

@@ -230,6 +230,30 @@ def test_damaged_questions_are_answered_or_refused(server: EditorServer, action:
     assert refusals(lambda ask: json.dumps(getattr(server, action)(ask)), damaged_tree(question, 40)) > 0
 
 
+@pytest.mark.parametrize(
+    "head",
+    [
+        "POST /{token}/files HTTP/1.1\r\nContent-Length: 2\r\nContent-Length: {length}",
+        "POST /{token}/files HTTP/1.1\r\nContent-Length: 2\r\nTransfer-Encoding: chunked",
+        "GET /{token}/ HTTP/1.1\r\nContent-Length: {length}",
+        "GET /{token}/ HTTP/1.1\r\nTransfer-Encoding: chunked",
+    ],
+)
+def test_a_request_inside_another_one_is_not_answered(head: str, server: EditorServer) -> None:
+    inner = f"GET /{server.token}/nothing HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n"
+    names = f"Host: 127.0.0.1:{server.port}\r\nContent-Type: application/json"
+    text = f"{head.format(token=server.token, length=len(inner) + 2)}\r\n{names}\r\n\r\n{{}}{inner}"
+    answer = b""
+    with socket.create_connection(("127.0.0.1", server.port), timeout=20) as line:
+        line.sendall(text.encode())
+        line.shutdown(socket.SHUT_WR)
+        with contextlib.suppress(ConnectionError):
+            while part := line.recv(65536):
+                answer += part
+    assert answer.startswith(b"HTTP/1.1 400"), answer
+    assert answer.count(b"HTTP/1.1") == 1
+
+
 def test_damaged_requests_are_answered_or_refused(server: EditorServer) -> None:
     body = json.dumps({"document": WALKER}).encode()
     head = f"POST /{server.token}/check HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nConnection: close\r\n".encode()

@@ -2,13 +2,16 @@
 
 import os
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from warpvox.design import save_design
 from warpvox.io.reading import ArrayFile, Unreadable, parse_json, read_bytes, read_npy, read_text
-from warpvox.io.writing import atomic_path, write_text
+from warpvox.io.writing import atomic_path
+from warpvox.world import World
 
 
 def test_arrays_come_back_within_a_limit_and_without_pickle(tmp_path: Path) -> None:
@@ -67,10 +70,11 @@ def test_a_write_makes_folders_keeps_the_suffix_and_gives_usual_permissions(tmp_
 
 
 @pytest.mark.skipif(os.name != "posix", reason="links need a right on Windows")
-def test_a_write_through_a_symbolic_link_replaces_the_file_behind_it(tmp_path: Path) -> None:
-    real, link = tmp_path / "disk" / "a.txt", tmp_path / "link.txt"
+@pytest.mark.parametrize("save", [lambda path: World(3, 3).to_json(path), lambda path: save_design(path, [[3]])])
+def test_of_a_link_that_the_user_has_named_the_file_behind_it_is_replaced(save: Callable, tmp_path: Path) -> None:
+    real, link = tmp_path / "disk" / "a.json", tmp_path / "link.json"
     link.symlink_to(real)  # nothing is there yet
-    for text in ("first", "second"):
-        write_text(link, text)
-        assert (link.is_symlink(), real.read_text()) == (True, text)
-    assert [file.name for file in real.parent.iterdir()] == ["a.txt"]
+    for _ in range(2):
+        save(link)
+        assert (link.is_symlink(), real.is_file()) == (True, True)
+    assert [file.name for file in real.parent.iterdir()] == ["a.json"]

@@ -3,6 +3,7 @@
 import json
 import pickle
 import sqlite3
+import time
 import zipfile
 from collections.abc import Callable
 from contextlib import closing
@@ -22,14 +23,44 @@ from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.report import family_tree
 from warpvox.algos.training.pretrained import check_learned
-from warpvox.cli.config import load_values
+from warpvox.cli.config import load, load_values
 from warpvox.design import check_design, full_connections, load_design, save_design
 from warpvox.errors import ConfigError, DesignError, RolloutError, RunError, WorldError
-from warpvox.io.reading import Unreadable, parse_yaml
+from warpvox.io.reading import Unreadable, parse_json, parse_yaml, read_facts
 from warpvox.robots.entry import Robot, read_robot, save_robot
-from warpvox.runs import find_run
+from warpvox.runs import find_run, write_summary
 from warpvox.view.rollout import Rollout
 from warpvox.world import LARGEST_GRID, World, WorldObject
+
+
+@pytest.mark.parametrize("text", ["[" + "[]," * 300_000 + "]", "1:" * 300_000 + "1", "{" + "a: 1," * 100_000 + "}"])
+def test_a_configuration_that_would_take_minutes_is_not_read(text: str, tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text(f"task: Walker-v0\njunk: {text}\n...\n")
+    began = time.process_time()
+    with pytest.raises(RunError, match="are the limit"):
+        find_run(str(tmp_path), "")
+    with pytest.raises(ConfigError, match="are the limit"):
+        load("train", [f"config={tmp_path}"])
+    assert time.process_time() - began < 5
+
+
+@pytest.mark.parametrize("number", ["Infinity", "-Infinity", "NaN", "1e999", "-1e999"])
+def test_numbers_that_json_lacks_are_missing_from_facts(number: str, tmp_path: Path) -> None:
+    (tmp_path / "summary.json").write_text(f'{{"commit": {number}, "more": [{{"x": {number}}}, 2.5]}}')
+    assert read_facts(tmp_path / "summary.json") == {"commit": None, "more": [{"x": None}, 2.5]}
+    write_summary(tmp_path, {"best_return": float(number), "returns": (float(number), 1.5)})
+    found = parse_json((tmp_path / "summary.json").read_text())
+    assert (found["best_return"], found["returns"]) == (None, [None, 1.5])
+
+
+@pytest.mark.parametrize("value", [".inf", "-.inf", ".nan", "2020-01-01"])
+def test_facts_that_the_file_of_a_robot_cannot_hold_are_refused(value: str, tmp_path: Path) -> None:
+    robot = Robot(
+        "Walker-v0", np.array([[3]]), np.zeros((2, 0), int), None, {"config": {"seed": yaml.safe_load(value)}}
+    )
+    with pytest.raises(RunError, match="JSON lacks"):
+        save_robot(tmp_path / "a.npz", robot)
+    assert not any(tmp_path.iterdir())
 
 
 class Creates:

@@ -16,7 +16,7 @@ from warpvox.errors import ConfigError, did_you_mean
 from warpvox.io.reading import Unreadable, parse_yaml, read_text
 from warpvox.keys import check_value, check_values, converted
 from warpvox.runs import CONFIG, LARGEST_CONFIG
-from warpvox.trust import check_address, typed, with_code
+from warpvox.trust import check_services, typed, with_code
 
 ALIASES = {"env": "task", "lr": "learning_rate", "n_envs": "num_envs", "num_envs": "envs", "batch_size": "minibatches"}
 ALIASES |= {"out": "file", "evaluations": "max_evaluations"} | dict.fromkeys(("gif", "mp4", "video"), "export")
@@ -60,7 +60,7 @@ def load(
     if base is None:
         return with_code(result, typed(result))
     result = dataclasses.replace(result, config=None) if file else result
-    check_address(result, base, named)
+    check_services(result, base, named)
     return with_code(result, typed(result, named), base, home or Path.cwd())
 
 

@@ -20,7 +20,7 @@ from warpvox.configs.composition import quoted, shape_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import DIFFICULTIES, TaskSpec
 from warpvox.errors import ConfigError, did_you_mean, listing
-from warpvox.trust import COPIES, STORED, allowed
+from warpvox.trust import COPIES, STORED, allowed, check_account
 
 BENCHMARK10 = (
     "Walker-v0", "BridgeWalker-v0", "UpStepper-v0", "Traverser-v0", "Climber-v0", "Carrier-v0", "Thrower-v0",
@@ -182,6 +182,8 @@ def gone_on_with(words: Sequence[str], typed: Sequence[str], home: Path) -> tupl
             mine = key_and_value(now[key])[1] if key in now else None
             value = allowed(key, value, Code(mine) if is_code(mine) else mine, home)
             word = f"{key}={quoted(str(value))}"
+        elif key == "logger" and key not in now:
+            check_account(value)
         trusted[key] = word
     for key in now:
         if key in COPIES and key_and_value(now[key])[1] == STORED and key not in before:

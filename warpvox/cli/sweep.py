@@ -32,6 +32,7 @@ from warpvox.errors import ConfigError, RunError, WarpvoxError
 from warpvox.io.console import duration, echo, literal, make_console, shell_argument
 from warpvox.io.writing import write_table, write_text
 from warpvox.runs import CODESIGN, STAMP, TRAINING, label, make_folder, read_summary
+from warpvox.system import safe_start
 
 LONGEST_LABEL = 80
 """Characters of a folder's name that say what its run differs by."""
@@ -183,7 +184,8 @@ def run_hydra(
     words, sys.argv = sys.argv, [sys.argv[0], *flags, *place, *overrides]
     try:
         # From Python 3.14 on argparse refuses an object as a help text, which Hydra 1.3 has.
-        with hydras_errors(), patch.object(argparse.ArgumentParser, "_check_help", lambda *_: None, create=True):
+        lenient = patch.object(argparse.ArgumentParser, "_check_help", lambda *_: None, create=True)
+        with hydras_errors(), lenient, safe_start(move=False):  # of launchers' processes
             hydra.main(version_base="1.3", config_path="pkg://warpvox.configs", config_name=command)(task)()
     finally:
         sys.argv = words

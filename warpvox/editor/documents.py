@@ -6,6 +6,7 @@ to; entries of empty cells mean nothing).
 """
 
 import json
+import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +18,7 @@ from warpvox.design import Design, as_grid, check_design, count_pieces, full_con
 from warpvox.errors import DesignError, WarpvoxError, WorldError, counted, did_you_mean, listing
 from warpvox.io.reading import Unreadable, parse_json, read_text
 from warpvox.io.writing import write_text
+from warpvox.system import is_device_name
 from warpvox.types import Cell
 from warpvox.world import World, WorldObject
 
@@ -108,12 +110,19 @@ def check_file_name(name: object) -> str:
             "A name may hold up to 64 letters, digits and . _ - (no folder) and begins with a letter or digit; got"
             f" {name!r:.80}."
         )
+    if is_device_name(stem):
+        raise WorldError(f"Windows keeps the name {stem!r} for a device: choose another one.")
     return f"{stem}.json"
 
 
 def file_names(folder: Path) -> list[str]:
     """Names of the JSON files in a folder that the editor may open."""
-    return sorted(path.name for path in folder.glob("*.json") if FILE_NAME.fullmatch(path.stem) and path.is_file())
+    return sorted(path.name for path in folder.glob("*.json") if FILE_NAME.fullmatch(path.stem) and _is_here(path))
+
+
+def _is_here(path: Path) -> bool:
+    """Whether there is such a file, and not by a link that leads out of its folder."""
+    return path.is_file() and path.resolve().parent == path.parent.resolve()
 
 
 def save_file(document: Mapping[str, Any], folder: Path, name: object, overwrite: bool = False) -> Path:
@@ -130,7 +139,7 @@ def save_file(document: Mapping[str, Any], folder: Path, name: object, overwrite
         text = json.dumps(json.loads(world.to_json()) | {"body": body.tolist()})
     else:
         text = world_of(document).to_json()
-    if path.exists() and not overwrite:
+    if os.path.lexists(path) and not overwrite:  # a link that leads nowhere, too
         raise FileExistsError(path.name)
     write_text(path, text + "\n")
     return path
@@ -138,7 +147,7 @@ def save_file(document: Mapping[str, Any], folder: Path, name: object, overwrite
 
 def read_file(path: Path) -> dict[str, Any]:
     """The document of a file: a body (rows of cells, or ``{"body": rows}``) or a world of EvoGym's format."""
-    if not path.is_file():
+    if not _is_here(path):
         near = did_you_mean(path.stem, (name.removesuffix(".json") for name in file_names(path.parent)))
         raise WorldError(f"There is no file '{path.name}' in {path.parent}.{near}")
     try:

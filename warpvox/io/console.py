@@ -1,5 +1,6 @@
 """Text on the console: what comes out of files can neither command the terminal nor look like our own markup."""
 
+import html
 import math
 import os
 import shlex
@@ -41,6 +42,11 @@ def shown(path: Path) -> str:
 def escaped(text: object) -> str:
     """``text`` with what a terminal would obey written as ``\\x1b``; an end of line is among it."""
     return "".join(map(_escaped, str(text)))
+
+
+def in_html(text: object) -> str:
+    """``text`` for a page or an SVG: no markup, and on one line (see :func:`escaped`)."""
+    return html.escape(escaped(text))
 
 
 def literal(text: object, style: str = "") -> Text:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import os
 import re
 import zipfile
@@ -116,9 +117,13 @@ def parse_yaml(text: str) -> Any:
 
 
 def read_facts(path: str | os.PathLike[str], limit: int = 1 << 24) -> dict[str, Any]:
-    """The object that a JSON file holds; an empty one if there is no such file, or none that can be read."""
+    """The object that a JSON file holds; an empty one if there is no such file, or none that can be read.
+
+    Its numbers are finite: None stands in the place of others.
+    """
     try:
-        content = json.loads(read_text(path, limit))  # Infinity, which our own summaries may hold, is let in
+        # Infinity and NaN, which JSON lacks and earlier versions wrote, are None.
+        content = json.loads(read_text(path, limit), parse_constant=lambda word: None, parse_float=_finite)
     except (Unreadable, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
@@ -193,6 +198,11 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         twice = next(name for name, _ in pairs if name in seen or seen.add(name))
         raise Unreadable(f"the name '{twice}' occurs twice")
     return result
+
+
+def _finite(text: str) -> float | None:
+    value = float(text)
+    return value if math.isfinite(value) else None
 
 
 def _no_number(word: str) -> None:

@@ -9,9 +9,11 @@ import csv
 import dataclasses
 import errno
 import io
+import json
+import math
 import os
 import secrets
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -39,24 +41,29 @@ ADVICE = {
 """Errors of a disk, and what to do about them."""
 OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Errors of the system that are no defect of ours, wherever they appear: in a log, a cache, a library's own file."""
+LOGGERS = {"wandb"}
+"""Folders that loggers make in that of a run."""
 OF_FULL_DISKS = {errno.ENOSPC, errno.EDQUOT}
 """Those that more room cures."""
 
 
 @contextmanager
-def atomic_path(path: str | os.PathLike[str], make_folders: bool = True) -> Iterator[Path]:
+def atomic_path(path: str | os.PathLike[str], make_folders: bool = True, follow: bool = False) -> Iterator[Path]:
     """Yield an absolute temporary path beside ``path``; rename it to ``path`` when the block ends without an error.
 
     If the block raises (an interrupt included), the temporary file is removed and whatever stood at ``path`` before
-    stays as it was. The temporary name keeps the suffix, by which some writers choose their format. A link stays one.
+    stays as it was. The temporary name keeps the suffix, by which some writers choose their format.
 
     Args:
         make_folders: make missing parent folders; False: they should be there, and it is an error if they have gone.
+        follow: of a symbolic link, replace the file that it leads to: for a file that the user has named. False: the
+            link itself is replaced, so that what is written into a folder lies there.
 
     Raises:
-        StorageError: the disk is full, read-only or gone.
+        StorageError: the disk is full, read-only or gone, or the path is not UTF-8.
     """
-    target = Path(os.path.realpath(path))
+    check_encodable(path)
+    target = Path(os.path.realpath(path) if follow else os.path.abspath(path))
     with writing(path):
         if make_folders:
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -76,15 +83,17 @@ def atomic_path(path: str | os.PathLike[str], make_folders: bool = True) -> Iter
             raise
 
 
-def write_bytes(path: str | os.PathLike[str], data: bytes | memoryview, make_folders: bool = True) -> None:
+def write_bytes(
+    path: str | os.PathLike[str], data: bytes | memoryview, make_folders: bool = True, follow: bool = False
+) -> None:
     """Write ``data`` to ``path`` atomically; see :func:`atomic_path`."""
-    with atomic_path(path, make_folders) as temporary:
+    with atomic_path(path, make_folders, follow) as temporary:
         temporary.write_bytes(data)
 
 
-def write_text(path: str | os.PathLike[str], text: str, make_folders: bool = True) -> None:
+def write_text(path: str | os.PathLike[str], text: str, make_folders: bool = True, follow: bool = False) -> None:
     """Write ``text`` (UTF-8) to ``path`` atomically; see :func:`atomic_path`."""
-    write_bytes(path, text.encode("utf-8"), make_folders)
+    write_bytes(path, text.encode("utf-8"), make_folders, follow)
 
 
 def write_table(path: str | os.PathLike[str], columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
@@ -116,8 +125,21 @@ def check_folder(folder: Path) -> None:
         raise StorageError(f"The folder {folder} has vanished: was it removed or renamed, or its disk detached?")
 
 
+def check_encodable(path: str | os.PathLike[str]) -> None:
+    """Raise StorageError unless a path is text: TensorBoard, USD, ONNX Runtime and SQLite take it as UTF-8 only."""
+    try:
+        os.path.abspath(path).encode("utf-8")
+    except UnicodeEncodeError:
+        shown = str(path).encode(errors="backslashreplace").decode()
+        raise StorageError(
+            f"{shown} cannot be written: a name in its path is not UTF-8. Use another folder or, where only the locale"
+            " is another one (LC_ALL=C), set PYTHONUTF8=1."
+        ) from None
+
+
 def check_writable(folder: str | os.PathLike[str]) -> None:
     """Raise StorageError if ``folder``, which need not be there yet, clearly cannot be written to."""
+    check_encodable(folder)
     place = Path(folder).absolute()
     while not place.exists() and place != place.parent:
         place = place.parent
@@ -127,11 +149,37 @@ def check_writable(folder: str | os.PathLike[str]) -> None:
         raise StorageError(f"{folder} cannot be written: {place} is read-only; choose another folder.")
 
 
+def check_links(folder: Path, names: Collection[str] = ()) -> None:
+    """Raise RunError unless what is written to the files of a folder lies in it: a link may lead out of it.
+
+    Whoever unpacks or clones a folder gets its links, too. Pipes and devices are refused as well. What loggers make in
+    folders of their own (:data:`LOGGERS`) is left to them.
+
+    Args:
+        names: files and folders in ``folder`` that are looked at; none: all.
+    """
+    root = Path(os.path.realpath(folder))
+    entries = [entry for entry in os.scandir(folder) if not names or entry.name in names]
+    while entries:
+        entry = entries.pop()
+        if entry.is_symlink():
+            target = os.path.realpath(entry.path)
+            if not Path(target).is_relative_to(root):
+                raise RunError(
+                    f"{entry.path} is a link that leads out of its folder, to {target}. Remove it, or put there what it"
+                    " leads to: what is written into a folder has to lie in it."
+                )
+        elif entry.is_dir():
+            entries += os.scandir(entry) if entry.name not in LOGGERS else []
+        elif not entry.is_file():
+            raise RunError(f"{entry.path} is neither a file nor a folder; remove it.")
+
+
 @contextmanager
 def claimed(folder: Path, wait: bool = False) -> Iterator[None]:
     """No other process holds the same claim on ``folder`` within the block; the system ends it with the process.
 
-    RunError: another process does, and this one should not ``wait`` until it has ended.
+    RunError: another process does, and this one should not ``wait`` until it has ended; or see :func:`check_links`.
     """
     with ExitStack() as stack:
         with writing(folder):
@@ -139,6 +187,7 @@ def claimed(folder: Path, wait: bool = False) -> Iterator[None]:
                 stack.enter_context(path_lock(folder, wait))
             except BlockingIOError:
                 raise RunError(f"Another process is writing to {folder}; there can be one at a time.") from None
+            check_links(folder)
         yield
 
 
@@ -147,6 +196,19 @@ def sweep(folder: Path) -> None:
     for file in folder.rglob(f"{MARK}*"):
         with suppress(OSError), path_lock(file):
             file.unlink()
+
+
+def to_json(content: Any) -> str:
+    """``content`` as JSON; None takes the place of numbers that JSON lacks, infinite ones and NaN."""
+    return json.dumps(_finite(content), indent=2, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def to_yaml(config: Any) -> str:

@@ -132,12 +132,24 @@ def zoo(task: str) -> Robot:
     return read_robot(zoo_file(task, RunError))
 
 
+def check_facts(about: Mapping[str, Any]) -> None:
+    """Raise RunError unless what is known of a robot consists of values of JSON, as its file holds them."""
+    try:
+        json.dumps(dict(about), allow_nan=False)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise RunError(f"What is known of the robot cannot be stored, as JSON lacks a value of it: {error}.") from None
+
+
 def save_robot(path: str | os.PathLike[str], robot: Robot) -> Path:
-    """Write ``robot`` to ``path`` (``.npz``), whole or not at all; return the path."""
+    """Write ``robot`` to ``path`` (``.npz``), whole or not at all; return the path.
+
+    RunError: what is known of it cannot be stored, see :func:`check_facts`.
+    """
+    check_facts(robot.about)
     header = {"format": FORMAT, "version": VERSION, "task": robot.task, "network": _network(robot.policy)}
     header |= {"about": dict(robot.about), "sha256": robot.sha256}
     text = json.dumps(header, allow_nan=False).encode()
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+    with atomic_path(path, follow=True) as temporary, open(temporary, "wb") as file:
         arrays: dict[str, Any] = _arrays(robot)
         np.savez_compressed(file, header=np.frombuffer(text, np.uint8), **arrays)
     return Path(path)

@@ -44,7 +44,7 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 def save_png(image: Image.Image, path: str | os.PathLike[str], optimize: bool = False) -> Path:
     """Write a picture as PNG, whole or not at all; returns the path."""
-    with atomic_path(path) as temporary:
+    with atomic_path(path, follow=True) as temporary:
         image.save(temporary, "PNG", optimize=optimize)
     return Path(path)
 

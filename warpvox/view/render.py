@@ -243,7 +243,7 @@ def write_gif(
             picture.putpalette(colours)
             yield picture
 
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+    with atomic_path(path, follow=True) as temporary, open(temporary, "wb") as file:
         write_pictures(file, pictures(), pause)
     return Path(path)
 
@@ -273,7 +273,7 @@ def write_mp4(
     frames = _frames(rollout, fps, start, stop, every)
     film = Film(rollout, envs, size, hud, voxels)
     options: dict[str, Any] = dict(fps=float(fps), quality=None, output_params=["-crf", "15"], macro_block_size=2)
-    with atomic_path(path) as temporary:  # absolute, or ffmpeg might take it for an option or a URL
+    with atomic_path(path, follow=True) as temporary:  # absolute, or ffmpeg might take it for an option or a URL
         encoder = imageio_ffmpeg.write_frames(
             temporary, film.size, codec="libx264", ffmpeg_log_level="quiet", **options
         )

@@ -196,7 +196,7 @@ class Rollout:
         for what, size, limit in (("header", len(text), LARGEST_HEADER), ("arrays", total, LARGEST)):
             if size > limit - _DESCRIPTIONS:
                 raise RolloutError(f"The rollout's {what} would have {size:,} bytes, and {limit:,} are the limit.")
-        with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        with atomic_path(path, follow=True) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(file, header=np.frombuffer(text, np.uint8), **arrays)
         return Path(path)
 

@@ -81,7 +81,7 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     sun.CreateIntensityAttr(2.0)
     UsdGeom.Xformable(sun).AddRotateXYZOp().Set(Gf.Vec3f(-35.0, 20.0, 0.0))
     UsdLux.DomeLight.Define(stage, "/World/sky").CreateIntensityAttr(0.6)
-    with atomic_path(path) as temporary:
+    with atomic_path(path, follow=True) as temporary:
         try:
             written = layer.Export(str(temporary))
             reason = "no reason is given"

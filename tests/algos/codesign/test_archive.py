@@ -5,8 +5,10 @@ import json
 import math
 import os
 import sqlite3
+import struct
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
-from warpvox.algos.codesign.archive import APPLICATION, BACKUP, VERSION, Archive, Finished
+from warpvox.algos.codesign.archive import APPLICATION, BACKUP, FILE, VERSION, Archive, Finished
 from warpvox.algos.codesign.archive_export import COLUMNS, FORMATS, write_csv, write_parquet
 from warpvox.design import full_connections, load_design, sample_design
 from warpvox.errors import RunError, StorageError
@@ -281,3 +283,31 @@ def test_designs_leave_in_the_formats_of_evogym_and_come_back(filled: Archive, t
     assert (folder / "generation_0" / "output.txt").read_text() == "2\t\t2.0\n1\t\t1.0\n0\t\t0.0\n"
     back = {str(body.tolist()) for body in map(load_design, folder.rglob(f"*.{name}"))}
     assert back == {str(record.candidate.body.tolist()) for record in done}
+
+
+@pytest.mark.parametrize("name", [FILE, f"{FILE}.lock"])
+def test_no_journal_has_a_file_elsewhere_deleted(name: str, tmp_path: Path) -> None:
+    """SQLite's journals may name another one, which it deletes when it has undone what they are about."""
+    path, victim = tmp_path / "run" / FILE, tmp_path / "victim.txt"
+    path.parent.mkdir()
+    victim.write_text("mine")
+    Archive.create(path, {"a": 1}).close()
+    file = path.with_name(name)
+    with closing(sqlite3.connect(file, isolation_level=None)) as db:
+        db.execute("CREATE TABLE more AS SELECT 1 AS x")
+        db.execute("PRAGMA cache_size = 1")
+        db.execute("BEGIN IMMEDIATE")
+        numbers = "WITH RECURSIVE c(x) AS (SELECT 0 UNION ALL SELECT x + 1 FROM c LIMIT 3000)"
+        db.execute(f"INSERT INTO more {numbers} SELECT hex(randomblob(200)) FROM c")
+        journal = file.with_name(f"{name}-journal").read_bytes()  # the cache is full: the disk has a part already
+        half_written = file.read_bytes()
+    text = str(victim).encode()
+    mark = struct.pack(">II", len(text), sum(text)) + bytes.fromhex("d9d505f920a163d7")
+    file.write_bytes(half_written)
+    file.with_name(f"{name}-journal").write_bytes(journal + struct.pack(">I", (1 << 30) // 4096 + 1) + text + mark)
+    if name == FILE:
+        with pytest.raises(RunError, match="journal"):
+            Archive.read(path)
+    with pytest.raises((RunError, StorageError), match="journal"):
+        Archive.open(path)
+    assert victim.read_text() == "mine"

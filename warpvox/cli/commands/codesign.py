@@ -16,7 +16,7 @@ from warpvox.cli.overrides import check_report, key_and_value
 from warpvox.configs.codesign import CodesignConfig
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.console import echo, shown
-from warpvox.io.writing import check_writable, to_yaml
+from warpvox.io.writing import check_links, check_writable, to_yaml
 from warpvox.runs import check_unchanged, find_codesign, find_searches, new_folder, read_summary
 from warpvox.trust import again, as_stored
 
@@ -85,6 +85,7 @@ def _report(config: CodesignConfig, console: Console) -> Path:
             return _compare(config, texts, searches, console)
     source = find_codesign(texts[0], config.output_dir)
     stored = Codesign.of(vars(load_values("codesign", source.config)))
+    check_links(source.folder)
     summary: dict[str, Any] = {"status": "running"} | read_summary(source.folder)
     with Archive.read(source.folder / FILE) as archive:
         settings = dataclasses.replace(stored, top=config.top)

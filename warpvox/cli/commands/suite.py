@@ -20,7 +20,7 @@ from warpvox.code import is_code
 from warpvox.configs.codesign import SuiteConfig
 from warpvox.errors import ConfigError, RunError, counted, listing
 from warpvox.io.console import echo, shell_argument, shown
-from warpvox.io.writing import check_writable, claimed, to_yaml
+from warpvox.io.writing import check_links, check_writable, claimed, to_yaml
 from warpvox.runs import STAMP, check_unchanged, find_suite, make_folder, run_folder
 from warpvox.trust import COPIES, STORED, again, keep_code
 
@@ -114,6 +114,7 @@ def suite(job: Job, console: Console) -> Path:
 
     if job.config.report is not None:
         source = find_suite(str(job.config.report), job.config.output_dir)
+        check_links(source.folder)
         state = RUNNING
         with suppress(RunError), claimed(source.folder):  # nobody is making it: what was running was killed
             state = WAITING

@@ -21,7 +21,6 @@ import os
 import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from html import escape
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +29,7 @@ import numpy as np
 
 from warpvox.checks import check_integer
 from warpvox.errors import RolloutError
+from warpvox.io.console import in_html
 from warpvox.io.writing import write_text
 from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, MATERIALS, VOXEL
 from warpvox.view.scene import Scene
@@ -62,7 +62,7 @@ def write_html(
     Raises:
         RolloutError: no such environment, positions that are out of range, or more than a browser can hold.
     """
-    write_text(path, page_of(rollout, envs, title, every))
+    write_text(path, page_of(rollout, envs, title, every), follow=True)
     return Path(path)
 
 
@@ -75,7 +75,7 @@ def page_of(rollout: Rollout, envs: Sequence[int] | None = None, title: str | No
     return fill_template(
         asset("player.html"),
         values={"meta": meta},
-        title=escape(meta["title"]).encode(errors="xmlcharrefreplace").decode(),  # half of a surrogate pair
+        title=in_html(meta["title"]),
         style=asset("player.css"),
         script="\n".join(asset(name) for name in SCRIPTS),
         data=base64.b64encode(data).decode(),
