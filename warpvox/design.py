@@ -14,9 +14,10 @@ from typing import TypeAlias
 import numpy as np
 
 from warpvox.checks import check_shape
-from warpvox.errors import DesignError, did_you_mean, listing
+from warpvox.errors import DesignError, WorldError, did_you_mean, listing
 from warpvox.examples import EXAMPLES
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json, read_npy, read_text
+from warpvox.io.world_files import LARGEST_GRID, read_objects
 from warpvox.io.writing import atomic_path, write_text
 from warpvox.types import Cell
 from warpvox.view.palette import CELL_NAMES
@@ -27,8 +28,6 @@ Design: TypeAlias = np.ndarray
 SAMPLING_WEIGHTS = (0.6, 0.2, 0.2, 0.2, 0.2)
 """EvoGym's relative weights of empty, rigid, soft, horizontal and vertical actuator cells (sum 1.4)."""
 
-LARGEST_GRID = 1_000_000
-"""Cells that an object of a world, or a world, may have, empty ones included."""
 LARGEST_BODY = 1 << 16
 """Cells that a body may have, empty ones included (256 x 256)."""
 LARGEST_FILE = 4_000_000
@@ -395,7 +394,7 @@ def _parse_list(text: str, source: str) -> object:
     try:
         if len(text) > LARGEST_FILE:
             raise Unreadable(f"it has {len(text):,} characters, and {LARGEST_FILE:,} are the limit")
-        value = parse_json(text)
+        value = parse_json(text, allow_nan=True)
     except Unreadable as error:
         raise DesignError(f"{source} is not a nested list of cell types such as [[3,3],[4,4]]: {error}.") from None
     if isinstance(value, dict):
@@ -407,30 +406,24 @@ def _parse_list(text: str, source: str) -> object:
     return value
 
 
-def _robot_of(world: dict, source: str) -> list[list[int]]:
+def _robot_of(world: dict, source: str) -> np.ndarray:
     """The cells of the robot of a world in EvoGym's format: its only object with an actuator."""
     try:
-        width, objects = world["grid_width"], world["objects"]
-        robots = [name for name, one in objects.items() if {Cell.H_ACT, Cell.V_ACT} & {*one["types"]}]
-        if len(robots) != 1:
-            raise DesignError(f"{source} is a world with {len(robots)} robots; a design is a world with one.")
-        robot = objects[robots[0]]
-        cells, near = dict(zip(robot["indices"], robot["types"], strict=True)), robot["neighbors"]
-        places = [divmod(index, width) for index in cells]
-        rows, columns = (range(min(axis), max(axis) + 1) for axis in zip(*places, strict=True))
-        if len(rows) * len(columns) > LARGEST_BODY:
-            raise DesignError(f"{source} holds a robot of {len(rows)}x{len(columns)} cells, which is too large.")
-        touching = [(a, b) for a in cells for b in (a + 1, a + width) if b in cells and (b == a + width or b % width)]
-        cuts = sum(b not in near[str(a)] for a, b in touching)
-    except DesignError:
-        raise
-    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError):
-        raise DesignError(f"{source} is no world in EvoGym's format and has no entry 'body'.") from None
+        objects = read_objects(world).values()
+    except WorldError as error:
+        raise DesignError(f"{source} has no entry 'body' and is no world in EvoGym's format: {error}") from None
+    robots = [one for one in objects if has_actuator(one.grid)]
+    if len(robots) != 1:
+        raise DesignError(f"{source} is a world with {len(robots)} robots; a design is a world with one.")
+    grid, connections = robots[0].grid, robots[0].connections
+    cuts = len(full_connections(grid)) - len(np.unique(np.sort(connections, axis=0), axis=1).T)
     if cuts:
         raise DesignError(
             f"{source} leaves {cuts} pair(s) of neighbouring cells unconnected, which a design cannot say."
         )
-    return [[cells.get(row * width + column, 0) for column in columns] for row in reversed(rows)]
+    filled = grid != Cell.EMPTY
+    rows, columns = np.flatnonzero(filled.any(1)), np.flatnonzero(filled.any(0))
+    return grid[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
 
 def _parse_size(text: str) -> tuple[int, int]:

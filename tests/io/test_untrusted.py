@@ -26,10 +26,11 @@ from warpvox.cli.config import load_values
 from warpvox.design import check_design, full_connections, load_design, save_design
 from warpvox.errors import ConfigError, DesignError, RolloutError, RunError, WorldError
 from warpvox.io.reading import Unreadable, parse_yaml
+from warpvox.io.world_files import LARGEST_GRID
 from warpvox.robots.entry import Robot, read_robot, save_robot
 from warpvox.runs import find_run
 from warpvox.view.rollout import Rollout
-from warpvox.world import LARGEST_GRID, World, WorldObject
+from warpvox.world import World, WorldObject
 
 
 class Creates:
