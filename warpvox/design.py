@@ -18,7 +18,7 @@ from warpvox.errors import DesignError, WorldError, did_you_mean, listing
 from warpvox.examples import EXAMPLES
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json, read_bytes, read_npy, read_text
 from warpvox.io.world_files import LARGEST_GRID, read_objects
-from warpvox.io.writing import atomic_path, write_text
+from warpvox.io.writing import atomic_path, check_suffix, write_text
 from warpvox.types import Cell
 from warpvox.view.palette import CELL_NAMES
 
@@ -353,18 +353,16 @@ def save_design(path: str | os.PathLike[str], body: object) -> Path:
     """
     grid = check_design(body)
     target = Path(path)
-    suffix = target.suffix.lower()
+    suffix = check_suffix("The file of a design", path, DESIGN_SUFFIXES, DesignError)
     if suffix == ".json":
         rows = ",\n  ".join(str(row) for row in grid.tolist())
         write_text(target, f'{{"body": [\n  {rows}\n]}}\n')
     elif suffix == ".npz":
         with atomic_path(target) as temporary, open(temporary, "wb") as file:  # numpy would add to a name in capitals
             np.savez(file, grid, full_connections(grid).T)
-    elif suffix == ".npy":
+    else:
         with atomic_path(target) as temporary, open(temporary, "wb") as file:
             np.save(file, grid)
-    else:
-        raise DesignError(f"Cannot save a design as '{target.name}': use one of {', '.join(DESIGN_SUFFIXES)}.")
     return target
 
 

@@ -22,7 +22,7 @@ from warpvox.design import as_grid, full_connections
 from warpvox.errors import WorldError, did_you_mean, listing
 from warpvox.io.reading import Missing, Unreadable, parse_json, read_text
 from warpvox.io.world_files import LARGEST_GRID, read_objects
-from warpvox.io.writing import write_text
+from warpvox.io.writing import check_suffix, write_text
 from warpvox.types import Cell
 from warpvox.view.palette import body_svg
 
@@ -210,7 +210,12 @@ class World:
 
         The format knows filled cells only. Where a bounding box has an empty border, an entry ``box``
         ``[x, y, width, height]`` is added, which this library reads back and EvoGym ignores.
+
+        Raises:
+            WorldError: another suffix than .json.
         """
+        if path is not None:
+            check_suffix("The file of a world", path, (".json",), WorldError)
         text = json.dumps(
             {
                 "grid_width": self.width,

@@ -240,7 +240,7 @@ def test_bad_files_are_named(tmp_path: Path, name: str, content: bytes, words: s
 def test_nothing_is_written_for_a_bad_body_or_suffix(tmp_path: Path) -> None:
     with pytest.raises(wv.DesignError, match="no actuator"):
         wv.save_design(tmp_path / "x.json", [[1]])
-    with pytest.raises(wv.DesignError, match=r"use one of \.json"):
+    with pytest.raises(wv.DesignError, match=r"must end in \.json, \.npz, \.npy, got"):
         wv.save_design(tmp_path / "x.txt", [[3]])
     assert not list(tmp_path.iterdir())
 
