@@ -14,10 +14,11 @@ from typing import TypeAlias
 import numpy as np
 
 from warpvox.checks import check_shape
-from warpvox.errors import DesignError, did_you_mean, listing
+from warpvox.errors import DesignError, WorldError, did_you_mean, listing
 from warpvox.examples import EXAMPLES
-from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json, read_npy, read_text
-from warpvox.io.writing import atomic_path, write_text
+from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json, read_bytes, read_npy, read_text
+from warpvox.io.world_files import LARGEST_GRID, read_objects
+from warpvox.io.writing import atomic_path, check_suffix, write_text
 from warpvox.types import ACTUATORS, MATERIALS, Cell
 
 Design: TypeAlias = np.ndarray
@@ -26,8 +27,6 @@ Design: TypeAlias = np.ndarray
 SAMPLING_WEIGHTS = (0.6, 0.2, 0.2, 0.2, 0.2)
 """EvoGym's relative weights of empty, rigid, soft, horizontal and vertical actuator cells (sum 1.4)."""
 
-LARGEST_GRID = 1_000_000
-"""Cells that an object of a world, or a world, may have, empty ones included."""
 LARGEST_BODY = 1 << 16
 """Cells that a body may have, empty ones included (256 x 256)."""
 LARGEST_FILE = 4_000_000
@@ -39,8 +38,16 @@ ZOO_FOLDER = Path(__file__).parent / "robots" / "data"
 LEAST_CHANCE = 1e-6
 """Least probability of a cell to be an actuator; below it hardly any body has one."""
 
+DESIGN_SUFFIXES = (".json", ".npz", ".npy")
+"""Files that hold a design whatever else they hold, and that :func:`save_design` writes."""
+
 _MAX_DRAWS = 2_000_000
-_FILE_SUFFIXES = (".json", ".npz", ".npy")
+_SIGNATURES = {b"{": ".json", b"[": ".json", b"PK\x03\x04": ".npz", b"\x93NUMPY": ".npy"}
+"""How files begin that have another suffix; all others are read as text."""
+_EXPECTED = (
+    f"a design is a file ({', '.join(DESIGN_SUFFIXES)}), a text with a row of cell types on each line as numpy.savetxt"
+    " writes it, or a folder with body.npy"
+)
 
 
 def check_design(body: object) -> Design:
@@ -273,32 +280,51 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
     """Return the valid body that ``spec`` stands for.
 
     ``spec`` is one of: the name of an example (``walker``); ``random`` or ``random:ROWSxCOLUMNS`` (drawn with
-    ``seed``); ``zoo:TASK``, the body of a stored robot; a path ending in .json, .npz or .npy; the text of a nested
-    list (``[[3,3],[4,4]]``); a nested list or an array.
+    ``seed``); ``zoo:TASK``, the body of a stored robot; the path of a file (.json, .npz, .npy, or a text as
+    :func:`numpy.savetxt` writes it) or of a folder with ``body.npy`` or a single design file; the text of a nested list
+    (``[[3,3],[4,4]]``); a nested list or an array. A name comes before a file of the same name.
 
     Raises:
         DesignError: nothing of the kind, an unreadable file, or a body that is not valid.
     """
     if isinstance(spec, os.PathLike):
-        return _read_file(Path(spec))
+        return _read_path(Path(spec))
     if not isinstance(spec, str):
         return check_design(spec)
     text = spec.strip()
     if text.startswith("["):
         return check_design(_parse_list(text, source=f"The text '{_shorten(text)}'"))
     if text.startswith("zoo:"):
-        return _read_file(zoo_file(text.removeprefix("zoo:"), DesignError))
-    if text.lower().endswith(_FILE_SUFFIXES):
-        return _read_file(Path(text))
+        return _read_path(zoo_file(text.removeprefix("zoo:"), DesignError))
     if text == "random" or text.startswith("random:"):
         return sample_design(_parse_size(text), seed)
     if text in EXAMPLES:
         return example_design(text)
+    path = os.path.expanduser(text)
+    if text.lower().endswith(DESIGN_SUFFIXES) or os.path.exists(path):
+        return _read_path(Path(path))
     raise DesignError(
         f"Unknown design '{_shorten(text)}'.{did_you_mean(text, [*EXAMPLES, 'random'])} Expected an example"
-        f" ({listing(EXAMPLES)}), random, random:5x7, zoo:TASK, a file ({', '.join(_FILE_SUFFIXES)}) or a nested list"
-        " such as [[3,3],[4,4]]."
+        f" ({listing(EXAMPLES)}), random, random:5x7, zoo:TASK, a nested list such as [[3,3],[4,4]] or a path:"
+        f" {_EXPECTED}."
     )
+
+
+def design_paths(folder: Path) -> list[Path]:
+    """Return the designs in a folder: files of :data:`DESIGN_SUFFIXES` and folders with ``body.npy``, by name.
+
+    Also those of its folder ``structure``, where EvoGym's searches keep the designs of a generation. A folder that has
+    ``body.npy`` is a single design itself.
+    """
+    if (folder / "body.npy").is_file():
+        return [folder]
+    places = [folder, folder / "structure"]
+    entries = sorted(entry for place in places if place.is_dir() for entry in place.iterdir())
+    return [
+        entry
+        for entry in entries
+        if (entry.is_file() and entry.suffix.lower() in DESIGN_SUFFIXES) or (entry / "body.npy").is_file()
+    ]
 
 
 def zoo_tasks() -> list[str]:
@@ -327,7 +353,7 @@ def save_design(path: str | os.PathLike[str], body: object) -> Path:
     """
     grid = check_design(body)
     target = Path(path)
-    suffix = target.suffix.lower()
+    suffix = check_suffix("The file of a design", path, DESIGN_SUFFIXES, DesignError)
     if suffix == ".json":
         rows = ",\n  ".join(str(row) for row in grid.tolist())
         write_text(target, f'{{"body": [\n  {rows}\n]}}\n', follow=True)
@@ -335,51 +361,93 @@ def save_design(path: str | os.PathLike[str], body: object) -> Path:
         # Into an open file: numpy would add its suffix to one in capitals.
         with atomic_path(target, follow=True) as temporary, open(temporary, "wb") as file:
             np.savez(file, grid, full_connections(grid).T)
-    elif suffix == ".npy":
+    else:
         with atomic_path(target, follow=True) as temporary, open(temporary, "wb") as file:
             np.save(file, grid)
-    else:
-        raise DesignError(f"Cannot save a design as '{target.name}': use one of {', '.join(_FILE_SUFFIXES)}.")
     return target
 
 
-def _read_file(path: Path) -> Design:
+def _read_path(path: Path) -> Design:
+    """Read the design of a file or a folder."""
     try:
-        if path.suffix.lower() == ".json":
-            body = _parse_list(read_text(path, LARGEST_FILE), source=f"The design file '{path}'")
-        elif path.suffix.lower() == ".npz":
-            body = _read_npz(path)
-        else:
-            body = read_npy(path, LARGEST_FILE)
+        body, connections = _read_folder(path) if os.path.isdir(path) else _read_file(path)
     except Missing:
+        if os.path.exists(path):
+            raise DesignError(f"'{path}' is neither a file nor a folder; {_EXPECTED}.") from None
         raise DesignError(f"There is no design file '{path}'.") from None
     except Unreadable as error:
         raise DesignError(f"The design file '{path}' cannot be read: {error}.") from None
+    if connections is not None and np.ndim(body) == 2:
+        # A body alone means "all neighbours are connected"; dropping cuts silently would be another robot.
+        cuts = {tuple(pair) for pair in full_connections(np.asarray(body)).tolist()} - _pairs(path, connections)
+        if cuts:
+            raise DesignError(
+                f"The design file '{path}' leaves {len(cuts)} pair(s) of neighbouring cells unconnected,"
+                " which a design cannot say; use World.add_from_array(..., connections=...) instead."
+            )
     try:
         return check_design(body)
     except DesignError as error:
         raise DesignError(f"The design file '{path}' holds no valid robot. {error}") from None
 
 
-def _read_npz(path: Path) -> np.ndarray:
+def _read_folder(folder: Path) -> tuple[object, np.ndarray | None]:
+    """Read the cells, and their connections if there are any, of a folder with one design."""
+    if (folder / "body.npy").is_file():
+        pairs = folder / "connections.npy"
+        connections = read_npy(pairs, LARGEST_FILE) if pairs.is_file() else None
+        return read_npy(folder / "body.npy", LARGEST_FILE), connections
+    found = design_paths(folder)
+    if not found:
+        entries = listing(sorted(entry.name for entry in folder.iterdir()), 5)
+        raise DesignError(f"The folder '{folder}' holds no design, but {entries}; {_EXPECTED}.")
+    if len(found) > 1:
+        raise DesignError(f"The folder '{folder}' holds {len(found)} designs: name one of them, such as '{found[0]}'.")
+    return _read_folder(found[0]) if found[0].is_dir() else _read_file(found[0])
+
+
+def _read_file(path: Path) -> tuple[object, np.ndarray | None]:
+    """Read the cells, and their connections if there are any, of a file."""
+    suffix = path.suffix.lower()
+    if suffix not in DESIGN_SUFFIXES:
+        data = read_bytes(path, LARGEST_FILE)
+        suffix = next((suffix for start, suffix in _SIGNATURES.items() if data.lstrip().startswith(start)), ".txt")
+        if suffix == ".txt":
+            return _parse_grid(data), None
+    if suffix == ".json":
+        return _parse_list(read_text(path, LARGEST_FILE), source=f"The design file '{path}'"), None
+    if suffix == ".npy":
+        return read_npy(path, LARGEST_FILE), None
     with ArrayFile(path, LARGEST_FILE) as archive:
         name = next((key for key in ("arr_0", "body", "structure") if key in archive.names), None)
         if name is None:
             raise DesignError(
                 f"The design file '{path}' has no array 'arr_0' or 'body'; it holds {listing(archive.names)}."
             )
-        body = archive.read(name)
         pairs = {"arr_0": "arr_1", "body": "connections"}.get(name)  # of EvoGym, of a stored robot
-        connections = archive.read(pairs) if pairs in archive.names else None
-    if connections is not None and body.ndim == 2:
-        # A body alone means "all neighbours are connected"; dropping cuts silently would be another robot.
-        cuts = {tuple(pair) for pair in full_connections(body).tolist()} - _pairs(path, connections)
-        if cuts:
-            raise DesignError(
-                f"The design file '{path}' leaves {len(cuts)} pair(s) of neighbouring cells unconnected,"
-                " which a design cannot say; use World.add_from_array(..., connections=...) instead."
-            )
-    return body
+        return archive.read(name), archive.read(pairs) if pairs in archive.names else None
+
+
+def _parse_grid(data: bytes) -> list[list[float]]:
+    """Return the rows of a text of numbers: set apart by blanks, commas or semicolons, or single digits side by side.
+
+    What follows ``#`` on a line is a comment. Unreadable: another text, or none.
+    """
+    if b"\0" in data:
+        raise Unreadable(f"it is neither text nor an array; {_EXPECTED}")
+    rows: list[list[float]] = []
+    for number, line in enumerate(data.decode("utf-8-sig", "replace").splitlines(), 1):  # comments may be in Latin-1
+        content = line.partition("#")[0].strip()
+        if not content:
+            continue
+        cells = list(content) if content.isdecimal() else re.split(r"[\s,;]+", content.strip(",; "))
+        try:
+            rows.append([float(cell) for cell in cells])
+        except ValueError:
+            raise Unreadable(f"its line {number} is no row of cell types, {content!r:.60}; {_EXPECTED}") from None
+    if not rows:
+        raise Unreadable(f"it is empty; {_EXPECTED}")
+    return rows
 
 
 def _pairs(path: Path, connections: np.ndarray) -> set[tuple[int, ...]]:
@@ -396,7 +464,7 @@ def _parse_list(text: str, source: str) -> object:
     try:
         if len(text) > LARGEST_FILE:
             raise Unreadable(f"it has {len(text):,} characters, and {LARGEST_FILE:,} are the limit")
-        value = parse_json(text)
+        value = parse_json(text, allow_nan=True)
     except Unreadable as error:
         raise DesignError(f"{source} is not a nested list of cell types such as [[3,3],[4,4]]: {error}.") from None
     if isinstance(value, dict):
@@ -408,30 +476,24 @@ def _parse_list(text: str, source: str) -> object:
     return value
 
 
-def _robot_of(world: dict, source: str) -> list[list[int]]:
+def _robot_of(world: dict, source: str) -> np.ndarray:
     """The cells of the robot of a world in EvoGym's format: its only object with an actuator."""
     try:
-        width, objects = world["grid_width"], world["objects"]
-        robots = [name for name, one in objects.items() if {*ACTUATORS} & {*one["types"]}]
-        if len(robots) != 1:
-            raise DesignError(f"{source} is a world with {len(robots)} robots; a design is a world with one.")
-        robot = objects[robots[0]]
-        cells, near = dict(zip(robot["indices"], robot["types"], strict=True)), robot["neighbors"]
-        places = [divmod(index, width) for index in cells]
-        rows, columns = (range(min(axis), max(axis) + 1) for axis in zip(*places, strict=True))
-        if len(rows) * len(columns) > LARGEST_BODY:
-            raise DesignError(f"{source} holds a robot of {len(rows)}x{len(columns)} cells, which is too large.")
-        touching = [(a, b) for a in cells for b in (a + 1, a + width) if b in cells and (b == a + width or b % width)]
-        cuts = sum(b not in near[str(a)] for a, b in touching)
-    except DesignError:
-        raise
-    except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError):
-        raise DesignError(f"{source} is no world in EvoGym's format and has no entry 'body'.") from None
+        objects = read_objects(world).values()
+    except WorldError as error:
+        raise DesignError(f"{source} has no entry 'body' and is no world in EvoGym's format: {error}") from None
+    robots = [one for one in objects if has_actuator(one.grid)]
+    if len(robots) != 1:
+        raise DesignError(f"{source} is a world with {len(robots)} robots; a design is a world with one.")
+    grid, connections = robots[0].grid, robots[0].connections
+    cuts = len(full_connections(grid)) - len(np.unique(np.sort(connections, axis=0), axis=1).T)
     if cuts:
         raise DesignError(
             f"{source} leaves {cuts} pair(s) of neighbouring cells unconnected, which a design cannot say."
         )
-    return [[cells.get(row * width + column, 0) for column in columns] for row in reversed(rows)]
+    filled = grid != Cell.EMPTY
+    rows, columns = np.flatnonzero(filled.any(1)), np.flatnonzero(filled.any(0))
+    return grid[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
 
 def _parse_size(text: str) -> tuple[int, int]:

@@ -13,21 +13,21 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from warpvox.checks import check_integer, is_integer
-from warpvox.design import LARGEST_GRID, as_grid, full_connections
+from warpvox.design import as_grid, full_connections
 from warpvox.errors import WorldError, did_you_mean, listing
 from warpvox.io.reading import Missing, Unreadable, parse_json, read_text
-from warpvox.io.writing import write_text
+from warpvox.io.world_files import LARGEST_GRID, read_objects
+from warpvox.io.writing import check_suffix, write_text
 from warpvox.types import ACTUATORS, Cell
 from warpvox.view.palette import body_svg
 
 LARGEST_FILE = 16_000_000
 """Bytes that a world file, or the text of one, may have."""
-MOST_OBJECTS = 1000
-"""Objects that a world file may hold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,16 +177,30 @@ class World:
     def add_from_json(self, source: str | os.PathLike[str] | Mapping[str, object]) -> None:
         """Add all objects of a world file (path, text of the file or parsed dictionary) to this world.
 
+        The grid becomes as large as the file says if its objects lie within, else as large as the objects need: EvoGym
+        looks at ``grid_width`` alone, and some files have a ``grid_height`` that is too low, or none.
+
         Raises:
             WorldError: an unreadable file, or an object that cannot be added; no object is added then.
         """
-        width, height, objects = _parse_world(source)
+        data, origin = _load_json(source)
         trial = self.copy()
-        for obj in objects:
-            trial.add_object(obj)
-        width, height = max(trial.width, width), max(trial.height, height)
-        check_size(width, height)
-        self.objects, self.width, self.height = trial.objects, width, height
+        right, top = 0, 0
+        try:
+            for name, cells in read_objects(data).items():
+                obj = WorldObject.from_array(name, cells.grid, cells.x, cells.y, cells.connections)
+                trial.add_object(obj)
+                right = max(right, obj.x + obj.width)
+                top = max(top, obj.y + obj.height)
+            width, height = data["grid_width"], data.get("grid_height", 0)
+            if not is_integer(height):
+                raise WorldError(f"grid_height must be an integer, got {height!r:.80}.")
+            if right <= width and top <= height and width * height <= LARGEST_GRID:
+                trial.width, trial.height = max(trial.width, width), max(trial.height, height)
+                check_size(trial.width, trial.height)
+        except WorldError as error:
+            raise WorldError(f"{origin}: {error}") from None
+        self.objects, self.width, self.height = trial.objects, trial.width, trial.height
 
     @classmethod
     def from_json(cls, source: str | os.PathLike[str] | Mapping[str, object]) -> World:
@@ -204,7 +218,12 @@ class World:
 
         The format knows filled cells only. Where a bounding box has an empty border, an entry ``box``
         ``[x, y, width, height]`` is added, which this library reads back and EvoGym ignores.
+
+        Raises:
+            WorldError: another suffix than .json.
         """
+        if path is not None:
+            check_suffix("The file of a world", path, (".json",), WorldError)
         text = json.dumps(
             {
                 "grid_width": self.width,
@@ -345,40 +364,7 @@ def _check_pairs(name: str, grid: np.ndarray, connections: object) -> np.ndarray
     return np.array(sorted(given), np.int32)
 
 
-# {"grid_width": W, "grid_height": H, "objects": {name: {"indices": [...], "types": [...],
-#  "neighbors": {"index": [index, ...], ...}}}}, index = y * W + x with y upward from the bottom row.
-
-
-def _parse_world(source: object) -> tuple[int, int, list[WorldObject]]:
-    data, origin = _load_json(source)
-    missing = [key for key in ("grid_width", "grid_height", "objects") if key not in data]
-    if missing:
-        raise WorldError(f"{origin} is not a world: it lacks {listing(missing)}.")
-    width, height = (
-        check_integer(f"{origin}: {name}", data[name], 1, error=WorldError) for name in ("grid_width", "grid_height")
-    )
-    objects = data["objects"]
-    try:
-        check_size(width, height)
-    except WorldError as error:
-        raise WorldError(f"{origin}: {error}") from None
-    if not isinstance(objects, Mapping):
-        raise WorldError(f"{origin}: 'objects' must map names to objects, got {type(objects).__name__}.")
-    if len(objects) > MOST_OBJECTS:
-        raise WorldError(f"{origin} has {len(objects)} objects, and {MOST_OBJECTS} are the limit.")
-    parsed, cells = [], 0
-    for name, entry in objects.items():
-        try:
-            parsed.append(_object_from_json(name, entry, width, height))
-        except WorldError as error:
-            raise WorldError(f"{origin}: {error}") from None
-        cells += parsed[-1].grid.size
-        if cells > 2 * LARGEST_GRID:
-            raise WorldError(f"{origin}: the boxes of its objects have more than {2 * LARGEST_GRID:,} cells together.")
-    return width, height, parsed
-
-
-def _load_json(source: object) -> tuple[Mapping[str, object], str]:
+def _load_json(source: object) -> tuple[Mapping[str, Any], str]:
     if isinstance(source, Mapping):
         return source, "The world"
     if isinstance(source, str) and source.lstrip().startswith("{"):
@@ -396,65 +382,12 @@ def _load_json(source: object) -> tuple[Mapping[str, object], str]:
     if len(text) > LARGEST_FILE:
         raise WorldError(f"{origin} has {len(text):,} characters, and {LARGEST_FILE:,} are the limit.")
     try:
-        data = parse_json(text)
+        data = parse_json(text, allow_nan=True)
     except Unreadable as error:
         raise WorldError(f"{origin} cannot be read: {error}.") from None
     if not isinstance(data, Mapping):
         raise WorldError(f"{origin} must hold a JSON object, got {type(data).__name__}.")
     return data, origin
-
-
-def _object_from_json(name: str, entry: object, world_width: int, world_height: int) -> WorldObject:
-    if not isinstance(entry, Mapping) or not all(key in entry for key in ("indices", "types", "neighbors")):
-        raise WorldError(f"the object '{name}' needs the entries indices, types and neighbors.")
-    indices, types, neighbors = entry["indices"], entry["types"], entry["neighbors"]
-    if not (isinstance(indices, list) and isinstance(types, list) and isinstance(neighbors, Mapping)):
-        raise WorldError(f"the object '{name}' needs lists of indices and types and a mapping of neighbors.")
-    if not indices or not len(indices) == len(types) == len(neighbors):
-        raise WorldError(
-            f"the object '{name}' must have as many types and neighbors as indices, and at least one; it has"
-            f" {len(indices)} indices, {len(types)} types, {len(neighbors)} neighbors."
-        )
-    size = world_width * world_height
-    known = all(is_integer(index) and 0 <= index < size for index in indices)
-    if not known or len(set(indices)) < len(indices):
-        raise WorldError(
-            f"the indices of the object '{name}' must be different integers from 0 to {size - 1}"
-            " (grid_width x grid_height - 1)."
-        )
-    columns = [index % world_width for index in indices]
-    rows = [index // world_width for index in indices]
-    x, y, width, height = _bounding_box(name, entry.get("box"), columns, rows)
-    if x + width > world_width or y + height > world_height:
-        raise WorldError(f"the box of '{name}' sticks out of the {world_width}x{world_height} grid.")
-    cells = np.zeros((height, width), np.int8)
-    place = {}
-    for index, column, row, cell in zip(indices, columns, rows, types, strict=True):
-        place[index] = (y + height - 1 - row) * width + column - x
-        if not is_integer(cell) or cell == Cell.EMPTY or cell not in set(Cell):
-            raise WorldError(f"the cell type {cell!r} of '{name}' at index {index} is none of 1 to 5.")
-        cells.flat[place[index]] = cell
-    pairs = []
-    for index in indices:
-        near = neighbors.get(str(index), neighbors.get(index))
-        if not isinstance(near, list) or not all(is_integer(other) and other in place for other in near):
-            raise WorldError(f"the neighbors of index {index} of '{name}' are not a list of its indices.")
-        pairs.extend((place[index], place[other]) for other in near)
-    connections = np.array(pairs, np.int64).reshape(-1, 2).T
-    return WorldObject.from_array(name, cells, x, y, connections)
-
-
-def _bounding_box(name: str, box: object, columns: list[int], rows: list[int]) -> tuple[int, int, int, int]:
-    """Return (x, y, width, height) in cells: the entry ``box`` if there is one, else the tightest."""
-    x, y = min(columns), min(rows)
-    right, top = max(columns) + 1, max(rows) + 1
-    if box is None:
-        return x, y, right - x, top - y
-    if isinstance(box, list) and len(box) == 4 and all(is_integer(n) and n >= 0 for n in box):
-        left, bottom, width, height = box
-        if left <= x and bottom <= y and left + width >= right and bottom + height >= top:
-            return left, bottom, width, height
-    raise WorldError(f"the box {box!r} of the object '{name}' is no [x, y, width, height] that holds its cells.")
 
 
 def _object_to_json(obj: WorldObject, world_width: int) -> dict[str, object]:

@@ -23,7 +23,7 @@ import torch
 from warpvox.algos.checkpoints.policy import LARGEST, Policy, parse_policy, policy_text
 from warpvox.errors import RunError
 from warpvox.io.reading import Unreadable, read_bytes
-from warpvox.io.writing import atomic_path
+from warpvox.io.writing import atomic_path, check_suffix
 
 CARD = "warpvox.json"
 """Name of the entry that holds the policy's text."""
@@ -42,8 +42,10 @@ def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
     ``[batch, num_obs]``.
 
     Raises:
-        RunError: the file does not do what the policy does; it is not kept. StorageError: it cannot be written.
+        RunError: another suffix than .pt, .pth or .ts, or a file that does not do what the policy does; it is not kept.
+        StorageError: it cannot be written.
     """
+    check_suffix("A file of TorchScript", path, (".pt", ".pth", ".ts"), RunError)
     policy, whole = _copied(policy), io.BytesIO()
     with atomic_path(path, follow=True) as temporary, _quiet():
         if policy.spec.voxels is None and policy.spec.gait is None:
@@ -69,9 +71,10 @@ def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
     ONNX Runtime where it is installed, else by the reference evaluator of the package onnx.
 
     Raises:
-        RunError: the package onnx is missing, or the file does not do what the policy does; it is not kept.
-        StorageError: it cannot be written.
+        RunError: another suffix than .onnx, the package onnx is missing, or the file does not do what the policy does;
+            it is not kept. StorageError: it cannot be written.
     """
+    check_suffix("An ONNX file", path, (".onnx",), RunError)
     if find_spec("onnx") is None or find_spec("onnxscript") is None:
         raise RunError("ONNX needs the packages onnx and onnxscript: pip install 'warpvox[export]'.")
     import onnx
@@ -105,7 +108,7 @@ def read_exported(path: Path, network: str | None = None) -> Policy | None:
 
     ``network``: as for :func:`warpvox.algos.checkpoints.files.load_controller`.
     """
-    text = _card_of_onnx(path) if path.suffix == ".onnx" else _card_of_script(path)
+    text = _card_of_onnx(path) if path.suffix.lower() == ".onnx" else _card_of_script(path)
     return None if text is None else parse_policy(text, path, network)
 
 

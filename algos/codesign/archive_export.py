@@ -7,7 +7,7 @@ from typing import Any
 from warpvox.algos.codesign.archive import Archive, Record, body_text
 from warpvox.design import save_design
 from warpvox.errors import RunError
-from warpvox.io.writing import atomic_path, write_table, write_text
+from warpvox.io.writing import atomic_path, check_suffix, write_table, write_text
 
 COLUMNS = {
     "id": "int64", "generation": "int64", "body": "string", "rows": "int64", "columns": "int64", "origin": "string",
@@ -19,7 +19,11 @@ COLUMNS = {
 
 
 def write_csv(archive: Archive, path: Path) -> Path:
-    """Write the candidates as CSV with the columns :data:`COLUMNS`; empty cells where there is no value."""
+    """Write the candidates as CSV with the columns :data:`COLUMNS`; empty cells where there is no value.
+
+    RunError: another suffix than .csv.
+    """
+    check_suffix("The table", path, (".csv",), RunError)
     write_table(path, COLUMNS, (map(_cell, _row(record).values()) for record in archive.records()))
     return path
 
@@ -31,7 +35,11 @@ def _cell(value: Any) -> Any:
 
 
 def write_parquet(archive: Archive, path: Path) -> Path:
-    """Write the candidates as Parquet with the columns :data:`COLUMNS`. Needs the extra ``analysis`` (pyarrow)."""
+    """Write the candidates as Parquet with the columns :data:`COLUMNS`. Needs the extra ``analysis`` (pyarrow).
+
+    RunError: another suffix than .parquet, or pyarrow is missing.
+    """
+    check_suffix("The table", path, (".parquet",), RunError)
     try:
         import pyarrow as pa
         from pyarrow import parquet

@@ -11,9 +11,11 @@ from PIL import Image, ImageDraw
 from warpvox.design import Design, load_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.worlds import task_world
+from warpvox.errors import RolloutError
+from warpvox.io.writing import check_suffix
 from warpvox.types import VOXEL
 from warpvox.view.body_picture import scene_of_world
-from warpvox.view.painter import BELOW, INK, Canvas, font, save_png
+from warpvox.view.painter import BELOW, INK, PNG_SUFFIXES, Canvas, font, save_png
 
 COLUMNS, TILE, SCALE = 4, (324, 150), 8
 LABEL, GAP = 24, 10
@@ -59,6 +61,7 @@ def _tile(task: Any, body: np.ndarray) -> Image.Image:
 
 
 def write_gallery(path: str | os.PathLike[str], shown: Sequence[tuple[str, Design, str]]) -> Path:
-    """Write what :func:`draw_gallery` draws as PNG; returns the path."""
+    """Write what :func:`draw_gallery` draws as PNG; returns the path. RolloutError: another suffix than .png."""
+    check_suffix("The file of a gallery", path, PNG_SUFFIXES, RolloutError)
     # Few colours: as a palette the picture takes a fraction of the room, without a visible difference.
     return save_png(draw_gallery(shown).quantize(128, dither=Image.Dither.NONE), path, optimize=True)

@@ -12,9 +12,9 @@ import numpy as np
 from warpvox.algos.report.members import SearchResult, progress
 from warpvox.algos.statistics import mean_interval
 from warpvox.algos.training.metrics import read_metrics
-from warpvox.errors import ConfigError, listing
+from warpvox.errors import ConfigError
 from warpvox.io.console import escaped
-from warpvox.io.writing import atomic_path, write_table
+from warpvox.io.writing import atomic_path, check_suffix, write_table
 from warpvox.runs import Run
 
 SUFFIXES = (".png", ".svg", ".pdf")
@@ -108,7 +108,8 @@ def write_curves(
         path: .png, .svg or .pdf; written whole or not at all.
         size: in pixels, of each picture; higher where the legend has more than four lines.
     """
-    target = check_file(path)
+    suffix = check_suffix("The file of a chart", path, SUFFIXES, ConfigError)
+    target = Path(path)
     try:
         from matplotlib import rc_context
         from matplotlib.figure import Figure
@@ -126,7 +127,7 @@ def write_curves(
         _dress(axes, AXES[x])
         axes.locator_params(axis="x", nbins=max(2, size[0] // 110))
     # Equal runs make equal files: names inside an SVG are hashes with a random salt otherwise.
-    kind = target.suffix[1:].lower()
+    kind = suffix.removeprefix(".")
     undated = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
     with atomic_path(target, follow=True) as temporary, rc_context({"svg.hashsalt": "warpvox"}):
         figure.savefig(temporary, format=kind, metadata=undated)
@@ -150,14 +151,6 @@ def _plot(curves: Sequence[Curve], axes: Any) -> None:
 def _plain(text: str) -> str:
     """A text that matplotlib shows as it is."""
     return escaped(text).replace("$", r"\$")
-
-
-def check_file(path: str | os.PathLike[str]) -> Path:
-    """Raise ConfigError unless ``path`` ends as a picture does."""
-    target = Path(path)
-    if target.suffix.lower() not in SUFFIXES:
-        raise ConfigError(f"file must end in {listing(SUFFIXES)}, got '{path}'.")
-    return target
 
 
 def labelled(panels: Mapping[str, Sequence[Curve]]) -> Iterator[tuple[str, Curve]]:

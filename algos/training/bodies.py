@@ -16,7 +16,7 @@ import torch
 from warpvox.algos.settings import REFRESH
 from warpvox.algos.training.settings import Training
 from warpvox.batch.options import lanes_for
-from warpvox.design import Design, load_design, sample_design
+from warpvox.design import DESIGN_SUFFIXES, Design, design_paths, load_design, sample_design
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError, DesignError
 from warpvox.keys import plain
@@ -29,7 +29,6 @@ HELD_OUT_SEED = 1_000_003
 """Held-out random bodies do not depend on the seed of a training, so that trainings can be compared."""
 HELD_OUT = 32
 """Random bodies that are held out where none are named."""
-FILES = (".json", ".npz", ".npy")
 MOST = 1_000_000
 RECENT = 0.3
 """Weight of an episode's return in the mean return of its body."""
@@ -58,7 +57,7 @@ def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) 
     """Bodies that a key names.
 
     Args:
-        spec: ``random:64`` or ``random:64:5x7`` (drawn with ``seed``), a folder with design files, the folder of a
+        spec: ``random:64`` or ``random:64:5x7`` (drawn with ``seed``), a folder of designs, the folder of a
             design search (its bodies, the best first), or whatever the key ``design`` takes.
     """
     if isinstance(spec, str):
@@ -89,19 +88,18 @@ def _of_folder(folder: Path, key: str) -> list[Design]:
         if not best:
             raise DesignError(f"{key}: the search in {folder} has evaluated no body yet.")
         return best
-    files = _files(folder)
-    if not files:
-        raise DesignError(f"{key}: {folder} is neither a design search nor a folder of designs ({', '.join(FILES)}).")
-    return [load_design(path) for path in files]
+    paths = design_paths(folder)
+    if not paths:
+        suffixes = ", ".join(DESIGN_SUFFIXES)
+        raise DesignError(
+            f"{key}: {folder} is neither a design search nor a folder of designs ({suffixes}, folders with body.npy)."
+        )
+    return [load_design(path) for path in paths]
 
 
 def has_designs(folder: Path) -> bool:
-    """True for a folder with design files that is not that of a run."""
-    return bool(_files(folder)) and not (folder / CONFIG).is_file()
-
-
-def _files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in FILES)
+    """True for a folder with designs that is not that of a run."""
+    return bool(design_paths(folder)) and not (folder / CONFIG).is_file()
 
 
 @dataclass(frozen=True)

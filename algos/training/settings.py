@@ -69,7 +69,7 @@ class Training(Settings):
     design: Any = key(
         "walker",
         "body: the name of an example, auto (the example made for the task), random, random:5x7, zoo:TASK (in this"
-        " task, unless task is given), a .json/.npz/.npy file, or rows of cells;"
+        " task, unless task is given), a file or folder with a body, or rows of cells;"
         " for a task with several robots {name:body}",
         path="read",
     )

@@ -15,7 +15,7 @@ from warpvox.algos.training.bodies import Bodies, load_bodies, read_bodies, trai
 from warpvox.cli.commands.evaluate import evaluate_runs
 from warpvox.cli.commands.play import play
 from warpvox.cli.config import load
-from warpvox.design import load_design, save_design
+from warpvox.design import full_connections, load_design, save_design
 from warpvox.errors import ConfigError, DesignError
 from warpvox.io.console import Console
 from warpvox.view.rollout import Rollout
@@ -42,6 +42,20 @@ def test_bodies_are_named_in_many_ways(tmp_path: Path) -> None:
     assert all(np.array_equal(a, b) for a, b in zip(read_bodies(str(tmp_path), 0, "designs"), drawn, strict=True))
     assert len(read_bodies(["walker", "worm"], 0, "designs")) == 2
     assert all(np.array_equal(a, b) for a, b in zip(load_bodies(drawn, 0), drawn, strict=True))
+
+
+def test_folders_of_other_tools_hold_many_bodies(tmp_path: Path) -> None:
+    drawn = read_bodies("random:3:3x4", 0, "designs")
+    for number, body in enumerate(drawn):
+        apart, generation = tmp_path / "robots" / str(number), tmp_path / "generation_0" / "structure"
+        apart.mkdir(parents=True)
+        generation.mkdir(parents=True, exist_ok=True)
+        np.save(apart / "body.npy", body)
+        np.save(apart / "connections.npy", full_connections(body).T)
+        np.savez(generation / f"{number}.npz", body, full_connections(body).T)
+    for folder in ("robots", "generation_0", "generation_0/structure"):
+        read = read_bodies(str(tmp_path / folder), 0, "designs")
+        assert [body.tolist() for body in read] == [body.tolist() for body in drawn]
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,9 @@ MISTAKES = {
     "tasks Walker-v0 gallery=x.png": "gallery goes without a task",
     "curves": "no run",
     "curves x=step": "Did you mean 'steps'",
-    "tasks Walker-v0 picture=world.jpg": "picture must be a file ending in .png",
+    "tasks Walker-v0 picture=world.jpg": "picture must end in .png",
+    "tasks gallery=worlds": "gallery must end in .png",
+    "curves file=curves.gif": "file must end in .png, .svg, .pdf",
     "tasks nowhere:MINE": "There is no module 'nowhere'",
     "info x": "not KEY=VALUE",
 }

@@ -8,8 +8,9 @@ from worlds import ground, world
 from warpvox import contact_order as order
 from warpvox.compile import compile_world, mesh
 from warpvox.contact_order import BUCKETS, HashSet, order_arrays, tree_of
-from warpvox.design import LARGEST_GRID, full_connections, sample_design
+from warpvox.design import full_connections, sample_design
 from warpvox.errors import SimulationError
+from warpvox.io.world_files import LARGEST_GRID
 from warpvox.kernels.exact.order import PATH
 from warpvox.types import Physics
 from warpvox.world import WorldObject

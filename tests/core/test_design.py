@@ -240,7 +240,7 @@ def test_bad_files_are_named(tmp_path: Path, name: str, content: bytes, words: s
 def test_nothing_is_written_for_a_bad_body_or_suffix(tmp_path: Path) -> None:
     with pytest.raises(wv.DesignError, match="no actuator"):
         wv.save_design(tmp_path / "x.json", [[1]])
-    with pytest.raises(wv.DesignError, match=r"use one of \.json"):
+    with pytest.raises(wv.DesignError, match=r"must end in \.json, \.npz, \.npy, got"):
         wv.save_design(tmp_path / "x.txt", [[3]])
     assert not list(tmp_path.iterdir())
 
@@ -262,3 +262,91 @@ def test_the_only_robot_of_a_world_is_a_body(
     filled = np.argwhere(bodies[0])
     (top, left), (bottom, right) = filled.min(0), filled.max(0) + 1
     np.testing.assert_array_equal(wv.load_design(file), bodies[0][top:bottom, left:right])
+
+
+FORMATS = [
+    {"fmt": "%d"},
+    {"fmt": "%d", "delimiter": ","},
+    {"fmt": "%d", "delimiter": ", "},
+    {"fmt": "%d", "delimiter": "\t"},
+    {"fmt": "%d", "delimiter": ""},
+    {"fmt": "%d", "delimiter": ";", "newline": "\r\n"},
+    {"fmt": "%.18e"},
+    {"fmt": "%1.1f", "header": "cells 0 1 2, Körper", "footer": "end"},
+    {"fmt": "%s", "delimiter": ","},
+]
+"""Options of numpy.savetxt."""
+
+
+@given(DENSE.filter(is_valid), st.sampled_from(FORMATS), st.sampled_from([".txt", ".csv", ".dat", ""]), st.booleans())
+def test_text_grids_are_bodies(
+    tmp_path_factory: pytest.TempPathFactory, body: np.ndarray, options: dict, suffix: str, as_float: bool
+) -> None:
+    path = tmp_path_factory.mktemp("designs") / f"body{suffix}"
+    whole = as_float and "%d" not in options["fmt"]
+    np.savetxt(path, body.astype(float) if whole else body, **options)
+    for spec in (path, str(path)):
+        np.testing.assert_array_equal(wv.load_design(spec), body)
+
+
+def test_formats_are_known_by_content_under_other_names(tmp_path: Path) -> None:
+    body = wv.example_design("mini")
+    for suffix in (".json", ".npz", ".npy"):
+        other = tmp_path / f"body{suffix}.bak"
+        other.write_bytes(wv.save_design(tmp_path / f"body{suffix}", body).read_bytes())
+        np.testing.assert_array_equal(wv.load_design(other), body)
+
+
+def test_folders_hold_bodies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    body, other = wv.example_design("mini"), wv.example_design("worm")
+    robot, generation = tmp_path / "robot", tmp_path / "generation_0"
+    for folder in (robot, generation / "structure"):
+        folder.mkdir(parents=True)
+    np.save(robot / "body.npy", body.astype(float))
+    np.save(robot / "connections.npy", full_connections(body).T)
+    np.savez(generation / "structure" / "0.npz", body, full_connections(body).T)
+    (generation / "output.txt").write_text("0\t\t1.5\n")
+    for spec in (robot, "robot", "~/robot", "generation_0", generation / "structure"):
+        np.testing.assert_array_equal(wv.load_design(spec), body)
+    assert len(wv.load_design("mini")) == len(body)
+
+    np.savez(generation / "structure" / "1.npz", other, full_connections(other).T)
+    with pytest.raises(wv.DesignError, match=r"holds 2 designs: name one of them, such as .*0\.npz"):
+        wv.load_design(generation)
+    np.save(robot / "connections.npy", full_connections(body)[1:].T)
+    with pytest.raises(wv.DesignError, match="unconnected"):
+        wv.load_design(robot)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.txt", b"0 1 3\nwalker\n", "its line 2 is no row of cell types, 'walker'"),
+        ("a.txt", b"3 3\n3\n", "ragged"),
+        ("a.txt", b"3 6\n", "unknown cell type 6"),
+        ("a.txt", b"3 nan\n", "unknown cell type nan"),
+        ("a.csv", b"# nothing\n\n", "it is empty"),
+        ("a.png", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "neither text nor an array"),
+        ("a.gif", b"GIF89a!!", "its line 1 is no row"),
+        ("a.pt", b"PK\x03\x04 and more", r"no \.npz archive"),
+        ("a", b" " * 4_000_001, "are the limit"),
+    ],
+)
+def test_other_files_are_described(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(wv.DesignError, match=words) as caught:
+        wv.load_design(str(path))
+    assert str(path) in str(caught.value)
+
+
+def test_folders_and_devices_without_a_body_are_described(tmp_path: Path) -> None:
+    (tmp_path / "notes.md").write_text("# 3 3\n")
+    with pytest.raises(wv.DesignError, match=r"holds no design, but notes\.md; a design is"):
+        wv.load_design(tmp_path)
+    with pytest.raises(wv.DesignError, match="neither a file nor a folder"):
+        wv.load_design("/dev/null")
+    with pytest.raises(wv.DesignError, match="Did you mean 'walker'"):
+        wv.load_design("walkr")

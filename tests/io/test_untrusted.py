@@ -27,10 +27,11 @@ from warpvox.cli.config import load, load_values
 from warpvox.design import check_design, full_connections, load_design, save_design
 from warpvox.errors import ConfigError, DesignError, RolloutError, RunError, WorldError
 from warpvox.io.reading import Unreadable, parse_json, parse_yaml, read_facts
+from warpvox.io.world_files import LARGEST_GRID
 from warpvox.robots.entry import Robot, read_robot, save_robot
 from warpvox.runs import find_run, write_summary
 from warpvox.view.rollout import Rollout
-from warpvox.world import LARGEST_GRID, World, WorldObject
+from warpvox.world import World, WorldObject
 
 
 @pytest.mark.parametrize("text", ["[" + "[]," * 300_000 + "]", "1:" * 300_000 + "1", "{" + "a: 1," * 100_000 + "}"])

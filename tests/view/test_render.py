@@ -184,8 +184,11 @@ def test_a_path_is_neither_protocol_nor_option_of_ffmpeg(rollouts, tmp_path: Pat
         (lambda r, p: render.write_gif(r, p, every=0), "every must be an integer"),
         (lambda r, p: render.write_gif(r, p, fps=0), "fps must lie in 1 to 50, got 0"),
         (lambda r, p: render.write_gif(r, p, start=4, stop=4), "no frames from 4 to 4"),
-        (lambda r, p: render.write_filmstrip(r, p, 0), "1 to 64 frames"),
-        (lambda r, p: render.write_filmstrip(r, p, [0] * 9, size=(20, 20)), "20 pixels wide has no room for 9 frames"),
+        (lambda r, p: render.write_filmstrip(r, p.with_suffix(".png"), 0), "1 to 64 frames"),
+        (
+            lambda r, p: render.write_filmstrip(r, p.with_suffix(".png"), [0] * 9, size=(20, 20)),
+            "20 pixels wide has no room for 9 frames",
+        ),
     ],
 )
 def test_wrong_requests_get_one_clear_line(rollouts, tmp_path: Path, call, words: str) -> None:

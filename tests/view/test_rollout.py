@@ -63,9 +63,9 @@ def test_the_best_come_first_under_their_names(rollouts: Callable[..., Rollout])
 
 
 def test_equal_rollouts_give_equal_files(rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
-    for name in ("a", "b"):
+    for name in ("a.npz", "b.npz"):
         rollouts(5, 2).save(tmp_path / name)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
 @pytest.mark.parametrize(("limit", "what"), [("LARGEST", "arrays"), ("LARGEST_HEADER", "header")])

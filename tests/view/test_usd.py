@@ -119,7 +119,7 @@ def test_chosen_environments_and_stride(rollouts: Callable[..., Rollout], tmp_pa
 @pytest.mark.parametrize(
     ("name", "options", "words"),
     [
-        ("rollout.obj", {}, "ends in .usdc"),
+        ("rollout.obj", {}, "must end in .usdc"),
         ("rollout.usdc", {"envs": [9]}, "No environment 9"),
         ("rollout.usdc", {"stride": 0}, "stride"),
     ],

@@ -151,7 +151,7 @@ def read_file(path: Path) -> dict[str, Any]:
         near = did_you_mean(path.stem, (name.removesuffix(".json") for name in file_names(path.parent)))
         raise WorldError(f"There is no file '{path.name}' in {path.parent}.{near}")
     try:
-        content = parse_json(read_text(path, LONGEST_FILE))
+        content = parse_json(read_text(path, LONGEST_FILE), allow_nan=True)
     except Unreadable as error:
         raise WorldError(f"'{path.name}' is not a JSON file that the editor can read: {error}.") from None
     if isinstance(content, dict) and "body" not in content:

@@ -18,6 +18,7 @@ from warpvox import world as core
 from warpvox.errors import WorldError, did_you_mean, listing
 from warpvox.evogym.utils import *  # noqa: F403  # as in the release, scripts may take them from here
 from warpvox.evogym.utils import Pair
+from warpvox.io.world_files import read_object
 
 __all__ = ["EvoWorld", "WorldObject"]
 
@@ -196,9 +197,12 @@ class WorldObject:
         self.grid = self.grid.astype(np.asarray(structure).dtype)
 
     def load_from_parsed_json(self, name: str, json_data: Any, grid_size: Pair) -> None:
-        """Become an object of a parsed world file of ``grid_size``; ``indices``, ``types``, ``neighbors``."""
-        data = {"grid_width": grid_size.x, "grid_height": grid_size.y, "objects": {name: json_data}}
-        self._become(core.World.from_json(data).objects[name])
+        """Become an object of a parsed world file of the width ``grid_size.x``.
+
+        ``json_data`` has ``indices``, ``types`` and ``neighbors``. WorldError: they contradict each other.
+        """
+        cells = read_object(name, json_data, grid_size.x)
+        self._become(core.WorldObject.from_array(name, cells.grid, cells.x, cells.y, cells.connections))
 
     @classmethod
     def from_core(cls, obj: core.WorldObject) -> WorldObject:

@@ -64,17 +64,20 @@ def read_table(path: str | os.PathLike[str], limit: int = 1 << 24) -> list[dict[
         return []
 
 
-def parse_json(text: str) -> Any:
+def parse_json(text: str, allow_nan: bool = False) -> Any:
     """The value of a JSON text.
 
     Stricter than :func:`json.loads`: NaN and Infinity are refused (JSON has none), and so are names that occur twice
     in one object (the first would be dropped without a word) and halves of characters (no file or page can hold them).
 
+    Args:
+        allow_nan: read NaN and Infinity as Python writes them, for files whose other entries belong to somebody else.
+
     Raises:
         Unreadable: it is not JSON, or too deeply nested.
     """
     try:
-        value = json.loads(text, object_pairs_hook=_unique, parse_constant=_no_number)
+        value = json.loads(text, object_pairs_hook=_unique, parse_constant=None if allow_nan else _no_number)
         if _HALF.search(text):
             json.dumps(value, ensure_ascii=False).encode()
     except RecursionError:

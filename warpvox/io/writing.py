@@ -13,7 +13,7 @@ import json
 import math
 import os
 import secrets
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from typing import Any
 import yaml
 
 from warpvox.code import Code
-from warpvox.errors import RunError, StorageError
+from warpvox.errors import RunError, StorageError, listing
 from warpvox.system import flush_to_disk, path_lock
 
 MARK = ".part-"
@@ -81,6 +81,22 @@ def atomic_path(path: str | os.PathLike[str], make_folders: bool = True, follow:
             with suppress(OSError):
                 temporary.unlink()
             raise
+
+
+def check_suffix(what: str, path: str | os.PathLike[str], suffixes: Sequence[str], error: type[Exception]) -> str:
+    """Return the suffix of ``path`` in lower case, by which a writer knows the format.
+
+    Args:
+        what: subject of the sentence, such as "The file of a GIF".
+        suffixes: those that the writer has a format for, in lower case.
+
+    Raises:
+        error: another suffix, or none; the message lists those that are valid.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in suffixes:
+        raise error(f"{what} must end in {listing(suffixes)}, got '{path}'.")
+    return suffix
 
 
 def write_bytes(

@@ -22,7 +22,7 @@ from warpvox.checks import is_number
 from warpvox.design import Design, check_design, full_connections, zoo_file, zoo_tasks as zoo_tasks
 from warpvox.errors import RunError
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
-from warpvox.io.writing import atomic_path
+from warpvox.io.writing import atomic_path, check_suffix
 from warpvox.robots.gait import ARRAYS, Gait
 from warpvox.robots.network import Network
 from warpvox.view.palette import body_svg
@@ -141,10 +141,12 @@ def check_facts(about: Mapping[str, Any]) -> None:
 
 
 def save_robot(path: str | os.PathLike[str], robot: Robot) -> Path:
-    """Write ``robot`` to ``path`` (``.npz``), whole or not at all; return the path.
+    """Write ``robot`` to ``path``, whole or not at all; return the path.
 
-    RunError: what is known of it cannot be stored, see :func:`check_facts`.
+    Raises:
+        RunError: another suffix than .npz, or facts that cannot be stored (see :func:`check_facts`).
     """
+    check_suffix("The file of a robot", path, (".npz",), RunError)
     check_facts(robot.about)
     header = {"format": FORMAT, "version": VERSION, "task": robot.task, "network": _network(robot.policy)}
     header |= {"about": dict(robot.about), "sha256": robot.sha256}

@@ -42,6 +42,10 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 
 
+PNG_SUFFIXES = (".png",)
+"""Suffixes of what :func:`save_png` writes."""
+
+
 def save_png(image: Image.Image, path: str | os.PathLike[str], optimize: bool = False) -> Path:
     """Write a picture as PNG, whole or not at all; returns the path."""
     with atomic_path(path, follow=True) as temporary:

@@ -15,10 +15,10 @@ from PIL import Image, ImageDraw
 from warpvox.checks import check_integer, is_integer
 from warpvox.errors import RolloutError
 from warpvox.io.console import escaped
-from warpvox.io.writing import atomic_path
+from warpvox.io.writing import atomic_path, check_suffix
 from warpvox.types import FRAME_SECONDS, VOXEL
 from warpvox.view.gif import write_pictures
-from warpvox.view.painter import INK, Painter, check_size, font, save_png
+from warpvox.view.painter import INK, PNG_SUFFIXES, Painter, check_size, font, save_png
 from warpvox.view.rollout import Rollout
 
 SIZE = (640, 360)
@@ -145,7 +145,12 @@ def write_png(
     hud: bool = True,
     voxels: float | None = None,
 ) -> Path:
-    """Write the picture of one frame; arguments as for :class:`Film`. Returns the path."""
+    """Write the picture of one frame as PNG; arguments as for :class:`Film`. Returns the path.
+
+    Raises:
+        RolloutError: another suffix than .png, or as for :class:`Film`.
+    """
+    check_suffix("The file of a picture", path, PNG_SUFFIXES, RolloutError)
     return save_png(Film(rollout, envs, size, hud, voxels).image(frame), path)
 
 
@@ -167,8 +172,9 @@ def write_filmstrip(
         voxels: voxels from bottom to top; None fits the robot.
 
     Raises:
-        RolloutError: no such frame or environment, or a size that cannot be drawn.
+        RolloutError: another suffix than .png, no such frame or environment, or a size that cannot be drawn.
     """
+    check_suffix("The file of a strip", path, PNG_SUFFIXES, RolloutError)
     width, height = check_size(size)
     rollout.check_envs([env])
     count = frames if is_integer(frames) else len(frames)
@@ -218,9 +224,10 @@ def write_gif(
         every: time runs so many times as fast.
 
     Raises:
-        RolloutError: no such environment, a size, rate or range that cannot be drawn, or more pictures than viewers
-            of GIFs can hold.
+        RolloutError: another suffix than .gif, no such environment, a size, rate or range that cannot be drawn, or
+            more pictures than viewers of GIFs can hold.
     """
+    check_suffix("The file of a GIF", path, (".gif",), RolloutError)
     _check_rate(fps, 50)
     pause = round(100 / fps) * 10  # a GIF counts in hundredths of a second
     frames = _frames(rollout, 1000 / pause, start, stop, every)
@@ -264,8 +271,9 @@ def write_mp4(
     """Write an H.264 film; arguments as for :func:`write_gif`. Needs the extra ``view`` (imageio-ffmpeg).
 
     Raises:
-        RolloutError: as for write_gif and :func:`check_mp4`.
+        RolloutError: another suffix than .mp4, or as for write_gif and :func:`check_mp4`.
     """
+    check_suffix("The file of an MP4", path, (".mp4",), RolloutError)
     check_mp4(size)
     import imageio_ffmpeg
 

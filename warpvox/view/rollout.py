@@ -23,7 +23,7 @@ import numpy as np
 from warpvox.checks import check_choice, check_integer, is_integer
 from warpvox.errors import ActionError, ConfigError, RolloutError, counted
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
-from warpvox.io.writing import atomic_path
+from warpvox.io.writing import atomic_path, check_suffix
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW, ACTION_SCALE, FRAME_SECONDS, VOXEL
 from warpvox.view.scene import Scene, check_scene, scene_from_json, scene_of, scene_to_json, stretch
 
@@ -177,8 +177,10 @@ class Rollout:
         """Write the rollout to ``path`` (``.npz``), whole or not at all; return the path.
 
         Raises:
-            RolloutError: metadata that JSON cannot hold, or more than a file may have (4 GiB).
+            RolloutError: another suffix than .npz, metadata that JSON cannot hold, or more than a file may have
+                (4 GiB).
         """
+        check_suffix("The file of a rollout", path, (".npz",), RolloutError)
         header = {
             "format": FORMAT,
             "version": VERSION,

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from warpvox.compile import CompiledWorld
-from warpvox.design import LARGEST_GRID, as_grid
+from warpvox.design import as_grid
 from warpvox.errors import RolloutError
+from warpvox.io.world_files import LARGEST_GRID
 from warpvox.types import ACTUATORS, VOXEL, Cell
 
 

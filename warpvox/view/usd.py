@@ -16,7 +16,7 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, Vt
 from warpvox.checks import check_integer
 from warpvox.devices.out_of_memory import free_memory
 from warpvox.errors import RolloutError
-from warpvox.io.writing import atomic_path
+from warpvox.io.writing import atomic_path, check_suffix
 from warpvox.types import ACTUATORS, FRAME_SECONDS, MATERIALS, VOXEL, Cell
 from warpvox.view.painter import camera_path
 from warpvox.view.palette import cell_colour, colour_index, palette
@@ -47,9 +47,7 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     Raises:
         RolloutError: another suffix, no such environment, a stride below 1, or a stage that does not fit into memory.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix not in SUFFIXES:
-        raise RolloutError(f"A USD file ends in .usdc, .usd or .usda, got {str(path)!r}.")
+    suffix = check_suffix("A USD file", path, SUFFIXES, RolloutError)
     check_integer("stride", stride, 1, error=RolloutError)
     chosen = list(dict.fromkeys(rollout.check_envs(envs)))
     frames = list(range(0, rollout.num_frames, stride))

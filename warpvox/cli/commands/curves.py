@@ -9,8 +9,8 @@ from rich.table import Table
 
 from warpvox.algos.report.learning_curves import (
     AXES,
+    SUFFIXES,
     Curve,
-    check_file,
     curves_of,
     curves_of_searches,
     evaluations_of,
@@ -23,8 +23,9 @@ from warpvox.checks import check_choice
 from warpvox.cli.application import run_command
 from warpvox.cli.run_groups import group_runs
 from warpvox.configs.show import CurvesConfig
-from warpvox.errors import RunError, listing
+from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.console import echo, literal
+from warpvox.io.writing import check_suffix
 from warpvox.runs import Run, find_runs, find_searches
 
 AXES_OF_RUNS, AXES_OF_SEARCHES = ("steps", "elapsed", "iteration"), ("steps", "evaluations")
@@ -35,7 +36,7 @@ def run(words: list[str]) -> None:
 
 
 def _draw(config: CurvesConfig, console: Console) -> None:
-    check_file(config.file)
+    check_suffix("file", config.file, SUFFIXES, ConfigError)
     searches = find_searches(config.runs, config.output_dir)
     what, axes = ("design searches", AXES_OF_SEARCHES) if searches else ("trainings", AXES_OF_RUNS)
     check_choice(f"x of {what}", config.x, axes)

@@ -1,7 +1,6 @@
 """``warpvox tasks``: all tasks as a table, or one in detail with a picture of its world."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -14,6 +13,7 @@ from warpvox.design import example_designs
 from warpvox.errors import ConfigError, WorldError, listing
 from warpvox.examples import MADE_FOR
 from warpvox.io.console import echo, literal
+from warpvox.io.writing import check_suffix
 
 
 def run(words: list[str]) -> None:
@@ -29,8 +29,8 @@ def show(config: TasksConfig, console: Console) -> None:
     ):
         if value is not None and not goes:
             raise ConfigError(f"{key} goes {'without' if key == 'gallery' else 'with'} a task, `warpvox tasks ID`.")
-        if value is not None and key != "rules" and Path(value).suffix.lower() != ".png":
-            raise ConfigError(f"{key} must be a file ending in .png, got '{value}'.")
+        if value is not None and key != "rules":
+            check_suffix(key, value, (".png",), ConfigError)
     if config.gallery is not None:
         from warpvox.algos.report.gallery import everywhere, write_gallery
 

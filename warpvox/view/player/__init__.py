@@ -30,7 +30,7 @@ import numpy as np
 from warpvox.checks import check_integer
 from warpvox.errors import RolloutError
 from warpvox.io.console import in_html
-from warpvox.io.writing import write_text
+from warpvox.io.writing import check_suffix, write_text
 from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, MATERIALS, VOXEL
 from warpvox.view.scene import Scene
 
@@ -60,8 +60,10 @@ def write_html(
         every: show every n-th frame only.
 
     Raises:
-        RolloutError: no such environment, positions that are out of range, or more than a browser can hold.
+        RolloutError: another suffix than .html or .htm, no such environment, positions that are out of range, or more
+            than a browser can hold.
     """
+    check_suffix("The file of a page", path, (".html", ".htm"), RolloutError)
     write_text(path, page_of(rollout, envs, title, every), follow=True)
     return Path(path)
 
