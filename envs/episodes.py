@@ -19,7 +19,7 @@ class Episodes:
         terminated, truncated: bool ``[num_envs]``, how an environment ended that waits for its reset.
         memory: ``[num_envs, ...]`` by name: the task's episode state.
         before: the quantities (see :class:`Snapshot`) that rewards compare the next step with.
-        limit: long ``[]``, the time limit.
+        limit: long ``[num_envs]``, the time limits.
         times_set: how often ``before`` was written; the fast steps of a single environment do not write it.
         drawn: whether the first episode has been drawn and no step taken, so that a reset keeps what was drawn.
     """
@@ -31,7 +31,7 @@ class Episodes:
         self.truncated = torch.zeros_like(self.terminated)
         self._counts = {"length": self.length, "return": self.returns}
         self._counts |= {"terminated": self.terminated, "truncated": self.truncated}
-        self.limit = torch.full((), limit, dtype=torch.long, device=device)
+        self.limit = torch.full((num_envs,), limit, dtype=torch.long, device=device)
         self.memory: dict[str, torch.Tensor] = {}
         self.before: dict[Quantity, torch.Tensor] = {}
         self.drawn, self.times_set = True, 0

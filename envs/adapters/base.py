@@ -1,17 +1,26 @@
 """Common parts of the adapters: environments from their arguments, bounds of observations and actions, pictures."""
 
-from collections.abc import Sequence
-from typing import Any
+import copy
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any, TypeVar
 
+import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces import Box
 
-from warpvox.checks import check_known
-from warpvox.types import ACTION_HIGH, ACTION_LOW
+from warpvox.checks import check_integer, check_known
+from warpvox.errors import SimulationError
+from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS
 from warpvox.view import window
+
+Values = TypeVar("Values")
 
 WINDOWED = ("human", "screen")
 """Render modes that show a window."""
+FPS = round(1 / FRAME_SECONDS)
+"""Pictures a second at the speed of the world."""
 
 
 class Adapter:
@@ -46,13 +55,138 @@ class Adapter:
             options = defaults | options
         self.vec = make_vec(task, designs, num_envs, **options, **fixed)
 
-    def _pictures(self) -> Sequence[np.ndarray]:
-        """A picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
+    def pictures(self, envs: Sequence[int] | None = None) -> Sequence[np.ndarray]:
+        """A picture of every environment as it is now, or of those numbers, uint8 ``[height, width, 3]`` each."""
         if self._view is None or self._view.worlds is not self.vec.sim.world_numbers:  # bodies have been exchanged
             from warpvox.view.painter import LiveView
 
             self._view = LiveView(self.vec.sim, self.render_size)
-        return self._view.pictures()
+        return self._view.pictures(envs)
+
+
+class BatchAdapter(Adapter):
+    """Many environments in one batch, which other libraries also ask one by one.
+
+    Attributes:
+        num_envs: the number of environments.
+        render_mode: None or ``rgb_array``.
+        single_spaces: the spaces of observations and actions of an environment.
+    """
+
+    num_envs: int
+    render_mode: str | None
+    single_spaces: tuple[Box, Box]
+
+    @cached_property
+    def envs(self) -> list["SubEnv"]:
+        """The environments one by one."""
+        return [SubEnv(self, number) for number in range(self.num_envs)]
+
+    def restart(self, mask: np.ndarray, seeds: Sequence[int] | None) -> np.ndarray:
+        """Begin an episode where ``mask``, bool ``[num_envs]``, is True; return the observations of all."""
+        raise NotImplementedError
+
+    def _reset(self, seeds: Sequence[int] | None, mask: np.ndarray | None = None) -> Any:
+        """Reset the environments, or those of ``mask``; return the observations, a tensor ``[num_envs, num_obs]``."""
+        obs, _ = self.vec.reset(seeds, mask=mask)
+        if seeds is not None:
+            for env, seed in zip(self.envs, seeds, strict=True):
+                if mask is None or mask[env.number]:
+                    gymnasium.Env.reset(env, seed=int(seed))
+        return obs
+
+
+class SubEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """One environment of a batch, with the attributes of a single environment within gymnasium's TimeLimit.
+
+    It is stepped by the batch alone. ``sim``, ``vec`` and ``voxels`` are those of the batch.
+
+    Args:
+        batch: the batch.
+        number: which of its environments this is.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012
+
+    def __init__(self, batch: BatchAdapter, number: int) -> None:
+        self.batch = batch
+        self.number = number
+        self.render_mode = batch.render_mode
+        self.render_size = batch.render_size
+        self.observation_space, self.action_space = batch.single_spaces
+
+    @property
+    def vec(self) -> Any:
+        """The :class:`warpvox.envs.vec_env.VoxelVecEnv` of the batch."""
+        return self.batch.vec
+
+    @property
+    def sim(self) -> Any:
+        """The :class:`warpvox.Simulation` of the batch."""
+        return self.vec.sim
+
+    @property
+    def voxels(self) -> dict[str, Any]:
+        """With ``obs="voxel"`` the :class:`warpvox.envs.voxels.VoxelLayout` of every robot, by name."""
+        return self.vec.voxels
+
+    @property
+    def body(self) -> np.ndarray | dict[str, np.ndarray]:
+        """int8 ``[rows, columns]``: the robot; of several robots all, by name."""
+        return copy.deepcopy(self.vec.designs[int(self.vec.design_index[self.number])])
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """The specification of the batch with the time limit of this environment; None if no id has made it."""
+        spec = copy.copy(getattr(self.batch, "spec", None))
+        if spec is not None:
+            spec.max_episode_steps = self._max_episode_steps
+        return spec
+
+    # TimeLimit has these names, which its users read and set.
+    @property
+    def _max_episode_steps(self) -> int:
+        """Control steps after which an episode is truncated."""
+        return int(self.vec.episodes.limit[self.number])
+
+    @_max_episode_steps.setter
+    def _max_episode_steps(self, steps: int) -> None:
+        self.vec.episodes.limit[self.number] = check_integer("_max_episode_steps", steps, 1)
+
+    @property
+    def _elapsed_steps(self) -> int:
+        """Control steps of the episode so far."""
+        return int(self.vec.episodes.length[self.number])
+
+    @_elapsed_steps.setter
+    def _elapsed_steps(self, steps: int) -> None:
+        self.vec.episodes.length[self.number] = check_integer("_elapsed_steps", steps, 0)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode in this environment alone; ``options`` are not used."""
+        mask = np.arange(self.batch.num_envs) == self.number
+        seeds = None if seed is None else [seed] * self.batch.num_envs
+        return self.batch.restart(mask, seeds)[self.number].copy(), {}
+
+    def step(self, action: np.ndarray) -> Any:
+        """Raise SimulationError: one environment of a batch cannot be stepped without the others."""
+        raise SimulationError(
+            f"Environment {self.number} is part of a batch: step all of them, by step(actions) of it."
+        )
+
+    def render(self) -> np.ndarray | None:
+        """The present state, uint8 ``[height, width, 3]``; without a mode a warning and None."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() does nothing without render_mode='rgb_array'.")
+            return None
+        return self.batch.pictures([self.number])[0]
+
+
+def flat(terms: Mapping[str, Values]) -> dict[str, Values]:
+    """Values of reward terms as entries of ``info``: libraries do not take dictionaries of dictionaries."""
+    return {f"reward_terms/{name}": value for name, value in terms.items()}
 
 
 def metadata_here(metadata: dict[str, Any]) -> dict[str, Any]:

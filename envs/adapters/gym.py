@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from warpvox.checks import check_choice
-from warpvox.envs.adapters.base import Adapter, metadata_here, spaces_of
+from warpvox.envs.adapters.base import FPS, Adapter, flat, metadata_here, spaces_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ActionError, ConfigError, DisplayError
@@ -16,7 +16,6 @@ from warpvox.types import FRAME_SECONDS
 from warpvox.view import window
 
 NAMESPACE = "warpvox"
-FPS = round(1 / FRAME_SECONDS)
 _NO_LIMIT = 2**62  # gymnasium's TimeLimit counts the steps
 
 
@@ -104,7 +103,8 @@ class VoxelEnv(Adapter, gymnasium.Env):
         self.observation_space, self.action_space = spaces_of(self.vec)
         self._window: window.Window | None = None
         self._next_frame = 0.0
-        self._ended: np.ndarray | None = None  # the observation with which the episode has ended
+        # The observation and the reward terms, as 0, with which the episode has ended.
+        self._ended: tuple[np.ndarray, dict[str, float]] | None = None
         self._fast = fast_stepper(self.vec)
         self._zeros = np.zeros(self.action_space.shape)
 
@@ -141,8 +141,8 @@ class VoxelEnv(Adapter, gymnasium.Env):
 
         Returns:
             Observation, reward, terminated, truncated (always False here), and a dictionary with ``unstable``
-            (the step was stopped), ``diverged`` (it diverged, not by self-folding) and ``reward_terms``,
-            what each term has added to the reward.
+            (the step was stopped), ``diverged`` (it diverged, not by self-folding) and ``reward_terms/NAME`` for
+            each term, what it has added to the reward.
 
         Raises:
             ActionError: wrong shape, or entries that are not finite.
@@ -155,7 +155,8 @@ class VoxelEnv(Adapter, gymnasium.Env):
             expected = self.action_space.shape
             raise ActionError(f"An action must have the shape {list(expected or ())}, got {list(action.shape)}.")
         if self._ended is not None and self.vec.episodes.terminated.item():  # it may have been set to an earlier state
-            return self._ended.copy(), 0.0, True, False, {"unstable": False, "diverged": False, "reward_terms": {}}
+            obs, terms = self._ended
+            return obs.copy(), 0.0, True, False, {"unstable": False, "diverged": False, **flat(terms)}
         if self._fast is not None:
             if not isfinite(action.dot(self._zeros)):
                 self.sim.take(action[None])  # names an entry that is not finite
@@ -165,9 +166,9 @@ class VoxelEnv(Adapter, gymnasium.Env):
             obs, terms = row[0].cpu().numpy(), {name: value.item() for name, value in info["reward_terms"].items()}
             terminated, unstable, diverged = bool(done), bool(info["unstable"]), bool(info["diverged"])
         if terminated:
-            self._ended = obs.copy()
+            self._ended = obs.copy(), dict.fromkeys(terms, 0.0)
         self._show()
-        info = {"unstable": unstable, "diverged": diverged, "reward_terms": terms}
+        info = {"unstable": unstable, "diverged": diverged, **flat(terms)}
         return obs, sum(terms.values()), terminated, False, info
 
     def render(self) -> np.ndarray | None:
@@ -180,13 +181,13 @@ class VoxelEnv(Adapter, gymnasium.Env):
             gymnasium.logger.warn("render() does nothing without a render_mode: gymnasium.make(..., render_mode=...).")
             return None
         self._show()
-        return self._pictures()[0] if self.render_mode == "rgb_array" else None
+        return self.pictures()[0] if self.render_mode == "rgb_array" else None
 
     def _show(self) -> None:
         """In human mode: the state in the window, which is opened if need be; one that was closed stays closed."""
         if self.render_mode != "human" or (self._window is not None and self._window.closed):
             return
-        picture = self._pictures()[0]  # refuses a size before there is a window of it
+        picture = self.pictures()[0]  # refuses a size before there is a window of it
         if self._window is None:
             self._window = window.Window(self.render_size, f"{NAMESPACE} {self.vec.spec.id}")
         time.sleep(max(0.0, self._next_frame - time.perf_counter()))  # in real time

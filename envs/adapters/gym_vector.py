@@ -1,6 +1,6 @@
 """Many environments as gymnasium has them: ``gymnasium.make_vec("warpvox/Walker-v0", num_envs=8, body=...)``."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -9,23 +9,26 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from warpvox.checks import check_choice
-from warpvox.envs.adapters.base import Adapter, spaces_of
-from warpvox.envs.adapters.gym import FPS, NAMESPACE
+from warpvox.envs.adapters.base import FPS, BatchAdapter, flat, spaces_of
+from warpvox.envs.adapters.gym import NAMESPACE
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, SimulationError, did_you_mean, listing
 
 
-class VoxelGymVectorEnv(Adapter, VectorEnv):
+class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
     """A :class:`warpvox.envs.vec_env.VoxelVecEnv` behind gymnasium's vector interface: one batch, no processes.
 
     Observations ``[num_envs, num_obs]``, rewards float64 and flags ``[num_envs]`` are numpy arrays; ``infos`` holds
-    ``unstable``, ``diverged`` and ``reward_terms``, as they are for a single environment. An environment that has ended
-    is reset as ``autoreset_mode`` says, with the results that gymnasium's ``SyncVectorEnv`` would have:
+    ``unstable``, ``diverged`` and ``reward_terms/NAME``, as they are for a single environment. An environment that has
+    ended is reset as ``autoreset_mode`` says, with the results that gymnasium's ``SyncVectorEnv`` would have:
 
+    - ``NEXT_STEP``: in the next step, whose action is ignored and whose reward is 0.
     - ``SAME_STEP``: in the same step. ``infos["final_obs"]`` and ``infos["final_info"]`` hold what ended, where
       ``infos["_final_obs"]`` is True.
-    - ``NEXT_STEP``: in the next step, whose action is ignored and whose reward is 0.
     - ``DISABLED``: by ``reset(options={"reset_mask": mask})``, before the next step.
+
+    ``envs``, :meth:`call`, :meth:`get_attr` and :meth:`set_attr` reach single environments
+    (:class:`warpvox.envs.adapters.base.SubEnv`) as those of ``SyncVectorEnv`` do.
 
     Args:
         task, num_envs, body, connections: as in :func:`warpvox.make_vec`.
@@ -43,7 +46,7 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
     metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": ["rgb_array"],
         "render_fps": FPS,
-        "autoreset_mode": AutoresetMode.SAME_STEP,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
     def __init__(
@@ -55,7 +58,7 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
         connections: object = None,
         render_mode: str | None = None,
         render_size: tuple[int, int] = (640, 360),
-        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **options: Any,
     ) -> None:
         check_choice("render_mode", render_mode, [None, *self.metadata["render_modes"]])
@@ -66,7 +69,8 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
         given = {"body": body, "connections": connections, "auto_reset": self.autoreset_mode is AutoresetMode.SAME_STEP}
         self._make(task, designs, num_envs, options, {"device": "cpu", "dtype": "float64"}, **given)
         self.num_envs, self.render_mode, self.render_size = self.vec.num_envs, render_mode, render_size
-        self.single_observation_space, self.single_action_space = spaces_of(self.vec)
+        self.single_spaces = spaces_of(self.vec)
+        self.single_observation_space, self.single_action_space = self.single_spaces
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._obs = np.zeros((self.num_envs, self.vec.num_obs), self.single_observation_space.dtype)
@@ -91,21 +95,22 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
         super().reset(seed=None if seed is None else seed[0])
         mask: np.ndarray | Sequence[bool] | None = (options or {}).get("reset_mask")
         if mask is None:
-            mask = np.ones(self.num_envs, dtype=bool)
-            self._obs = self.vec.reset(seed)[0].cpu().numpy()
+            self._obs = self._reset(seed).cpu().numpy()
+            self._ended = np.zeros(self.num_envs, dtype=bool)
         else:
             if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
                 raise ConfigError(f"options['reset_mask'] must be a bool array [{self.num_envs}], got {mask!r:.80}.")
             if not mask.any():
                 raise ConfigError("options['reset_mask'] must be True for one environment at least.")
-            self._restart(mask, seed)
-        self._ended = self._ended & ~mask
+            self.restart(mask, seed)
         return self._obs.copy(), {}
 
-    def _restart(self, mask: np.ndarray, seed: Sequence[int] | None = None) -> None:
-        """Begin an episode where ``mask`` is True; the others keep their observation."""
-        fresh = self.vec.reset(seed, mask=mask)[0].cpu().numpy()
+    def restart(self, mask: np.ndarray, seeds: Sequence[int] | None) -> np.ndarray:
+        """Begin an episode where ``mask`` is True; the others keep their observation. Returns those of all."""
+        fresh = self._reset(seeds, mask).cpu().numpy()
         self._obs = np.where(mask[:, None], fresh, self._obs)
+        self._ended = self._ended & ~mask
+        return self._obs
 
     def set_designs(self, designs: object, mask: np.ndarray, connections: Sequence[object] | None = None) -> np.ndarray:
         """:meth:`warpvox.envs.vec_env.VoxelVecEnv.set_designs`; observations of the others are of the last step."""
@@ -130,12 +135,12 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
         obs, reward, terminated, truncated, info = self.vec.step(np.asarray(actions))
         self._obs, rewards = obs.cpu().numpy(), reward.double().cpu().numpy()
         flags = [terminated.cpu().numpy(), truncated.cpu().numpy()]
-        terms = {name: value.cpu().numpy() for name, value in info["reward_terms"].items()}
-        details = {name: info[name].cpu().numpy() for name in ("unstable", "diverged")} | {"reward_terms": terms}
+        details = {"unstable": info["unstable"], "diverged": info["diverged"], **flat(info["reward_terms"])}
+        details = {name: value.cpu().numpy() for name, value in details.items()}
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             return self._obs.copy(), rewards, *flags, self._infos_of_same_step(info, details)
         if waiting.any():  # NEXT_STEP: this step was their reset
-            self._restart(waiting)
+            self.restart(waiting, None)
             rewards, flags = np.where(waiting, 0.0, rewards), [flag & ~waiting for flag in flags]
         self._ended = flags[0] | flags[1]
         infos = {} if waiting.all() else _masked(details, ~waiting)
@@ -159,7 +164,29 @@ class VoxelGymVectorEnv(Adapter, VectorEnv):
         if self.render_mode is None:
             gymnasium.logger.warn("render() does nothing without render_mode='rgb_array'.")
             return None
-        return tuple(self._pictures())
+        return tuple(self.pictures())
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method of each environment and return the results; of an attribute that is no method, the values."""
+        found = [env.get_wrapper_attr(name) for env in self.envs]
+        return tuple(value(*args, **kwargs) if callable(value) else value for value in found)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """An attribute of each environment."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute of each environment: one value for all, or a list or tuple with one for each.
+
+        Raises:
+            ConfigError (a ValueError): a list of another length.
+        """
+        if not isinstance(values, list | tuple):
+            values = [values] * self.num_envs
+        if len(values) != self.num_envs:
+            raise ConfigError(f"{name} needs a value for each of {self.num_envs} environments, got {len(values)}.")
+        for env, value in zip(self.envs, values, strict=True):
+            setattr(env, name, value)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({NAMESPACE} {self.vec.spec.id}, num_envs={self.num_envs})"
@@ -174,10 +201,10 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
     raise ConfigError(f"autoreset_mode must be one of {listing(names)}, got {mode!r:.80}.{did_you_mean(mode, names)}")
 
 
-def _masked(values: Mapping[str, np.ndarray | dict[str, Any]], mask: np.ndarray) -> dict[str, Any]:
+def _masked(values: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, Any]:
     """Values in gymnasium's form: 0 where the mask is False, and the mask itself under ``_name``."""
     out: dict[str, Any] = {}
     for name, value in values.items():
-        here = _masked(value, mask) if isinstance(value, dict) else np.where(mask, value, np.zeros_like(value))
-        out |= {name: here, f"_{name}": mask.copy()}
+        out[name] = np.where(mask, value, np.zeros_like(value))
+        out[f"_{name}"] = mask.copy()
     return out

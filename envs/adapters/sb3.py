@@ -8,9 +8,9 @@ import torch
 from gymnasium.spaces import Box
 
 from warpvox.checks import check_choice
-from warpvox.envs.adapters.base import Adapter, spaces_of
+from warpvox.envs.adapters.base import BatchAdapter, SubEnv, spaces_of
 from warpvox.envs.spec import TaskSpec
-from warpvox.errors import ConfigError, listing
+from warpvox.errors import ConfigError
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW, ACTION_SCALE
 
 try:
@@ -20,7 +20,7 @@ except ImportError as error:
     raise ConfigError("This needs the package stable-baselines3: pip install 'warpvox[sb3]'") from error
 
 
-class VoxelSB3VecEnv(Adapter, VecEnv):
+class VoxelSB3VecEnv(BatchAdapter, VecEnv):
     """A :class:`warpvox.envs.vec_env.VoxelVecEnv` behind Stable-Baselines3's ``VecEnv``: one batch, no processes.
 
     Observations ``[num_envs, num_obs]`` and rewards ``[num_envs]`` are float32. Environments that end are reset in the
@@ -53,12 +53,13 @@ class VoxelSB3VecEnv(Adapter, VecEnv):
         check_choice("render_mode", render_mode, [None, "rgb_array"])
         self._make(task, designs, num_envs, options, {"device": "cpu"}, body=body, auto_reset=True)
         self.normalize_actions, self.render_size = normalize_actions, render_size
-        self._mode = render_mode
+        self.render_mode = render_mode
         self._actions: Any = None
         observations, actions = spaces_of(self.vec)
         observations = Box(observations.low, observations.high, dtype=np.float32)
         low, high = (-1.0, 1.0) if normalize_actions else (ACTION_LOW, ACTION_HIGH)
         actions = Box(low, high, actions.shape, np.float32)
+        self.single_spaces = observations, actions
         super().__init__(self.vec.num_envs, observations, actions)  # pyright: ignore[reportUnknownMemberType] # bare Space
 
     def reset(self) -> np.ndarray:
@@ -66,7 +67,11 @@ class VoxelSB3VecEnv(Adapter, VecEnv):
         seeds = None if None in self._seeds else [int(seed) for seed in self._seeds if seed is not None]
         self._reset_seeds()
         self._reset_options()
-        return self._numbers(self.vec.reset(seeds)[0])
+        return self._numbers(self._reset(seeds))
+
+    def restart(self, mask: np.ndarray, seeds: Sequence[int] | None) -> np.ndarray:
+        """Begin an episode where ``mask``, bool ``[num_envs]``, is True; return the observations of all."""
+        return self._numbers(self._reset(seeds, mask))
 
     def step_async(self, actions: np.ndarray) -> None:
         """Keep ``actions`` ``[num_envs, num_actions]`` for :meth:`step_wait`."""
@@ -100,9 +105,9 @@ class VoxelSB3VecEnv(Adapter, VecEnv):
 
     def get_images(self) -> list[np.ndarray | None]:
         """A picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
-        if self._mode is None:
+        if self.render_mode is None:
             return [None] * self.num_envs
-        return list(self._pictures())
+        return list(self.pictures())
 
     def close(self) -> None:
         """There is nothing to close."""
@@ -110,25 +115,21 @@ class VoxelSB3VecEnv(Adapter, VecEnv):
     # ------------------------------------------------------- what Stable-Baselines3 asks of each environment
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """An attribute of the environments, which they share, once for each of ``indices``."""
-        value = self._mode if attr_name == "render_mode" else getattr(self.vec, attr_name)
-        return [value for _ in self._get_indices(indices)]
+        """An attribute of each environment."""
+        return [env.get_wrapper_attr(attr_name) for env in self._chosen(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of all environments; raises ConfigError for some of them: they are one batch."""
-        self._need_all(attr_name, indices)
-        setattr(self.vec, attr_name, value)
+        """Set an attribute of each environment."""
+        for env in self._chosen(indices):
+            setattr(env, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **options: Any) -> list[Any]:
-        """Call a method of the batch once; its result stands for each environment. ConfigError: for some of them."""
-        self._need_all(method_name, indices)
-        return [getattr(self.vec, method_name)(*args, **options)] * self.num_envs
+        """Call a method of each environment."""
+        return [env.get_wrapper_attr(method_name)(*args, **options) for env in self._chosen(indices)]
 
     def env_is_wrapped(self, wrapper_class: type, indices: VecEnvIndices = None) -> list[bool]:
         """False: there are no wrappers around single environments."""
-        return [False for _ in self._get_indices(indices)]
+        return [False for _ in self._chosen(indices)]
 
-    def _need_all(self, name: str, indices: VecEnvIndices) -> None:
-        chosen = list(self._get_indices(indices))
-        if len(set(chosen)) != self.num_envs:
-            raise ConfigError(f"{name!r} is that of all environments: it cannot be for {listing(chosen)} alone.")
+    def _chosen(self, indices: VecEnvIndices) -> list[SubEnv]:
+        return [self.envs[number] for number in self._get_indices(indices)]

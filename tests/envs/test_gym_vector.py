@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers.vector import NormalizeObservation
 
 from warpvox.design import example_design, full_connections
 from warpvox.envs.adapters.gym_vector import VoxelGymVectorEnv
@@ -72,6 +73,91 @@ def test_it_is_what_gymnasium_makes_of_single_environments(task: str, mode: Auto
         compare(infos, expected, f"infos {step}")
         ended = numbers[2] | numbers[3]
     compare(ours.reset()[0], theirs.reset()[0], "reset of all")
+
+
+def test_single_environments_answer_as_those_of_a_sync_vector_env() -> None:
+    options = {"body": "walker", "render_mode": "rgb_array", "render_size": (80, 45)}
+    ours, theirs = make(**options), make(vectorization_mode="sync", **options)
+    for env in (ours, theirs):
+        env.reset(seed=5)
+        for value in (0.6, 1.6, 0.6):
+            env.step(np.full(env.action_space.shape, value))
+    for name in ("render_mode", "render_size", "action_space", "observation_space", "body", "np_random_seed"):
+        np.testing.assert_equal(ours.get_attr(name), theirs.get_attr(name), name)
+    for name in ("_max_episode_steps", "_elapsed_steps"):
+        assert ours.get_attr(name) == theirs.get_attr(name), name
+        assert ours.call("get_wrapper_attr", name) == theirs.call("get_wrapper_attr", name), name
+        assert ours.call("has_wrapper_attr", name) == theirs.call("has_wrapper_attr", name), name
+    assert [one.random() for one in ours.get_attr("np_random")] == [
+        one.random() for one in theirs.get_attr("np_random")
+    ]
+    assert [one.id for one in ours.get_attr("spec")] == [one.id for one in theirs.get_attr("spec")]
+    pictures = ours.call("render")
+    assert type(pictures) is type(theirs.call("render")) is tuple
+    np.testing.assert_array_equal(pictures, theirs.call("render"))
+    np.testing.assert_array_equal(pictures, ours.render())
+    for env in (ours, theirs):
+        env.set_attr("mine", [1, (2,), None])
+        assert env.get_attr("mine") == env.call("mine") == (1, (2,), None)
+        env.set_attr("mine", "word")
+        assert env.get_attr("mine") == ("word",) * 3
+        for wrong in ([1], (1, 2, 3, 4)):
+            with pytest.raises(ValueError, match="3 environments"):
+                env.set_attr("mine", wrong)
+        with pytest.raises(AttributeError, match="others"):
+            env.get_attr("others")
+    compare(ours.call("reset", seed=2), theirs.call("reset", seed=2), "reset")
+    assert ours.get_attr("np_random_seed") == theirs.get_attr("np_random_seed") == (2, 2, 2)
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_time_limits_are_set_for_each_environment(mode: AutoresetMode) -> None:
+    ours = make(body="walker", autoreset_mode=mode)
+    theirs = make(body="walker", vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode})
+    found = {}
+    for env in (ours, theirs):
+        env.reset()
+        env.set_attr("_max_episode_steps", [4, 2, 3])
+        ended = np.zeros(3, dtype=bool)
+        found[env] = []
+        for _ in range(9):
+            if mode is AutoresetMode.DISABLED and ended.any():
+                env.reset(options={"reset_mask": ended})
+            *_, ended, _ = env.step(np.ones(env.action_space.shape))
+            found[env].append((ended.tolist(), env.get_attr("_elapsed_steps")))
+    assert found[ours] == found[theirs]
+    assert [spec.max_episode_steps for spec in ours.get_attr("spec")] == [4, 2, 3]
+    with pytest.raises(ConfigError, match="_max_episode_steps must be an integer"):
+        ours.set_attr("_max_episode_steps", 0)
+
+
+def test_bodies_of_single_environments() -> None:
+    env = make(num_envs=4, designs=["walker", "mini"])
+    for number, body in enumerate(env.get_attr("body")):
+        np.testing.assert_array_equal(body, example_design("walker" if number < 2 else "mini"))
+        body[:] = 0
+    assert all(body.any() for body in env.get_attr("body"))
+    with pytest.raises(SimulationError, match="Environment 0 is part of a batch"):
+        env.call("step", env.single_action_space.sample())
+
+
+@pytest.mark.parametrize("mode", ["NEXT_STEP", "DISABLED"])
+@pytest.mark.parametrize("kind", ["vector_entry_point", "sync"])
+def test_infos_hold_arrays_alone(mode: str, kind: str) -> None:
+    """As libraries want them that make tensors of infos, for instance TorchRL."""
+    options = {"autoreset_mode": mode} if kind != "sync" else {"vector_kwargs": {"autoreset_mode": AutoresetMode[mode]}}
+    env = make("UpStepper-v0", body="walker", max_episode_steps=3, vectorization_mode=kind, **options)
+    env.reset()
+    for _ in range(3):
+        infos = env.step(env.action_space.sample())[-1]
+        assert {type(value) for value in infos.values()} == {np.ndarray}
+        assert {"unstable", "diverged", "reward_terms/displacement_robot_x"} <= set(infos)
+
+
+def test_the_mode_is_gymnasiums_own_unless_another_is_asked_for() -> None:
+    theirs = make(body="walker", vectorization_mode="sync")
+    assert make(body="walker").metadata["autoreset_mode"] is theirs.metadata["autoreset_mode"]
+    NormalizeObservation(make(body="walker"))  # which takes no SAME_STEP
 
 
 def test_who_has_ended_must_be_reset_where_nobody_else_does() -> None:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -9,12 +10,13 @@ pytest.importorskip("stable_baselines3")
 
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from warpvox.design import example_design
 from warpvox.envs.adapters.sb3 import VoxelSB3VecEnv
 from warpvox.envs.vec_env import make_vec
-from warpvox.errors import ConfigError
+from warpvox.errors import ConfigError, SimulationError
 
 
 def make(**options: object) -> VoxelSB3VecEnv:
@@ -83,15 +85,54 @@ def test_what_it_is_asked_about_its_environments() -> None:
     env.reset()
     assert env.render_mode == "rgb_array"
     assert [picture.shape for picture in env.get_images()] == [(45, 80, 3)] * 3
-    assert env.get_attr("num_obs", [0, 2]) == [env.vec.num_obs] * 2
     assert np.isfinite(env.step(np.full((3, env.vec.num_actions), 1e39))[1]).all()
-    assert env.env_is_wrapped(object) == [False] * 3
     assert make().get_images() == [None] * 3
-    env.set_attr("nothing", 1)
-    assert env.get_attr("nothing") == [1, 1, 1]
-    with pytest.raises(ConfigError, match="cannot be for 0 alone"):
-        env.set_attr("nothing", 2, indices=0)
     with pytest.raises(ConfigError, match="Did you mean 'rules'"):
         make(rulse="paper")
     with pytest.raises(ConfigError, match="argument 'auto_reset'"):
         make(auto_reset=False)
+
+
+def test_single_environments_answer_as_those_of_a_dummy_vec_env() -> None:
+    ours = make(render_mode="rgb_array", render_size=(80, 45), dtype="float64", normalize_actions=False)
+    options = {"body": "walker", "render_mode": "rgb_array", "render_size": (80, 45)}
+    theirs = DummyVecEnv([lambda: gymnasium.make("warpvox/Walker-v0", **options) for _ in range(3)])
+    for env in (ours, theirs):
+        env.seed(4)
+        env.reset()
+        for value in (0.6, 1.6, 0.6):
+            env.step(np.full((3, env.action_space.shape[0]), value, np.float32))
+    for indices in (None, 1, [0, 2], range(2)):
+        for name in ("render_mode", "render_size", "body", "np_random_seed", "_max_episode_steps", "_elapsed_steps"):
+            np.testing.assert_equal(ours.get_attr(name, indices), theirs.get_attr(name, indices), name)
+        pictures = ours.env_method("render", indices=indices)
+        np.testing.assert_array_equal(pictures, theirs.env_method("render", indices=indices))
+        assert ours.env_is_wrapped(Monitor, indices) == theirs.env_is_wrapped(Monitor, indices)
+    np.testing.assert_array_equal(ours.render(), theirs.render())
+    for env in (ours, theirs):
+        env.set_attr("mine", 7)
+        env.set_attr("mine", 8, indices=[1])
+        assert env.get_attr("mine") == [7, 8, 7]
+        assert (env.has_attr("mine"), env.has_attr("others")) == (True, False)
+        with pytest.raises(AttributeError, match="others"):
+            env.env_method("others")
+        env.set_attr("_max_episode_steps", 4, indices=[2])
+        fresh = env.env_method("reset", seed=9, indices=[0])
+        assert np.isclose(fresh[0][0], env.reset()[0], atol=1e-6).all()
+        ends = [env.step(np.full((3, env.action_space.shape[0]), 1.0, np.float32))[2].tolist() for _ in range(5)]
+        assert ends == [[False] * 3] * 3 + [[False, False, True], [False] * 3]
+
+
+def test_one_environment_is_reset_while_the_others_go_on() -> None:
+    env = make()
+    first = env.reset()
+    for _ in range(5):
+        before, *_ = env.step(np.full((3, env.vec.num_actions), 0.9))
+    assert env.get_attr("_elapsed_steps") == [5, 5, 5]
+    ((obs, info),) = env.env_method("reset", indices=1)
+    assert (obs.dtype, info) == (np.float32, {})
+    assert np.array_equal(obs, first[1])
+    assert not np.array_equal(obs, before[1])
+    assert env.get_attr("_elapsed_steps") == [5, 0, 5]
+    with pytest.raises(SimulationError, match="part of a batch"):
+        env.env_method("step", np.ones(env.vec.num_actions), indices=1)

@@ -49,6 +49,41 @@ def test_made_environments_pass_attributes_on() -> None:
     assert env.world is None
     assert env.unwrapped.world is None
     assert gymnasium.make(env.spec).sim is not env.sim
+    assert gymnasium.make("Walker-v0", body=BODY, max_episode_steps=-1).get_time() == 0
+
+
+def test_made_environments_are_wrapped_as_gymnasium_wraps_them() -> None:
+    env: Any = gymnasium.make("Walker-v0", body=BODY, max_episode_steps=9)
+    plain: Any = gymnasium.make("CartPole-v1", max_episode_steps=9)
+    assert isinstance(env, gymnasium.wrappers.TimeLimit)
+    assert str(env).partition("<W")[0] == str(plain).partition("<C")[0]
+    assert set(vars(env)) == set(vars(plain))  # whatever they are called, also in other versions of gymnasium
+    for name, value in vars(plain).items():
+        if name != "env":
+            assert getattr(env, name) == value, name
+    assert (env.spec.max_episode_steps, gymnasium.make(env.spec)._max_episode_steps) == (9, 9)
+
+
+@pytest.mark.parametrize("wrapper", [lambda env: env, gymnasium.wrappers.RecordEpisodeStatistics])
+def test_the_time_limit_can_be_set(wrapper: Any) -> None:
+    env: Any = gymnasium.make("Walker-v0", body=BODY)
+    wrapped = wrapper(env)
+    wrapped.reset()
+    env._max_episode_steps = 3
+    assert [wrapped.step(wrapped.action_space.sample())[3] for _ in range(3)] == [False, False, True]
+    wrapped.set_wrapper_attr("_max_episode_steps", 1000)
+    assert not wrapped.step(wrapped.action_space.sample())[3]
+    assert env._elapsed_steps == 4
+    env._elapsed_steps = 999
+    assert wrapped.step(wrapped.action_space.sample())[3]
+    assert wrapped.unwrapped.get_time() == 5
+
+
+def test_the_time_limit_can_be_set_in_vector_environments() -> None:
+    envs: Any = gymnasium.make_vec("Walker-v0", num_envs=2, body=BODY)
+    envs.set_attr("_max_episode_steps", [1, 2])
+    envs.reset()
+    assert envs.step(envs.action_space.sample())[3].tolist() == [True, False]
 
 
 @pytest.mark.parametrize("task", ["Walker-v0", "BidirectionalWalker-v0", "Catcher-v0"])

@@ -94,6 +94,53 @@ def test_processes_of_a_script_have_it_too(method: str, package: Path) -> None:
     assert (done.returncode, done.stdout) == (0, "warpvox.evogym\n" * 3), done.stderr
 
 
+STARTS = {
+    "subprocess": "import subprocess, sys; subprocess.run([sys.executable, '-c', 'import child'])",
+    "a child of a child": "import os, sys; os.system(sys.executable + ' nested.py')",
+    "a spawned pool": "import multiprocessing as m; m.get_context('spawn').Pool(1).map(exec, ['import child'])",
+    "joblib": "import joblib; joblib.Parallel(2)([joblib.delayed(exec)('import child')])",
+}
+"""Code that starts a process which imports or runs child.py, by what it uses."""
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_processes_that_others_start_have_it_too(start: str, package: Path, tmp_path: Path) -> None:
+    if start == "joblib":
+        pytest.importorskip("joblib")
+    folder = tmp_path / "scripts"
+    folder.mkdir()
+    (folder / "child.py").write_text(
+        "import evogym.envs.base, evogym\n"
+        "from evogym.envs import *\n"
+        "import sys\n"
+        "assert evogym is sys.modules['warpvox.evogym'] and BenchmarkBase is evogym.envs.base.BenchmarkBase\n"
+        "print(evogym.__name__, flush=True)\n"
+    )
+    (folder / "nested.py").write_text("import os, sys; os.system(sys.executable + ' child.py')")
+    (folder / "run_it.py").write_text(
+        f"if __name__ == '__main__':\n    import warpvox.evogym\n    warpvox.evogym.install()\n    {STARTS[start]}\n"
+    )
+    environment = os.environ | {"PYTHONPATH": str(package)}  # another evogym is installed
+    done = subprocess.run([sys.executable, "run_it.py"], cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.stdout == "warpvox.evogym\n", done.stderr
+
+
+def test_paths_are_extended_once_and_in_front_of_what_is_installed(tmp_path: Path) -> None:
+    code = """
+import os, sys
+os.environ["PYTHONPATH"] = "elsewhere"
+before = list(sys.path)
+import warpvox.evogym
+assert (os.environ["PYTHONPATH"], sys.path) == ("elsewhere", before)
+warpvox.evogym.install(); warpvox.evogym.install()
+first, second = os.environ["PYTHONPATH"].split(os.pathsep)
+assert second == "elsewhere" and os.listdir(first) == ["evogym"]
+assert sys.path == [before[0], first, *before[1:]]
+"""
+    done = run(code, tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_script_is_run_as_python_runs_it(tmp_path: Path) -> None:
     (tmp_path / "beside.py").write_text("BODY = (3, 3)\n")
     (tmp_path / "run_it.py").write_text(

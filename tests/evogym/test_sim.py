@@ -1,5 +1,6 @@
 """The drop-in's simulation: its record of the past, several robots, moved objects, errors."""
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -265,3 +266,52 @@ def test_an_empty_world_is_refused_and_still_ones_are_not() -> None:
     sim = EvoSim(still)
     sim.step()
     assert np.array_equal(sim.pos_at_time(1), sim.pos_at_time(0))
+
+
+def test_a_history_of_some_steps_is_kept_if_asked_for() -> None:
+    sim, whole = EvoSim(make_world()), EvoSim(make_world())
+    sim.history = 3
+    for row in waves(8, 6):
+        for each in (sim, whole):
+            each.set_action("robot", row)
+            each.step()
+    for time in (0, 6, 7, 8):
+        assert np.array_equal(sim.pos_at_time(time), whole.pos_at_time(time))
+        assert np.array_equal(sim.vel_at_time(time), whole.vel_at_time(time))
+    for time in (1, 5):
+        with pytest.raises(ValueError, match="history keeps the times 0, 6, 7, 8 alone"):
+            sim.pos_at_time(time)
+        with pytest.raises(ValueError, match="history"):
+            sim.revert(time)
+    sim.history = 1
+    sim.step()
+    whole.step()
+    for each in (sim, whole):
+        each.translate_object(0.5, 1.0, "box")
+        each.translate_object(1.0, 0.0, "ground")
+        each.step()
+    assert np.array_equal(sim.pos_at_time(10), whole.pos_at_time(10))
+    sim.reset()
+    assert np.array_equal(sim.pos_at_time(0), whole.pos_at_time(0))
+    sim.history = None
+    for _ in range(3):
+        sim.step()
+    assert [len(sim.pos_at_time(time)) for time in range(4)] == [2, 2, 2, 2]
+    for wrong in (0, -1, 1.5, "3"):
+        sim.history = wrong
+        with pytest.raises(ValueError, match="history must be an integer"):
+            sim.step()
+    assert sim.get_time() == 3
+
+
+def test_the_history_of_all_simulations_is_limited_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(EvoSim, "history", 1)
+    sim = EvoSim(make_world())
+    sim.step()
+    tracemalloc.start()
+    before, _ = tracemalloc.get_traced_memory()
+    for _ in range(50):
+        sim.step()
+    after, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert after - before < 10 * sim.pos_at_time(0).nbytes  # a step has twice that, positions and velocities

@@ -18,9 +18,9 @@ def main() -> None:
     script = parser.parse_args().script
     if not script.is_file():
         parser.error(f"there is no script {script}")
-    install_everywhere()
     sys.argv = sys.argv[1:]
     sys.path[0] = str(script.resolve().parent)
+    install_everywhere()
     runpy.run_path(str(script), run_name="__main__")
 
 

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from warpvox.batch.options import SimOptions
+from warpvox.checks import check_integer
 from warpvox.envs.adapters.single import Sensors
 from warpvox.errors import did_you_mean, listing
 from warpvox.evogym.errors import ArgumentError, ArgumentTypeError
@@ -67,18 +68,31 @@ class Engine:
         self._bodies = {body.name: body for body in ordered}
         self._rows = np.concatenate([np.arange(ends[-1])[self._spans[name]] for name in self._bodies])
 
-    def step(self) -> bool:
-        """One control step; True if self-folding (or numbers that are not finite) stopped and undid it."""
+    def step(self, history: int | None = None) -> bool:
+        """One control step; True if self-folding (or numbers that are not finite) stopped and undid it.
+
+        Args:
+            history: how many of the last times are kept, besides time 0; None: all.
+
+        Raises:
+            ArgumentError: ``history`` is no integer from 1 on.
+        """
+        if history is not None:
+            check_integer("history", history, 1, error=ArgumentError)
         self._sim.advance()
         self._moved()
         if self._status[0] & STOPPED:
             return True
         self.time += 1
         self._record()
+        if history is not None:
+            oldest = self.time - history
+            while oldest > 0 and self._past.pop(oldest, None) is not None:
+                oldest -= 1
         return False
 
     def _record(self) -> None:
-        now = self._past[self.time] = self._past[max(0, self.time - 1)].copy()
+        now = self._past[self.time] = self._past[0].copy()  # with what cannot move
         now[0, : self._moving], now[1, : self._moving] = self._views["pos"], self._views["vel"]
 
     def revert(self, time: int) -> None:
@@ -118,6 +132,8 @@ class Engine:
         if not isinstance(time, int | np.integer):
             raise ArgumentTypeError(f"time must be an integer, got {time!r} of type {type(time).__name__}.")
         if time not in self._past:
+            if 0 < time < self.time:
+                raise ArgumentError(f"EvoSim.history keeps the times {listing(self._past)} alone, got {time}.")
             raise ArgumentError(f"time must lie between 0 and {self.time}, got {time}.")
         return self._past[time]
 

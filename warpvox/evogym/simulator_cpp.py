@@ -27,7 +27,13 @@ class Sim:
     """A simulation that objects are read into, and that is then stepped.
 
     The order of objects does not depend on the order of reading: robots first, then the others, each by name.
+
+    Attributes:
+        history: how many of the last control steps are kept, besides time 0; None keeps all since the reset, as the
+            release does. May be set for a simulation, or for the class.
     """
+
+    history: int | None = None
 
     def __init__(self) -> None:
         self._plan = World()
@@ -101,8 +107,11 @@ class Sim:
         return self.read_object_from_file(file_name, robot_name, x, y)
 
     def step(self) -> bool:
-        """Take a control step of 30 sub-steps; True if a robot has folded into itself: the step is undone then."""
-        return self._engine.step()
+        """Take a control step of 30 sub-steps; True if a robot has folded into itself: the step is undone then.
+
+        ArgumentError: :attr:`history` is neither None nor an integer from 1 on.
+        """
+        return self._engine.step(self.history)
 
     def set_action(self, robot_name: str, action: np.ndarray) -> None:
         """Set targets of actuators from the next step on; they hold until others are set.

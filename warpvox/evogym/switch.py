@@ -2,10 +2,12 @@
 
 import importlib.util
 import multiprocessing.spawn
+import os
 import sys
 from collections.abc import Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
+from pathlib import Path
 from types import ModuleType
 
 from warpvox.evogym.errors import InstallError
@@ -13,6 +15,8 @@ from warpvox.evogym.errors import InstallError
 __all__ = ["install"]
 
 THEIRS, OURS = "evogym", "warpvox.evogym"
+CHILDREN = str(Path(__file__).resolve().parent / "children")
+"""Folder on the path of processes that this one starts; its package ``evogym`` calls :func:`install`."""
 
 
 class _Alias(MetaPathFinder, Loader):
@@ -43,7 +47,8 @@ class _Alias(MetaPathFinder, Loader):
 def install() -> None:
     """Make ``import evogym``, ``import evogym.envs`` and so on give the modules of :mod:`warpvox.evogym`.
 
-    An installed EvoGym stays as it is, but can no longer be imported by this process. Harmless to repeat.
+    This holds for the present process and for those that it starts, unless they are started without its environment
+    variables. An installed EvoGym stays as it is, but they can no longer import it. Harmless to repeat.
 
     Raises:
         InstallError (an ImportError): EvoGym itself has been imported already.
@@ -57,9 +62,19 @@ def install() -> None:
     if not any(isinstance(finder, _Alias) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Alias())
 
+    # Children find a package evogym that calls this function. Multiprocessing and joblib hand sys.path on to them.
+    if CHILDREN not in sys.path:
+        sys.path.insert(1, CHILDREN)  # behind the folder of the script
+    inherited = os.environ.get("PYTHONPATH", "")
+    if CHILDREN not in inherited.split(os.pathsep):
+        os.environ["PYTHONPATH"] = CHILDREN + os.pathsep * bool(inherited) + inherited
+
 
 def install_everywhere() -> None:
-    """Call :func:`install` here and, before they import the script, in processes that spawn or forkserver starts."""
+    """Call :func:`install` here and, before they import the script, in processes that spawn or forkserver starts.
+
+    The script may put a folder with another evogym first on their path.
+    """
     install()
     if "forkserver" in multiprocessing.get_all_start_methods():
         multiprocessing.set_forkserver_preload([])  # of Python 3.14 the server would import the script before that

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import operator
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -328,10 +329,12 @@ class LiveView:
         canvases = [Canvas(scene, self.size, fitting_scale(scene, self.size)) for scene in scenes]
         self._canvases = [canvases[design] for design in sim.design_index.tolist()]
 
-    def pictures(self) -> list[np.ndarray]:
-        """A picture of each environment, uint8 ``[height, width, 3]``."""
-        positions, pictures = self._positions().cpu().numpy(), []
-        for canvas, points in zip(self._canvases, positions, strict=True):
+    def pictures(self, envs: Sequence[int] | None = None) -> list[np.ndarray]:
+        """A picture of each environment, or of those numbers, uint8 ``[height, width, 3]``."""
+        positions = self._positions().cpu().numpy()
+        pictures = []
+        for env in range(len(positions)) if envs is None else envs:
+            canvas, points = self._canvases[env], positions[env]
             view = (self.size[0] / canvas.scale, self.size[1] / canvas.scale)
             corner = np.rint(camera_path(canvas.scene, points[None], view)[0] * canvas.scale).astype(int)
             pictures.append(np.array(canvas.picture(points, corner)))

@@ -19,7 +19,7 @@ from warpvox.evogym.envs.flip import *  # noqa: F403
 from warpvox.evogym.envs.jump import *  # noqa: F403
 from warpvox.evogym.envs.manipulate import *  # noqa: F403
 from warpvox.evogym.envs.multi_goal import *  # noqa: F403
-from warpvox.evogym.envs.task import PassAttributes
+from warpvox.evogym.envs.task import TimeLimit
 from warpvox.evogym.envs.traverse import *  # noqa: F403
 from warpvox.evogym.envs.walk import *  # noqa: F403
 
@@ -37,7 +37,7 @@ def _register() -> None:
                     released_id(task),
                     entry_point=f"{module.__name__}:{name}",
                     max_episode_steps=get_task(task).max_episode_steps,
-                    additional_wrappers=(PassAttributes.wrapper_spec(),),
+                    additional_wrappers=(TimeLimit.wrapper_spec(),),
                 )
 
 

@@ -4,8 +4,8 @@ import sys
 from typing import Any
 
 import numpy as np
-from gymnasium import Env, Wrapper, spaces
-from gymnasium.utils import RecordConstructorArgs
+from gymnasium import Env, spaces, wrappers
+from gymnasium.envs.registration import EnvSpec
 
 from warpvox.envs.registry import get_task
 from warpvox.envs.snapshot import Snapshot
@@ -14,7 +14,7 @@ from warpvox.evogym.envs.base import BenchmarkBase, EvoGymBase
 from warpvox.evogym.world import EvoWorld, WorldObject
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-__all__ = ["PassAttributes", "TaskEnv", "task_env"]
+__all__ = ["TaskEnv", "TimeLimit", "task_env"]
 
 _BOUND = 100.0  # as released: nominal, observations are not clipped
 _FOLLOWED = ("package", "beam")
@@ -106,12 +106,19 @@ class TaskEnv(BenchmarkBase):
         return self._observe(self._state()), {}
 
 
-class PassAttributes(Wrapper, RecordConstructorArgs):
-    """Outermost wrapper of what ``gymnasium.make`` returns: scripts say ``env.sim``, which wrappers of 1.0 stopped."""
+class TimeLimit(wrappers.TimeLimit):
+    """gymnasium's own TimeLimit, which also gives the public attributes of the environment: ``env.sim``, ``env.world``.
+
+    Wrappers of gymnasium before 1.0 did so, and scripts rely on it. It takes the place of the TimeLimit that
+    ``gymnasium.make`` has put around the environment.
+    """
 
     def __init__(self, env: Env) -> None:
-        RecordConstructorArgs.__init__(self)
-        Wrapper.__init__(self, env)
+        steps = sys.maxsize  # made with max_episode_steps=-1
+        if isinstance(env, wrappers.TimeLimit):
+            steps = env._max_episode_steps
+            env = env.env
+        super().__init__(env, steps)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):  # private; and copying asks for such before there is an `env`
@@ -119,8 +126,18 @@ class PassAttributes(Wrapper, RecordConstructorArgs):
         return self.env.get_wrapper_attr(name)
 
     def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
-        """Set an attribute where it is: this wrapper seems to have all of the environment's."""
+        """Set an attribute where it is: gymnasium would take all of the environment's for this wrapper's."""
+        if name in vars(self):
+            setattr(self, name, value)
+            return True
         return self.env.set_wrapper_attr(name, value, force=force)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """The environment's, with this limit and this wrapper: ``gymnasium.make(env.spec)`` makes another."""
+        if self._cached_spec is None and super().spec is not None:
+            self._cached_spec.additional_wrappers += (self.wrapper_spec(),)
+        return self._cached_spec
 
 
 def task_env(name: str, task: str, *bases: type, **constants: float) -> type:
