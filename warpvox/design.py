@@ -377,9 +377,11 @@ def _read_path(path: Path) -> Design:
         raise DesignError(f"There is no design file '{path}'.") from None
     except Unreadable as error:
         raise DesignError(f"The design file '{path}' cannot be read: {error}.") from None
-    if connections is not None and np.ndim(body) == 2:
+    except OSError as error:
+        raise DesignError(f"The folder '{path}' cannot be read: {error.strerror or error}.") from None
+    if connections is not None and isinstance(body, np.ndarray) and body.ndim == 2:
         # A body alone means "all neighbours are connected"; dropping cuts silently would be another robot.
-        cuts = {tuple(pair) for pair in full_connections(np.asarray(body)).tolist()} - _pairs(path, connections)
+        cuts = {tuple(pair) for pair in full_connections(body).tolist()} - _pairs(path, connections)
         if cuts:
             raise DesignError(
                 f"The design file '{path}' leaves {len(cuts)} pair(s) of neighbouring cells unconnected,"
@@ -399,8 +401,9 @@ def _read_folder(folder: Path) -> tuple[object, np.ndarray | None]:
         return read_npy(folder / "body.npy", LARGEST_FILE), connections
     found = design_paths(folder)
     if not found:
-        entries = listing(sorted(entry.name for entry in folder.iterdir()), 5)
-        raise DesignError(f"The folder '{folder}' holds no design, but {entries}; {_EXPECTED}.")
+        entries = sorted(entry.name for entry in folder.iterdir())
+        content = f"holds no design, but {listing(entries, 5)}" if entries else "is empty"
+        raise DesignError(f"The folder '{folder}' {content}; {_EXPECTED}.")
     if len(found) > 1:
         raise DesignError(f"The folder '{folder}' holds {len(found)} designs: name one of them, such as '{found[0]}'.")
     return _read_folder(found[0]) if found[0].is_dir() else _read_file(found[0])

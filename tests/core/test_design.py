@@ -343,6 +343,8 @@ def test_other_files_are_described(tmp_path: Path, name: str, content: bytes, wo
 
 
 def test_folders_and_devices_without_a_body_are_described(tmp_path: Path) -> None:
+    with pytest.raises(wv.DesignError, match="is empty; a design is"):
+        wv.load_design(tmp_path)
     (tmp_path / "notes.md").write_text("# 3 3\n")
     with pytest.raises(wv.DesignError, match=r"holds no design, but notes\.md; a design is"):
         wv.load_design(tmp_path)
