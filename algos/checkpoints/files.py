@@ -13,11 +13,13 @@ from tensordict import TensorDict
 from torch import nn
 from torch.func import functional_call
 
+from warpvox.algos.draws import Draws
 from warpvox.algos.policies.gait import GaitModel
 from warpvox.algos.policies.layout import VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.settings import CPG, Ppo
 from warpvox.code import Code, is_code
+from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError, first_line
@@ -226,7 +228,8 @@ def checked_weights(weights: object) -> dict[str, torch.Tensor]:
 
 
 def build_actor(spec: PolicySpec, device: str = "cpu") -> MLPModel | GaitModel:
-    with torch.device(device):
+    """The network that ``spec`` describes, with weights that are to be replaced."""
+    with own_torch(), Draws(0), torch.device(device):
         if spec.gait is not None:
             return GaitModel(spec.num_actions, **spec.gait)
         obs = TensorDict({OBS_GROUP: torch.zeros(1, spec.num_obs)}, batch_size=[1])

@@ -14,6 +14,7 @@ from warpvox.algos.candidate import Candidate, Outcome, Parents, Report, candida
 from warpvox.algos.checkpoints.files import read_tensors, save_checkpoint, spec_dict
 from warpvox.algos.codesign.population_evaluator import describe, read_evaluation, save_evaluation
 from warpvox.algos.codesign.stored_policies import policy_sha256
+from warpvox.algos.draws import Draws
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.policies.registry import voxels_of
@@ -95,8 +96,7 @@ class _Course:
         )
 
     def run(self, report: Report, checkpoint: Path | None) -> list[Outcome]:
-        with torch.random.fork_rng(devices=[]), enough_memory(self.hint):
-            torch.manual_seed(self.seeds[0])
+        with enough_memory(self.hint):
             try:
                 self.runner = self._runner(report, checkpoint)
                 self.runner.run()
@@ -125,7 +125,8 @@ class _Course:
         schedule = Schedule(settings.iterations, settings.save_interval)
         # without feedback there is nothing that PPO could learn from single actions
         climbs = settings.policy == CPG and settings.iterations > 0
-        runner = (AscentRunner if climbs else Runner)(env, ppo, schedule, voxels=voxels, on_save=save)
+        draws = Draws(self.seeds[0], str(env.device))
+        runner = (AscentRunner if climbs else Runner)(env, ppo, schedule, voxels=voxels, on_save=save, draws=draws)
         runner.report = tell
         moments = settings.policy != CPG  # those of other bodies' derivatives are of no use
         if content := read_evaluation(checkpoint, self.about):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -18,6 +19,7 @@ from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Listen
 from warpvox.algos.codesign.archive import Archive, Finished, Record, body_text, repair_hint
 from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
+from warpvox.devices.startup import own_torch
 from warpvox.errors import DivergenceError, RunError, SearchError
 
 
@@ -234,14 +236,20 @@ class Executor(Protocol):
 
 
 class LocalExecutor(Executor):
-    """Evaluates in this process, in order."""
+    """Evaluates in this process, in order.
 
-    def __init__(self, evaluator: DesignEvaluator) -> None:
-        self.evaluator = evaluator
+    Args:
+        alone: whether other threads that train or evaluate wait meanwhile.
+    """
+
+    def __init__(self, evaluator: DesignEvaluator, alone: bool = True) -> None:
+        self.evaluator, self.alone = evaluator, alone
 
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
         for place, batch in enumerate(work):
-            yield place, self.evaluator.evaluate(batch.candidates, parents, partial(report, place), batch.checkpoint)
+            with own_torch() if self.alone else nullcontext():
+                outcomes = self.evaluator.evaluate(batch.candidates, parents, partial(report, place), batch.checkpoint)
+            yield place, outcomes
 
 
 def batches(candidates: Sequence[Candidate], size: int | None, folder: Path | None = None) -> list[Batch]:

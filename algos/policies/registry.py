@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import nn
 
+from warpvox.algos.draws import Draws
 from warpvox.algos.policies.cpg import CpgNetwork
 from warpvox.algos.policies.grid import GridNetwork
 from warpvox.algos.policies.layout import CLOCK, FEATURES, VoxelLayout, layout_of
@@ -46,7 +47,7 @@ def check_network(env: VoxelVecEnv, name: str, settings: Any, key: str = "networ
         raise ConfigError(f"{key} must be settings by name, such as {{width:32}}; got {settings!r:.80}.")
     layout = layout_for(name, env)
     actor, shapes = make_network(name, layout, False, settings), ([2, layout.cells, FEATURES], [2, layout.rest])
-    with torch.random.fork_rng(devices=[]), torch.no_grad():  # as if nothing had been tried
+    with Draws(0), torch.no_grad():  # the critic and what networks draw do not matter
         for network, wanted in (actor, [2, layout.cells]), (make_network(name, layout, True, settings), [2]):
             try:
                 found = list(network.eval()(*map(torch.zeros, shapes)).shape)

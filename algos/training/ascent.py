@@ -62,9 +62,9 @@ class Targets:
         self._keys = kept[-self.limit :]
         self._bodies, self._targets = bodies[-self.limit :], targets[-self.limit :]
 
-    def draw(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """So many bodies and targets, drawn at random with torch's generator of the CPU."""
-        rows = torch.randint(len(self), (count,)).to(self._bodies.device)
+    def draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+        """So many bodies and targets, drawn at random with a generator of the CPU."""
+        rows = torch.randint(len(self), (count,), generator=generator).to(self._bodies.device)
         return self._bodies[rows], self._targets[rows]
 
     def state(self) -> dict[str, torch.Tensor]:
@@ -116,7 +116,7 @@ class Ascent(PPO):
             self.set_learning_rate(self.decayed_rate)
         total, times = 0.0, self.num_learning_epochs * self.num_mini_batches
         for _ in range(times):
-            bodies, wanted = targets.draw(min(BATCH, len(targets)))
+            bodies, wanted = targets.draw(min(BATCH, len(targets)), self.draws.on("cpu"))
             driven = bodies[..., DRIVEN].sum(-1, keepdim=True)
             apart = ((self.learner.weights(bodies) - wanted).square() * driven).sum()
             loss = apart / (driven.sum().clamp(min=1) * wanted.shape[2])

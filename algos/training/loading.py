@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
 from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.files import load_controller
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from warpvox.algos.training.job import Job
 
 
-@torch.random.fork_rng(devices=[])  # networks begin with random weights
 def load_policy(
     source: str | Path = "latest",
     *,

@@ -1,18 +1,24 @@
 """rsl-rl's PPO with a linear schedule, Adam's epsilon and time limits bootstrapped where they struck."""
 
+from __future__ import annotations
+
 import copy
 import inspect
 from collections.abc import Collection, Generator, Mapping
+from contextlib import nullcontext
 from typing import Any
 
 import torch
 from rsl_rl.algorithms import PPO as RslRlPPO
+from rsl_rl.extensions import resolve_rnd_config, resolve_symmetry_config
 from rsl_rl.models import MLPModel, RNNModel
 from rsl_rl.modules import EmpiricalDiscountedVariationNormalization
 from rsl_rl.storage import RolloutStorage
+from rsl_rl.utils import resolve_class
 from tensordict import TensorDict
 
 from warpvox.algos.checkpoints.files import RNN
+from warpvox.algos.draws import Draws
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.policies.network import LATENT, Gaussian, Network
 from warpvox.algos.settings import Ppo
@@ -41,19 +47,47 @@ class PPO(RslRlPPO):
     """rsl-rl's PPO with what its settings lack.
 
     Args:
+        draws: where its random numbers come from; None: it draws none.
         schedule: ``fixed``, ``adaptive`` (rsl-rl's) or ``linear``: the learning rate of update k of n is
             ``learning_rate * (1 - k / n)`` with k = 0, 1, ..., n - 1.
     """
 
     def __init__(
-        self, *args: Any, total_iterations: int, adam_eps: float = 1e-8, schedule: str = "fixed", **settings: Any
+        self,
+        *args: Any,
+        total_iterations: int,
+        adam_eps: float = 1e-8,
+        schedule: str = "fixed",
+        draws: Draws | None = None,
+        **settings: Any,
     ) -> None:
         super().__init__(*args, schedule="adaptive" if schedule == "adaptive" else "fixed", **settings)
+        self.draws = draws
+        if draws is not None:
+            self.get_policy().distribution.generator = draws.on(self.device)
         self.decays, self.adam_eps = schedule == "linear", adam_eps
         self.initial_learning_rate, self.total_iterations, self.updates = self.learning_rate, total_iterations, 0
         self._configure_adam()
         self.storage.mini_batch_generator = self._minibatches
         self.critic.obs_normalizer, self.critic.update_normalization = self.actor.obs_normalizer, lambda obs: None
+
+    @classmethod
+    def of(cls, env: Any, config: Mapping[str, Any], draws: Draws, processes: Mapping[str, int] | None = None) -> PPO:
+        """The algorithm of :func:`rsl_rl_config` for an environment, with networks that begin as ``draws`` has it.
+
+        Args:
+            processes: that learn together, as rsl-rl describes them; None: this one alone.
+        """
+        obs, groups, device = env.get_observations(), config["obs_groups"], str(env.device)
+        settings = copy.deepcopy({name: value for name, value in config["algorithm"].items() if name != "class_name"})
+        settings = resolve_symmetry_config(resolve_rnd_config(settings, obs, groups, env), env)
+        with draws:
+            networks = []
+            for name, outputs in (("actor", env.num_actions), ("critic", 1)):
+                kind, own = resolve_class(config[name])
+                networks.append(kind(obs, groups, name, outputs, **own).to(device))
+            storage = RolloutStorage("rl", env.num_envs, config["num_steps_per_env"], obs, [env.num_actions], device)
+            return cls(*networks, storage, draws=draws, device=device, multi_gpu_cfg=processes, **settings)
 
     def _configure_adam(self) -> None:
         for group in self.optimizer.param_groups:
@@ -112,7 +146,8 @@ class PPO(RslRlPPO):
 
     def _minibatches(self, num_mini_batches: int, num_epochs: int = 8) -> Generator[RolloutStorage.Batch, None, None]:
         """Those of rsl-rl, which are the same in all epochs: put in order and scaled once."""
-        batches = list(RolloutStorage.mini_batch_generator(self.storage, num_mini_batches, 1))
+        with nullcontext() if self.draws is None else self.draws:
+            batches = list(RolloutStorage.mini_batch_generator(self.storage, num_mini_batches, 1))
         if not self.symmetry:  # which makes further observations of a batch
             for batch in batches:
                 with torch.no_grad():
