@@ -24,7 +24,7 @@ from warpvox.algos.checkpoints.files import (
     spec_of,
     with_code,
 )
-from warpvox.algos.draws import Draws
+from warpvox.algos.generators import Generators
 from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
@@ -167,7 +167,7 @@ KINDS = {"gait": GaitPolicy, "rnn": RecurrentPolicy, "voxels": VoxelPolicy}
 def make_policy(spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> Policy:
     """A policy of the kind that ``spec`` describes, with weights that are to be replaced."""
     kind = next((kind for name, kind in KINDS.items() if getattr(spec, name) is not None), Policy)
-    with own_torch(), Draws(0):
+    with own_torch(), Generators(0):
         return kind(spec, metadata)
 
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any, cast
 
 from warpvox.algos.candidate import Candidate, Outcome, Parent, Parents, Report, candidate_seed
-from warpvox.algos.checkpoints.files import spec_dict
+from warpvox.algos.checkpoints.files import damaged, spec_dict
 from warpvox.algos.codesign.inheritance import copy_voxel_policy
 from warpvox.algos.codesign.population_evaluator import (
+    AGAIN,
     best_parent,
     describe,
     inherit_policy,
@@ -20,9 +21,9 @@ from warpvox.algos.codesign.population_evaluator import (
     read_evaluation,
     save_evaluation,
 )
-from warpvox.algos.draws import Draws
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import EpisodeReturns, evaluator
+from warpvox.algos.generators import Generators
 from warpvox.algos.policies.registry import voxels_of
 from warpvox.algos.settings import DesignTraining
 from warpvox.algos.training.runner import Runner, Schedule, adapt
@@ -85,10 +86,13 @@ class SequentialEvaluator:
 
         schedule = Schedule(settings.iterations, settings.save_interval, settings.eval_interval)
         voxels = None if self.network is None else voxels_of(self.network, env.env, self.network_settings)
-        draws = Draws(seed, str(env.device))
-        runner = Runner(env, settings.ppo, schedule, evaluator=evaluate, on_save=save, voxels=voxels, draws=draws)
+        generators = Generators(seed, str(env.device))
+        runner = Runner(
+            env, settings.ppo, schedule, evaluator=evaluate, on_save=save, voxels=voxels, generators=generators
+        )
         if done.training is not None:
-            runner.set_state(done.training)
+            with damaged(done.file, AGAIN):
+                runner.set_state(done.training)
         elif settings.inherit and parent is not None and self.network is not None:
             copy_voxel_policy(cast(Any, runner.alg.actor), parent.policy)
         elif settings.inherit and parent is not None:
@@ -121,9 +125,10 @@ class _Done:
         self.outcome: Outcome | None = None
         self.training: dict[str, Any] | None = None
         if content := read_evaluation(file, about):
-            self.outcomes = list(map(outcome_of, content["outcomes"]))
-            if content["training"] is not None:
-                self.outcome, self.training = outcome_of(content["outcome"]), content["training"]
+            with damaged(file, AGAIN):
+                self.outcomes = list(map(outcome_of, content["outcomes"]))
+                if content["training"] is not None:
+                    self.outcome, self.training = outcome_of(content["outcome"]), content["training"]
 
     def add(self, outcome: Outcome) -> None:
         self.outcomes.append(outcome)

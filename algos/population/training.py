@@ -15,9 +15,9 @@ from tensordict import TensorDict
 
 from warpvox.algos.checkpoints.files import actions_of
 from warpvox.algos.disturbance import as_judged
-from warpvox.algos.draws import Draws
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
+from warpvox.algos.generators import Generators
 from warpvox.algos.population.model import PopulationActor, PopulationModel
 from warpvox.algos.population.ppo import PopulationPPO, Streams
 from warpvox.algos.settings import DesignTraining, Ppo
@@ -45,8 +45,8 @@ def fresh_networks(ppo: Ppo, num_obs: int, num_actions: int, seed: int) -> Netwo
         model, settings = resolve_class(config[name])
         return model(obs, config["obs_groups"], name, outputs, **settings)
 
-    with Draws(seed) as draws:
-        return Networks(network("actor", num_actions), network("critic", 1), draws.state()["cpu"])
+    with Generators(seed) as generators:
+        return Networks(network("actor", num_actions), network("critic", 1), generators.state()["cpu"])
 
 
 class PopulationTraining:

@@ -14,8 +14,8 @@ from rich.console import Console
 
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.checkpoints.policy import Policy, policy_of
-from warpvox.algos.draws import Draws
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator, evaluator
+from warpvox.algos.generators import Generators
 from warpvox.algos.policies.registry import MLP, check_network, check_policy, voxels_of
 from warpvox.algos.protocols import episodes_of
 from warpvox.algos.settings import physics_of, sim_of
@@ -149,8 +149,8 @@ class Job:
             seed = group.seed(settings.seed)
             env = adapt(make_vec(settings.task, designs, count, seed=seed, sim=sim, **options), settings.ppo)
             self.judge = self._make_judge(settings, bodies, options) if group.is_main_process else None
-            draws = Draws(seed, str(env.device))
-            with draws:  # which a network is tried with, before the one that is trained
+            generators = Generators(seed, str(env.device))
+            with generators:  # which a network is tried with, before the one that is trained
                 voxels = _voxels(settings, env.env)
             self.runner = runner(
                 env,
@@ -162,7 +162,7 @@ class Job:
                 evaluator=self.judge,
                 group=group,
                 logger=settings.logger,
-                draws=draws,
+                generators=generators,
                 torch_threads=settings.torch_threads,
             )
             if self.checkpoint is not None:

@@ -15,18 +15,20 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")  # GitPython, which rsl-rl 
 from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils.logger import Logger
 
+from warpvox.algos.checkpoints.expected import check_like
 from warpvox.algos.checkpoints.files import (
     RNN,
     Controller,
     check_fits,
+    damaged,
     load_checkpoint,
     save_checkpoint,
     spec_dict,
     spec_for,
     spec_of,
 )
-from warpvox.algos.draws import Draws
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator
+from warpvox.algos.generators import Generators
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training.bodies import Bodies
@@ -39,6 +41,12 @@ from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
 from warpvox.io.writing import check_folder
 from warpvox.robots.network import WIDEST
 from warpvox.runs import BEST, STATE, Run
+
+COUNTERS = {
+    "elapsed": float, "best_return": float, "best_iteration": int, "processes": int, "env": dict, "random": dict,
+    "memory": dict,
+}  # fmt: skip
+"""What a state holds beside networks and optimiser, by its types."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +123,7 @@ class Runner(OnPolicyRunner):
             and reports; its ``evaluator`` and ``report`` are the only ones that are used.
         voxels: of a policy for voxels, see :func:`warpvox.algos.training.ppo.rsl_rl_config`.
         bodies: which bodies take the place of others; None: all stay.
-        draws: random numbers for the networks, the actions and the order of learning; None: those that torch's own
+        generators: random numbers for the networks, the actions and the order of learning; None: those that torch's own
             generators would give.
         torch_threads: threads of torch; None: as many as the caller has.
     """
@@ -137,7 +145,7 @@ class Runner(OnPolicyRunner):
         logger: str = "tensorboard",
         bodies: Bodies | None = None,
         trained_on: Mapping[str, Any] | None = None,
-        draws: Draws | None = None,
+        generators: Generators | None = None,
         torch_threads: int | None = None,
     ) -> None:
         ppo.check(env.num_envs)
@@ -148,11 +156,11 @@ class Runner(OnPolicyRunner):
         self._judged: EpisodeReturns | None = None
         # rsl-rl's own way to the algorithm prints both networks, and draws from torch's generator
         self.env, self.device = env, str(env.device)
-        self.draws, self.torch_threads = draws or Draws(None, self.device), torch_threads
+        self.generators, self.torch_threads = generators or Generators(None, self.device), torch_threads
         self.cfg = rsl_rl_config(ppo, schedule.total, voxels, self.algorithm)
         self._configure_multi_gpu()
         try:
-            self.alg = self.algorithm.of(env, self.cfg, self.draws, self.cfg["multi_gpu"])
+            self.alg = self.algorithm.of(env, self.cfg, self.generators, self.cfg["multi_gpu"])
         except (TypeError, ValueError, LookupError, AttributeError) as error:
             if not (ppo.rnn or ppo.extra):
                 raise
@@ -225,14 +233,14 @@ class Runner(OnPolicyRunner):
 
         Code of the user's may draw from torch's global generators: the same numbers again if the run is resumed.
         """
-        return own_torch(self.torch_threads, (self.draws.seed + self.current_learning_iteration) % 2**63)
+        return own_torch(self.torch_threads, (self.generators.seed + self.current_learning_iteration) % 2**63)
 
     def _begin(self, init_at_random_ep_len: bool) -> None:
         """Prepare the environments, the folder and the networks of other processes."""
         if self.current_learning_iteration == 0 or self._turned_back:
             self.save_state()  # a run can be resumed whenever it is killed
         if init_at_random_ep_len and self.current_learning_iteration == 0:
-            size, generator = (self.env.num_envs,), self.draws.on("cpu")
+            size, generator = (self.env.num_envs,), self.generators.on("cpu")
             lengths = torch.randint(int(self.env.max_episode_length), size, generator=generator)
             self.env.episode_length_buf = lengths.to(self.env.device)
         if self.folder is not None and self.group.is_main_process:
@@ -391,7 +399,7 @@ class Runner(OnPolicyRunner):
         """The complete state of training, for :meth:`set_state`."""
         own = {
             "env": self.env.state(),
-            "random": self.draws.state(),
+            "random": self.generators.state(),
             "elapsed": self.elapsed,
             "best_return": self.best_return,
             "best_iteration": self.best_iteration,
@@ -414,19 +422,21 @@ class Runner(OnPolicyRunner):
         learning begins. The best policy of its folder stays until there is a better one.
         """
         content = load_checkpoint(path, self.device)
-        if "env" in content:
-            if (processes := content["processes"]) != self.group.size:
-                raise RunError(f"{path} was made by {processes} process(es) and can only go on with as many.")
-            content = load_checkpoint(self.state_file(path), self.device)
-        if (found := spec_of(content["policy"])) != self.spec:
-            raise RunError(f"{path} holds another kind of policy: {found}, not {self.spec}.")
-        self.set_state(content)
+        with damaged(path):
+            if "env" in content:
+                if (processes := content.get("processes")) != self.group.size:
+                    raise RunError(f"It was made by {processes} process(es) and can only go on with as many.")
+                content = load_checkpoint(self.state_file(path), self.device)
+            if (found := spec_of(content["policy"])) != self.spec:
+                raise RunError(f"It holds another kind of policy: {found}, not {self.spec}.")
+            self.set_state(content)
         if "env" not in content:
             self._turned_back = True
             times = [row["elapsed"] for row in read_metrics(path.parent) if row["iteration"] <= content["iter"]]
             self.elapsed = times[-1] if times else 0.0
         with contextlib.suppress(RunError):  # there may be none
             best = load_checkpoint(path.with_name(BEST))
+            check_like(best, {"eval_return": float, "iter": int})
             self._kept = best["eval_return"]
             if self._turned_back:
                 self.best_return, self.best_iteration = best["eval_return"], best["iter"]
@@ -440,14 +450,15 @@ class Runner(OnPolicyRunner):
         check_fits(self.spec, spec_of(learned["policy"]))
         try:
             self.alg.load(dict(learned), None if optimizer else {"actor": True, "critic": True})
-        except RuntimeError as error:  # torch's, of a critic with other weights
-            raise RunError(f"The pretrained policy has another kind of network: {str(error)[:200]}") from None
+        except RunError as error:  # such as a critic with other weights
+            raise RunError(f"The pretrained policy has another kind of network: {error}") from None
         self.alg.updates = 0
         if self.ppo.schedule != "adaptive":
             self.alg.set_learning_rate(self.ppo.learning_rate)
 
     def set_state(self, content: dict[str, Any]) -> None:
         """Go on from :meth:`state`, or with new episodes from the content of ``model_<iteration>.pt``."""
+        check_like(content, {"iter": int, "eval_return": float} | (COUNTERS if "env" in content else {}))
         self.alg.load(content, None, True)
         self.current_learning_iteration = self.saved_iteration = content["iter"]
         self.last_return = content["eval_return"]
@@ -457,6 +468,6 @@ class Runner(OnPolicyRunner):
             self.bodies.set_state(content["bodies"], self.env)
         self.env.set_state(content["env"])
         self.alg.set_memory(content["memory"])
-        self.draws.set_state(content["random"])
+        self.generators.set_state(content["random"])
         self.elapsed = content["elapsed"]
         self.best_return, self.best_iteration = content["best_return"], content["best_iteration"]

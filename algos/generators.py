@@ -7,6 +7,8 @@ from typing import Any
 import torch
 from torch.overrides import TorchFunctionMode
 
+from warpvox.algos.checkpoints.expected import AnyTensor, check_like
+
 DRAWING = frozenset({
     "rand", "randn", "randint", "randperm", "normal", "bernoulli", "multinomial", "poisson",
     "bernoulli_", "cauchy_", "exponential_", "geometric_", "log_normal_", "normal_", "random_", "uniform_",
@@ -15,7 +17,7 @@ DRAWING = frozenset({
 """Functions of torch, methods of tensors and ways to initialise weights that take a ``generator``."""
 
 
-class Draws(TorchFunctionMode):
+class Generators(TorchFunctionMode):
     """Generators of a training, one for each kind of device, which give what torch's own would give after a seed.
 
     As a context, what this thread draws by torch comes from them; other threads neither notice nor change it. That
@@ -41,8 +43,10 @@ class Draws(TorchFunctionMode):
         kwargs = kwargs or {}
         if getattr(func, "__name__", "") in DRAWING and kwargs.get("generator") is None:
             first = args[0] if args else None
-            device = first.device if isinstance(first, torch.Tensor) else kwargs.get("device") or "cpu"
-            kwargs = {**kwargs, "generator": self.on(device)}
+            device = kwargs.get("device") or torch.get_default_device()
+            device = torch.device(first.device if isinstance(first, torch.Tensor) else device)
+            if device.type != "meta":  # where tensors have no numbers
+                kwargs = {**kwargs, "generator": self.on(device)}
         return func(*args, **kwargs)
 
     def on(self, device: str | torch.device) -> torch.Generator:
@@ -59,6 +63,8 @@ class Draws(TorchFunctionMode):
         return {kind: generator.get_state() for kind, generator in self._generators.items()}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Go on from :meth:`state`; a kind of device that it lacks stays as it is."""
+        """Go on from :meth:`state`; a kind of device that it lacks stays as it is. RunError: it is none."""
+        like = {kind: AnyTensor(torch.uint8, (None,)) for kind in {"cpu", *state}}
+        check_like(state, like, "random")
         for kind in self._generators.keys() & state.keys():
             self._generators[kind].set_state(state[kind].cpu())
