@@ -110,10 +110,9 @@ def _moments(optimizer: torch.optim.Optimizer) -> dict[str, Any]:
     """The state of a parameter with two numbers after a step of such an optimiser."""
     tried = nn.Parameter(torch.zeros(2))
     tried.grad = torch.zeros(2)
-    settings, known = optimizer.param_groups[0], inspect.signature(type(optimizer)).parameters
-    trial = type(optimizer)(
-        [tried], **{name: settings[name] for name in known if name in settings and name != "params"}
-    )
+    known = inspect.signature(type(optimizer)).parameters.keys() - {"params"}
+    settings = {name: value for name, value in optimizer.param_groups[0].items() if name in known}
+    trial = type(optimizer)([tried], **settings)
     trial.step()
     return dict(trial.state[tried])
 

@@ -15,7 +15,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, cast
 
-from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Listener, Outcome, Parent, Parents, Search
+from warpvox.algos.candidate import (
+    FINALIST,
+    Candidate,
+    DesignEvaluator,
+    Listener,
+    Outcome,
+    Parent,
+    Parents,
+    Search,
+    checked_outcomes,
+)
 from warpvox.algos.codesign.archive import Archive, Finished, Record, body_text, repair_hint
 from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
@@ -170,8 +180,7 @@ class Loop:
         began = time.perf_counter()
         for place, outcomes in self.executor.run(work, self._parents(work), report):
             batch = work[place]
-            if len(outcomes) != len(batch.candidates):
-                raise RunError(f"The evaluator gave {len(outcomes)} outcomes for {len(batch.candidates)} candidates.")
+            outcomes = checked_outcomes(outcomes, len(batch.candidates))
             results = []
             for one, outcome in zip(batch.candidates, outcomes, strict=True):
                 file = sha256 = None
