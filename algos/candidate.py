@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from warpvox.design import Design
+from warpvox.errors import RunError
 
 if TYPE_CHECKING:
     from warpvox.algos.codesign.archive import Record
@@ -77,6 +78,55 @@ class Outcome:
     def diverged(self) -> bool:
         """Learning diverged before there was any evaluation: there is no fitness."""
         return self.fitness == -math.inf
+
+
+def checked_outcomes(found: Any, count: int) -> list[Outcome]:
+    """What an evaluator has returned for ``count`` candidates, as plain numbers.
+
+    Raises:
+        RunError: it is no list of so many outcomes, or one holds what cannot be stored.
+    """
+    if not isinstance(found, list | tuple) or not all(isinstance(one, Outcome) for one in found):
+        raise RunError(f"An evaluator must return a list of outcomes (warpvox.algos.candidate), got {found!r:.80}.")
+    if len(found) != count:
+        raise RunError(f"The evaluator gave {len(found)} outcomes for {count} candidates.")
+    checked = []
+    for place, one in enumerate(found):
+        where = f"Outcome {place} of the evaluator has"
+        fitness = _number(one.fitness)
+        if fitness is None or math.isnan(fitness) or fitness == math.inf:
+            raise RunError(f"{where} a fitness that is no finite number, nor -inf: {one.fitness!r:.60}.")
+        if not isinstance(one.curve, list | tuple):
+            raise RunError(f"{where} a curve that is no list: {one.curve!r:.60}.")
+        curve = []
+        for point in one.curve:
+            pair = tuple(point) if isinstance(point, list | tuple) and len(point) == 2 else (None, None)
+            steps, value = _steps(pair[0]), _number(pair[1])
+            if steps is None or value is None or not math.isfinite(value):
+                raise RunError(f"{where} a point of its curve that is not (steps, return): {point!r:.60}.")
+            curve.append((steps, value))
+        steps = _steps(one.steps)
+        if steps is None:
+            raise RunError(f"{where} steps that are no integer from 0: {one.steps!r:.60}.")
+        for name in ("policy", "spec"):
+            if not isinstance(getattr(one, name), Mapping | None):
+                raise RunError(f"{where} a {name} that is no dictionary: {getattr(one, name)!r:.60}.")
+        checked.append(replace(one, fitness=fitness, curve=curve, steps=steps, stopped=bool(one.stopped)))
+    return checked
+
+
+def _number(value: Any) -> float | None:
+    """A number, such as one of numpy's, as a float; None: it is none."""
+    try:
+        return float(value) if hasattr(value, "__float__") else None
+    except (TypeError, ValueError, OverflowError, RuntimeError):  # of several numbers
+        return None
+
+
+def _steps(value: Any) -> int | None:
+    """A count of steps that SQLite can hold; None: it is none."""
+    number = _number(value)
+    return int(value) if number is not None and 0 <= number < 2**63 and number.is_integer() else None
 
 
 @dataclass(frozen=True)

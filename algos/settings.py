@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.errors import ConfigError
 from warpvox.keys import Settings, key, plain
-from warpvox.robots.network import WIDEST
+from warpvox.robots.network import MAX_LAYERS, WIDEST
 from warpvox.types import Physics
 
 if TYPE_CHECKING:
@@ -75,6 +75,8 @@ class Ppo(Settings):
         samples = self.steps * num_envs
         if not self.hidden:
             raise ConfigError(f"{prefix}.hidden must name the width of one layer or more, got [].")
+        if len(self.hidden) > MAX_LAYERS:
+            raise ConfigError(f"{prefix}.hidden may have {MAX_LAYERS} layers at most, got {len(self.hidden)}.")
         if self.rnn is not None and self.steps < 2:
             raise ConfigError(f"{prefix}.rnn needs {prefix}.steps of 2 or more, got {self.steps}.")
         if samples < 2:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
-from warpvox.checks import check_known
+from warpvox.checks import check_flag, check_known, check_path
 from warpvox.errors import ConfigError
 from warpvox.keys import Settings, changed, check_values, convert
 
@@ -73,6 +73,8 @@ def train(
     base = given.pop("task") if isinstance(task, Training) else None
     given = _options(SimOptions.of(sim, {}, train)) | given
     resume = base.resume if resume is None and base is not None else resume
+    check_flag("progress", progress)
+    place = None if folder is None else check_path("folder", folder)
     if resume is not None and folder != "auto":
         raise ConfigError("A run that is resumed goes on in its folder: folder cannot be given with it.")
     if str(folder) == "latest":
@@ -106,8 +108,8 @@ def train(
         check_services(config, source.config, given)
         config = with_code(config, typed(config, given), source.config, source.folder)
     job = Job(config, named, source)
-    place = None if folder in ("auto", None) else Path(folder).expanduser()
-    job.train(listener() if progress else Listener(), write=folder is not None, place=place)
+    write, place = place is not None, None if str(place) == "auto" else place
+    job.train(listener() if progress else Listener(), write=write, place=place)
     return TrainedRun.of(job)
 
 

@@ -7,6 +7,7 @@ import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Integral
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
@@ -44,6 +45,20 @@ def check_choice(name: str, value: object, choices: Iterable[object], error: typ
     if isinstance(value, bool) or not any(isinstance(value, type(one)) and value == one for one in options):
         hint = did_you_mean(value, options)
         raise error(f"{name} must be one of {listing(options)}, got {value!r:.80}.{hint}")
+
+
+def check_flag(name: str, value: object) -> bool:
+    """``value`` as bool, or a ConfigError."""
+    if not isinstance(value, bool | np.bool_):
+        raise ConfigError(f"{name} must be True or False, got {value!r:.80}.")
+    return bool(value)
+
+
+def check_path(name: str, value: Any) -> Path:
+    """``value`` as a path, ``~`` replaced, or a ConfigError."""
+    if not isinstance(value, str | Path) or "\0" in str(value):
+        raise ConfigError(f"{name} must be a path, got {value!r:.80}.")
+    return Path(value).expanduser()
 
 
 def check_known(given: Iterable[str], *functions: Callable[..., Any], without: Iterable[str] = ()) -> None:

@@ -334,6 +334,8 @@ def zoo_tasks() -> list[str]:
 
 def zoo_file(text: str, error: type[Exception]) -> Path:
     """The file of the zoo's robot for a task, or the ``.npz`` that is named; an ``error`` lists the tasks there are."""
+    if not isinstance(text, str):
+        raise error(f"A robot of the zoo is named by its task, got {text!r:.80}.")
     if text.lower().endswith(".npz"):
         return Path(text).expanduser()
     known = zoo_tasks()

@@ -17,7 +17,7 @@ from warpvox.algos.codesign.run import run_codesign
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.search.base import BaseSearch
 from warpvox.algos.search.settings import ALGORITHMS, CustomSearch, SearchSettings
-from warpvox.checks import check_known, is_integer
+from warpvox.checks import check_flag, check_known, check_path, is_integer, is_list
 from warpvox.code import Code
 from warpvox.errors import ConfigError
 from warpvox.keys import changed
@@ -69,6 +69,12 @@ def codesign(
         search = CustomSearch(make=_name(own), **sizes)
     if not isinstance(evaluation, str | Mapping | Evaluation | None):
         evaluation = type("_Given", (_Given,), {"evaluator": evaluation})(make=_name(evaluation))
+    check_flag("progress", progress)
+    if not isinstance(executor, str) and not callable(getattr(executor, "run", None)):
+        raise ConfigError(f"executor must be local, ray, or an object that runs batches; got {executor!r:.80}.")
+    if not is_list(listeners) or not all(callable(getattr(one, "begun", None)) for one in listeners):
+        raise ConfigError(f"listeners must be a list of objects with the callbacks of Listener; got {listeners!r:.80}.")
+    named = None if folder is None else check_path("folder", folder)
     where: dict[str, Any] = {"executor": executor} if isinstance(executor, str) else {}
     check_known(settings, codesign, Codesign)
     how = {"task": task, "shape": shape, "search": search, "evaluation": evaluation} | where | settings
@@ -83,7 +89,7 @@ def codesign(
         )
     job = with_code(job, typed(job))
     kept = tempfile.TemporaryDirectory(prefix="warpvox_") if folder is None else None
-    place = None if folder == "auto" else Path(kept.name if kept else str(folder)).expanduser()
+    place = Path(kept.name) if kept else None if str(named) == "auto" else named
     watching = [*([SearchProgress(Console())] if progress else []), *listeners]
     made = None if isinstance(executor, str) else executor
     found = run_codesign(job, place, watching, search=own, executor=made)

@@ -159,6 +159,9 @@ def flat(values: Mapping[str, Any], whole: Collection[str] = (), prefix: str = "
 
 def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
     """The part of a configuration that ``usual`` is with some of its values changed."""
+    for wrong in values:
+        if not isinstance(wrong, str):
+            raise ConfigError(f"{name} takes settings by name, got {wrong!r:.80}.")
     try:
         return dataclasses.replace(usual, **values)
     except ConfigError as error:
@@ -185,7 +188,10 @@ def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
     if plain is list:
         return [converted(entry, get_args(kind)[0], name) for entry in value]
     if plain is str:
-        return value if isinstance(value, str) else os.path.expanduser(value)
+        text = value if isinstance(value, str) else os.path.expanduser(value)
+        if "\0" in text:  # which no path has
+            raise ConfigError(f"{name} must be a text without null characters, got {value!r:.80}.")
+        return text
     try:
         return plain(value)
     except OverflowError:  # an integer of more digits than a float can have

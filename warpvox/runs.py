@@ -82,6 +82,7 @@ class Run:
 
     def find_checkpoint(self, which: str) -> Path:
         """The file that was named, or that of ``best`` (the last without an evaluation), ``last`` or an iteration."""
+        which = str(which)
         if self.checkpoint is not None:
             if which != "best":
                 raise RunError(f"checkpoint={which} goes with the folder of a run; {self.checkpoint} is a checkpoint.")

@@ -2,7 +2,8 @@
 
 import io
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,19 +14,28 @@ from tensordict import TensorDict
 from torch import nn
 from torch.func import functional_call
 
+from warpvox.algos.checkpoints.expected import check_plain
+from warpvox.algos.generators import Generators
 from warpvox.algos.policies.gait import GaitModel
 from warpvox.algos.policies.layout import VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.settings import CPG, Ppo
 from warpvox.code import Code, is_code
+from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import RunError, first_line
+from warpvox.errors import RunError, SimulationError, first_line
 from warpvox.io.writing import write_bytes
-from warpvox.robots.network import WIDEST
+from warpvox.robots.network import MAX_LAYERS, WIDEST
 from warpvox.runs import BEST
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
 
+MAX_BYTES = 1 << 32
+"""Length of a checkpoint. The state of 65,536 environments takes a tenth."""
+MAX_ENTRIES = 1 << 16
+"""Tensors of a checkpoint."""
+MAX_PICKLE_BYTES = 1 << 26
+"""Length of what a checkpoint holds beside tensors."""
 RNN = {"rnn_type": "lstm", "rnn_hidden_dim": 256, "rnn_num_layers": 1}
 """Settings of rsl-rl's ``RNNModel``, with its defaults."""
 
@@ -118,15 +128,20 @@ def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
 
 
 def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
-    """Read what :func:`save_checkpoint` wrote. torch loads tensors and plain values alone (``weights_only``)."""
+    """Read what :func:`save_checkpoint` wrote, which takes no more memory than the file takes room.
+
+    torch loads tensors and plain values alone (``weights_only``). What they mean is checked by :func:`check_like`.
+    """
     if not path.is_file():
         raise RunError(f"There is no checkpoint file {path}.")
     try:
         with zipfile.ZipFile(path) as file:
+            _check_entries(path, file.infolist())
             damaged = file.testzip()  # torch does not compare checksums
         if damaged is not None:
             raise zipfile.BadZipFile(f"{damaged} is damaged")
         content = torch.load(path, map_location=device, weights_only=True)
+        check_plain(content)
     except Exception as error:  # whatever torch and pickle raise for what they cannot read
         others = path.name == BEST and any(path.parent.glob("model_[0-9]*.pt"))
         hint = " The run has others: checkpoint=last takes the newest." if others else ""
@@ -134,6 +149,30 @@ def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
     if not isinstance(content, dict):
         raise RunError(f"{path} is not a checkpoint of warpvox.")
     return content
+
+
+def _check_entries(path: Path, entries: Sequence[zipfile.ZipInfo]) -> None:
+    """Raise ValueError if a file is too long, or would unpack to more than it has on the disk."""
+    size = path.stat().st_size
+    if size > MAX_BYTES or sum(entry.file_size for entry in entries) > size:
+        raise ValueError(f"it is longer than {MAX_BYTES >> 30} GiB, or unpacks to more than its {size:,} bytes")
+    if len(entries) > MAX_ENTRIES:
+        raise ValueError(f"it has {len(entries):,} entries; {MAX_ENTRIES:,} are allowed")
+    if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):  # torch packs nothing
+        raise ValueError("its entries are packed")
+    if any(entry.file_size > MAX_PICKLE_BYTES for entry in entries if entry.filename.endswith(".pkl")):
+        raise ValueError(f"what it holds beside tensors is longer than {MAX_PICKLE_BYTES >> 20} MiB")
+
+
+@contextmanager
+def damaged(path: Path | None, hint: str = "") -> Iterator[None]:
+    """Turn whatever the content of a checkpoint raises where it is taken over into one sentence; ``hint``: another."""
+    try:
+        yield
+    except (RunError, SimulationError) as error:
+        raise RunError(f"{path} cannot be gone on from: {first_line(error)}{hint}") from None
+    except (TypeError, ValueError, ArithmeticError, RuntimeError, LookupError, AttributeError) as error:
+        raise RunError(f"{path} is damaged ({type(error).__name__}: {first_line(error):.120}).{hint}") from None
 
 
 def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
@@ -187,6 +226,12 @@ def check_sizes(spec: PolicySpec) -> None:
     sizes = [spec.num_obs, spec.num_actions, *spec.hidden, *(spec.gait or {}).values(), *layout.values(), *rnn.values()]
     if not all(type(size) is int and 0 <= size <= WIDEST for size in sizes):
         raise ValueError(f"sizes must be integers up to {WIDEST:,}, got {sizes!r:.100}")
+    settings = (spec.voxels or {}).get("settings", {})
+    depths = [len(spec.hidden), rnn.get("rnn_num_layers", 1), settings.get("layers", 1)]
+    if not all(type(depth) is int and depth <= MAX_LAYERS for depth in depths):
+        raise ValueError(f"a network has {MAX_LAYERS} layers at most, got {max(map(str, depths), key=len):.20}")
+    if not all(size <= WIDEST for size in settings.values() if isinstance(size, int | float)):
+        raise ValueError(f"sizes must be integers up to {WIDEST:,}, got {settings!r:.100}")
     if spec.voxels is not None:
         layout = VoxelLayout(**spec.voxels["layout"])
         if (layout.num_obs, layout.actions) != (spec.num_obs, spec.num_actions):
@@ -226,7 +271,8 @@ def checked_weights(weights: object) -> dict[str, torch.Tensor]:
 
 
 def build_actor(spec: PolicySpec, device: str = "cpu") -> MLPModel | GaitModel:
-    with torch.device(device):
+    """The network that ``spec`` describes, with weights that are to be replaced."""
+    with own_torch(), Generators(0), torch.device(device):
         if spec.gait is not None:
             return GaitModel(spec.num_actions, **spec.gait)
         obs = TensorDict({OBS_GROUP: torch.zeros(1, spec.num_obs)}, batch_size=[1])

@@ -24,6 +24,8 @@ from warpvox.algos.checkpoints.files import (
     spec_of,
     with_code,
 )
+from warpvox.algos.generators import Generators
+from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
 from warpvox.errors import ConfigError, RunError, first_line
@@ -163,8 +165,10 @@ KINDS = {"gait": GaitPolicy, "rnn": RecurrentPolicy, "voxels": VoxelPolicy}
 
 
 def make_policy(spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> Policy:
-    """A policy of the kind that ``spec`` describes, with fresh weights."""
-    return next((kind for name, kind in KINDS.items() if getattr(spec, name) is not None), Policy)(spec, metadata)
+    """A policy of the kind that ``spec`` describes, with weights that are to be replaced."""
+    kind = next((kind for name, kind in KINDS.items() if getattr(spec, name) is not None), Policy)
+    with own_torch(), Generators(0):
+        return kind(spec, metadata)
 
 
 def policy_of(controller: Controller, metadata: Mapping[str, Any] | None = None) -> Policy:

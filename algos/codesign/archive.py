@@ -40,6 +40,8 @@ APPLICATION = 0x77766F78
 """SQLite's application id of our files: "wvox"."""
 VERSION = 1
 """Version of the tables in archive.sql; a file of a later version is refused."""
+STEPS_BETWEEN_SIGNALS = 1_000_000
+"""Instructions of SQLite's virtual machine, of which it makes as many in some milliseconds."""
 WAIT_SECONDS = 30.0
 """How long to wait for a reader to finish."""
 
@@ -244,6 +246,7 @@ class Archive(AbstractContextManager["Archive"]):
         except sqlite3.IntegrityError as error:  # rows that others have left where ours go
             raise _unreadable(self.path, f"is damaged ({error})") from None
         except sqlite3.Error as error:
+            _check_interrupt(error)
             raise _write_error(self.path, error) from None
 
     def rank_diverged(self, generation: int) -> None:
@@ -296,6 +299,7 @@ class Archive(AbstractContextManager["Archive"]):
         try:
             yield
         except (sqlite3.Error, ValueError, TypeError) as error:
+            _check_interrupt(error)
             raise _unreadable(self.path, _access_problem(error) or f"is damaged ({error})") from None
 
     def count(self) -> int:
@@ -439,6 +443,8 @@ def _connect(path: Path, mode: str, wait: float = WAIT_SECONDS) -> sqlite3.Conne
     options = {"uri": True, "timeout": wait, "isolation_level": None, "check_same_thread": False}
     db = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", **options)
     db.row_factory = sqlite3.Row
+    # called in the middle of a query, it gives Python the chance to handle a signal, which ends the query
+    db.set_progress_handler(lambda: 0, STEPS_BETWEEN_SIGNALS)
     return db
 
 
@@ -454,6 +460,12 @@ def _check_journal(journal: Path) -> None:
         file.seek(max(0, file.tell() - len(JOURNAL)))
         if file.read() == JOURNAL:
             raise sqlite3.DatabaseError(f"{journal.name} is not of this archive alone; remove it")
+
+
+def _check_interrupt(error: Exception) -> None:
+    """Raise KeyboardInterrupt if that is why a query has failed."""
+    if isinstance(error, sqlite3.OperationalError) and str(error) == "interrupted":
+        raise KeyboardInterrupt from None
 
 
 def _lock_for_writing(path: Path) -> sqlite3.Connection:
@@ -504,7 +516,9 @@ def _checked(path: Path) -> sqlite3.Connection:
         application = db.execute("PRAGMA application_id").fetchone()[0]
         version = db.execute("PRAGMA user_version").fetchone()[0]
         reason = _format_problem(db, application, version)
-    except (sqlite3.Error, UnicodeDecodeError) as error:  # SQLite repeats what is damaged, whatever bytes it has
+    except (sqlite3.Error, UnicodeDecodeError) as error:
+        _check_interrupt(error)
+        # SQLite repeats what is damaged, whatever bytes it has
         reason = _access_problem(error) or f"is damaged or no SQLite file ({error})"
     if reason is not None:
         if db is not None:
@@ -526,6 +540,11 @@ def _access_problem(error: Exception) -> str | None:
     return None
 
 
+def _without_comments(statement: str) -> str:
+    """A statement of SQL in one line."""
+    return " ".join(re.sub("--[^\n]*", "", statement).split())
+
+
 def _format_problem(db: sqlite3.Connection, application: int, version: int) -> str | None:
     if application != APPLICATION:
         return "is no archive of warpvox: an empty file, another program's, or a damaged one"
@@ -536,9 +555,12 @@ def _format_problem(db: sqlite3.Connection, application: int, version: int) -> s
     held = os.stat(db.execute("PRAGMA database_list").fetchone()[2]).st_size
     if held < pages * size:
         return f"is damaged (cut short: {held} of {pages * size} bytes)"
-    made = {name for (name,) in db.execute("SELECT name FROM sqlite_master")}
-    missing = [name for name in re.findall(r"CREATE (?:TABLE|VIEW) (\w+)", TABLES) if name not in made]
-    if missing:
-        return f"is damaged: it lacks the table {missing[0]}"
+    # a view or a trigger in the place of a table, or beside it, is a program that may not end
+    wanted = {_without_comments(statement) for statement in TABLES.split(";\n") if statement.strip()}
+    made = {_without_comments(str(text)) for (text,) in db.execute("SELECT sql FROM sqlite_master")}
+    if missing := sorted(wanted - made):
+        return f"is damaged: it lacks the table or view '{missing[0]:.60}...'"
+    if others := sorted(made - wanted):
+        return f"is no archive of warpvox: it has a table or view of somebody else's, '{others[0]:.60}...'"
     state = db.execute("PRAGMA quick_check").fetchone()[0]
     return None if state == "ok" else f"is damaged ({' '.join(state.split())})"

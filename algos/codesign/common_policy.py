@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from warpvox.algos.candidate import Candidate, Outcome, Parents, Report, candidate_seed
-from warpvox.algos.checkpoints.files import read_tensors, save_checkpoint, spec_dict
-from warpvox.algos.codesign.population_evaluator import describe, read_evaluation, save_evaluation
+from warpvox.algos.checkpoints.files import damaged, read_tensors, save_checkpoint, spec_dict
+from warpvox.algos.codesign.population_evaluator import AGAIN, describe, read_evaluation, save_evaluation
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluator
+from warpvox.algos.generators import Generators
 from warpvox.algos.policies.registry import voxels_of
 from warpvox.algos.settings import CPG, Ppo
 from warpvox.algos.training.ascent import AscentRunner
@@ -62,7 +63,8 @@ class SharedEvaluator:
             before = sorted(other for other in file.parent.glob("[0-9]*.pt") if other.name < file.name)
         if self._learned is None and before:
             self._learned = read_tensors(before[-1])
-        course = _Course(self, candidates, self._learned)
+        with damaged(before[-1] if before else None):
+            course = _Course(self, candidates, self._learned)
         outcomes = course.run(report, checkpoint)
         self._learned = course.runner.alg.save()
         if checkpoint is not None:
@@ -95,8 +97,7 @@ class _Course:
         )
 
     def run(self, report: Report, checkpoint: Path | None) -> list[Outcome]:
-        with torch.random.fork_rng(devices=[]), enough_memory(self.hint):
-            torch.manual_seed(self.seeds[0])
+        with enough_memory(self.hint):
             try:
                 self.runner = self._runner(report, checkpoint)
                 self.runner.run()
@@ -125,15 +126,20 @@ class _Course:
         schedule = Schedule(settings.iterations, settings.save_interval)
         # without feedback there is nothing that PPO could learn from single actions
         climbs = settings.policy == CPG and settings.iterations > 0
-        runner = (AscentRunner if climbs else Runner)(env, ppo, schedule, voxels=voxels, on_save=save)
+        generators = Generators(self.seeds[0], str(env.device))
+        runner = (AscentRunner if climbs else Runner)(
+            env, ppo, schedule, voxels=voxels, on_save=save, generators=generators
+        )
         runner.report = tell
         moments = settings.policy != CPG  # those of other bodies' derivatives are of no use
         if content := read_evaluation(checkpoint, self.about):
-            runner.set_state(content["training"])
+            with damaged(checkpoint, AGAIN):
+                runner.set_state(content["training"])
         elif self.fresh and self.learned is not None:
             runner.begin_with(self.learned, optimizer=moments)
         elif self.learned is not None:
-            runner.alg.load(dict(self.learned), None if moments else {"actor": True, "critic": True})
+            with damaged(None if checkpoint is None else checkpoint.parent / "shared"):
+                runner.alg.load(dict(self.learned), None if moments else {"actor": True, "critic": True})
         return runner
 
     def _make(self, envs: int, auto_reset: bool) -> VoxelVecEnv:

@@ -13,11 +13,11 @@ import numpy as np
 import torch
 
 from warpvox.algos.candidate import START, Candidate, Outcome, Parents, Report, candidate_seed
-from warpvox.algos.checkpoints.files import PolicySpec, spec_dict
+from warpvox.algos.checkpoints.files import PolicySpec, damaged, spec_dict
 from warpvox.algos.codesign.gait_actions import continued, play
 from warpvox.algos.codesign.gait_beam import beam_search
 from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait, with_stages
-from warpvox.algos.codesign.population_evaluator import describe, read_evaluation, save_evaluation
+from warpvox.algos.codesign.population_evaluator import AGAIN, describe, read_evaluation, save_evaluation
 from warpvox.algos.disturbance import SEARCHED, Draws
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.policies.gait import AMPLITUDE
@@ -102,7 +102,8 @@ class _Rounds:
 
     def run(self, report: Report, checkpoint: Path | None) -> list[Outcome]:
         if content := read_evaluation(checkpoint, self.about):
-            self._restore(content)
+            with damaged(checkpoint, AGAIN):
+                self._restore(content)
         self._tell(report)
         saved = time.monotonic()
         while self.round < self.rounds:

@@ -9,15 +9,27 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, cast
 
-from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Listener, Outcome, Parent, Parents, Search
+from warpvox.algos.candidate import (
+    FINALIST,
+    Candidate,
+    DesignEvaluator,
+    Listener,
+    Outcome,
+    Parent,
+    Parents,
+    Search,
+    checked_outcomes,
+)
 from warpvox.algos.codesign.archive import Archive, Finished, Record, body_text, repair_hint
 from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
+from warpvox.devices.startup import own_torch
 from warpvox.errors import DivergenceError, RunError, SearchError
 
 
@@ -168,8 +180,7 @@ class Loop:
         began = time.perf_counter()
         for place, outcomes in self.executor.run(work, self._parents(work), report):
             batch = work[place]
-            if len(outcomes) != len(batch.candidates):
-                raise RunError(f"The evaluator gave {len(outcomes)} outcomes for {len(batch.candidates)} candidates.")
+            outcomes = checked_outcomes(outcomes, len(batch.candidates))
             results = []
             for one, outcome in zip(batch.candidates, outcomes, strict=True):
                 file = sha256 = None
@@ -234,14 +245,20 @@ class Executor(Protocol):
 
 
 class LocalExecutor(Executor):
-    """Evaluates in this process, in order."""
+    """Evaluates in this process, in order.
 
-    def __init__(self, evaluator: DesignEvaluator) -> None:
-        self.evaluator = evaluator
+    Args:
+        alone: whether other threads that train or evaluate wait meanwhile.
+    """
+
+    def __init__(self, evaluator: DesignEvaluator, alone: bool = True) -> None:
+        self.evaluator, self.alone = evaluator, alone
 
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
         for place, batch in enumerate(work):
-            yield place, self.evaluator.evaluate(batch.candidates, parents, partial(report, place), batch.checkpoint)
+            with own_torch() if self.alone else nullcontext():
+                outcomes = self.evaluator.evaluate(batch.candidates, parents, partial(report, place), batch.checkpoint)
+            yield place, outcomes
 
 
 def batches(candidates: Sequence[Candidate], size: int | None, folder: Path | None = None) -> list[Batch]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from warpvox.algos.candidate import Candidate, Outcome, Parent, Parents, Report, candidate_seed
-from warpvox.algos.checkpoints.files import read_tensors, save_checkpoint
+from warpvox.algos.checkpoints.files import damaged, read_tensors, save_checkpoint
 from warpvox.algos.codesign.inheritance import BodyLayout, copy_weights
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.interrupt import deferred_interrupts
@@ -19,6 +19,8 @@ from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError
 from warpvox.io.writing import writing
 
+AGAIN = " Remove it: these designs are then evaluated again, to the same end."
+"""Advice for a checkpoint that cannot be used."""
 VERSION = 3
 """Of the checkpoints of trainings under way; others are refused."""
 
@@ -142,13 +144,14 @@ class _Generation:
         content = read_evaluation(path, self.about)
         if content is None:
             return
-        self.outcomes = list(map(outcome_of, content["outcomes"]))
-        if content["active"] != self.active:
-            self.active = content["active"]
-            if not self.active:  # all have diverged: nothing is left to train
-                return
-            self.training = self._start()
-        self.training.set_state(content["training"])
+        with damaged(path, AGAIN):
+            self.outcomes = list(map(outcome_of, content["outcomes"]))
+            if content["active"] != self.active:
+                self.active = content["active"]
+                if not self.active:  # all have diverged: nothing is left to train
+                    return
+                self.training = self._start()
+            self.training.set_state(content["training"])
 
 
 def describe(factory: EnvFactory, settings: Any, seed: int, candidates: Sequence[Candidate]) -> dict[str, Any]:
@@ -184,9 +187,7 @@ def read_evaluation(path: Path | None, about: dict[str, Any]) -> dict[str, Any] 
     try:
         content = read_tensors(path)
     except RunError as error:
-        raise RunError(
-            f"{str(error).rstrip('.')}. Remove it: these designs are then evaluated again, to the same end."
-        ) from None
+        raise RunError(f"{str(error).rstrip('.')}.{AGAIN}") from None
     if content.get("about") != about:
         raise RunError(
             f"{path} is the checkpoint of other candidates or settings, or of another version of warpvox; remove it to"

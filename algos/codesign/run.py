@@ -16,6 +16,7 @@ from rich.console import Console
 from warpvox.algos.candidate import Candidate, DesignEvaluator, Listener, Outcome, Search
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive
 from warpvox.algos.codesign.evaluations.base import full_body
+from warpvox.algos.codesign.evaluations.custom import Custom
 from warpvox.algos.codesign.finalists import Finalists
 from warpvox.algos.codesign.loop import Executor, LocalExecutor, Loop
 from warpvox.algos.codesign.results import Found, Results, evaluate_winner
@@ -32,7 +33,7 @@ from warpvox.algos.training.pretrained import observed_by
 from warpvox.algos.training.settings import Training
 from warpvox.batch.options import lanes_for
 from warpvox.devices.names import resolve_device
-from warpvox.devices.startup import own_torch, start_warp
+from warpvox.devices.startup import ambient, own_torch, start_warp
 from warpvox.envs.memory import ask, environment_bytes, fitting
 from warpvox.envs.registry import get_task
 from warpvox.envs.worlds import task_world
@@ -145,39 +146,42 @@ def run_codesign(
         KeyboardInterrupt: interrupted; the state has been saved.
     """
     resumed = place if place is not None and (place / ARCHIVE).is_file() else None
-    with own_torch(settings.torch_threads), ExitStack() as opened:
-        settings = check(settings, resumed, search)
-        start = read_start(settings, resumed)
-        known = settings.evaluation.begins_with(settings, start, resumed)
-        if executor is None:
-            executor = make_executor(settings, known)
-            opened.callback(executor.close)
-        with Archive.read(resumed / ARCHIVE) if resumed else nullcontext() as archive:
-            known_settings = archive.settings if archive else {}
-        settings = dataclasses.replace(settings, batch=_batch(settings, executor, known_settings))
-        written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), known_settings)
-        plain = dataclasses.asdict(Codesign.of(vars(written)))  # without the keys of the command line
-        kept = {name: value for name, value in plain.items() if name not in CHANGEABLE}
-        kept["training"].pop("save_interval")
-        kept = json.loads(json.dumps(kept))  # as an archive has it
-        if resumed:
-            _check_same(known_settings, kept, resumed)
-        folder = opened.enter_context(run_folder(resumed, written, "codesign", to_yaml(written), place, BEFORE))
-        if not resumed:
-            settings.evaluation.keep(known, folder)
-            keep_start(start, folder)
-        keep_code(settings, folder, console or Console(quiet=True))
-        if search is None:
-            bodies = [robot.body for robot in start]
-            search = make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, bodies)
-        path = folder / ARCHIVE
-        archive = opened.enter_context(Archive.open(path) if resumed else Archive.create(path, kept))
-        if settings.logger == "wandb":
-            from warpvox.algos.tracking import TrackedSearch
+    with ExitStack() as opened:
+        with own_torch(settings.torch_threads):
+            settings = check(settings, resumed, search)
+            start = read_start(settings, resumed)
+            known = settings.evaluation.begins_with(settings, start, resumed)
+            if executor is None:
+                executor = make_executor(settings, known)
+                opened.callback(executor.close)
+            with Archive.read(resumed / ARCHIVE) if resumed else nullcontext() as archive:
+                known_settings = archive.settings if archive else {}
+            settings = dataclasses.replace(settings, batch=_batch(settings, executor, known_settings))
+            written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), known_settings)
+            plain = dataclasses.asdict(Codesign.of(vars(written)))  # without the keys of the command line
+            kept = {name: value for name, value in plain.items() if name not in CHANGEABLE}
+            kept["training"].pop("save_interval")
+            kept = json.loads(json.dumps(kept))  # as an archive has it
+            if resumed:
+                _check_same(known_settings, kept, resumed)
+            folder = opened.enter_context(run_folder(resumed, written, "codesign", to_yaml(written), place, BEFORE))
+            if not resumed:
+                settings.evaluation.keep(known, folder)
+                keep_start(start, folder)
+            keep_code(settings, folder, console or Console(quiet=True))
+            if search is None:
+                bodies = [robot.body for robot in start]
+                search = make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, bodies)
+            path = folder / ARCHIVE
+            archive = opened.enter_context(Archive.open(path) if resumed else Archive.create(path, kept))
+            if settings.logger == "wandb":
+                from warpvox.algos.tracking import TrackedSearch
 
-            listeners = [TrackedSearch(settings), *listeners]  # first: others may make films at the end, and fail
-        results = Results(folder, archive, written, settings.evaluation.pretraining_steps(known))
+                listeners = [TrackedSearch(settings), *listeners]  # first: others may make films at the end, and fail
+            results = Results(folder, archive, written, settings.evaluation.pretraining_steps(known))
         run, loop = _loop(settings, search, executor, results, listeners, resumed is not None)
+        opened.enter_context(ambient(settings.torch_threads))
+        torch.manual_seed(settings.seed)  # of code of the user's
         summary = _search(run, loop, settings, listeners)
     return Found(folder, written, summary)
 
@@ -274,18 +278,24 @@ def _run_of_design(settings: Codesign, task: str, candidate: Candidate, outcome:
 def make_evaluator(settings: Codesign, known: Any) -> DesignEvaluator:
     """The evaluator of resolved settings; called in the process that evaluates."""
     start_warp()
-    torch.set_num_threads(settings.torch_threads)
-    torch.manual_seed(settings.seed)
     device = resolve_device(settings.device, environments(settings))
     return settings.evaluation.build(dataclasses.replace(settings, device=device), known)
+
+
+def _on_worker(settings: Codesign, known: Any) -> DesignEvaluator:
+    """The evaluator of a process that does nothing else."""
+    torch.set_num_threads(settings.torch_threads)
+    torch.manual_seed(settings.seed)
+    return make_evaluator(settings, known)
 
 
 def make_executor(settings: Codesign, known: Any) -> Executor:
     """Where designs are evaluated, by the settings."""
     if settings.executor == "local":
-        return LocalExecutor(make_evaluator(settings, known))
+        # code of the user's may wait for threads of its own, in which it trains
+        return LocalExecutor(make_evaluator(settings, known), alone=not isinstance(settings.evaluation, Custom))
     from warpvox.algos.codesign.ray_executor import RayExecutor
 
     threads = settings.threads or 1
-    make = functools.partial(make_evaluator, dataclasses.replace(settings, threads=threads), known)
+    make = functools.partial(_on_worker, dataclasses.replace(settings, threads=threads), known)
     return RayExecutor(make, settings.workers, settings.address, threads, gpus=0 if settings.device == "cpu" else None)

@@ -8,12 +8,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-import torch
-
 from warpvox.algos.candidate import Candidate, Outcome, Parent, Parents, Report, candidate_seed
-from warpvox.algos.checkpoints.files import spec_dict
+from warpvox.algos.checkpoints.files import damaged, spec_dict
 from warpvox.algos.codesign.inheritance import copy_voxel_policy
 from warpvox.algos.codesign.population_evaluator import (
+    AGAIN,
     best_parent,
     describe,
     inherit_policy,
@@ -24,6 +23,7 @@ from warpvox.algos.codesign.population_evaluator import (
 )
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import EpisodeReturns, evaluator
+from warpvox.algos.generators import Generators
 from warpvox.algos.policies.registry import voxels_of
 from warpvox.algos.settings import DesignTraining
 from warpvox.algos.training.runner import Runner, Schedule, adapt
@@ -64,42 +64,44 @@ class SequentialEvaluator:
     def _train(self, candidate: Candidate, parent: Parent | None, done: _Done) -> Outcome:
         settings, seed = self.settings, candidate_seed(self.seed, candidate.id)
         outcome = done.outcome or Outcome(-math.inf)
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            env = adapt(self.factory.make([candidate.body], settings.envs, [seed], auto_reset=True), settings.ppo)
-            on_cpu = self.factory.computed(device="cpu")  # where few environments are faster
-            episodes = self.factory.episodes(settings.eval_envs)
-            judged = on_cpu.make([candidate.body], episodes, [seed], auto_reset=False)
-            judge = evaluator(judged, [self.seed], self.factory.fitness)
+        env = adapt(self.factory.make([candidate.body], settings.envs, [seed], auto_reset=True), settings.ppo)
+        on_cpu = self.factory.computed(device="cpu")  # where few environments are faster
+        episodes = self.factory.episodes(settings.eval_envs)
+        judged = on_cpu.make([candidate.body], episodes, [seed], auto_reset=False)
+        judge = evaluator(judged, [self.seed], self.factory.fitness)
 
-            def evaluate(policy: Any) -> EpisodeReturns:
-                result = judge(policy)
-                value = float(result.fitness[0])
-                outcome.curve.append((runner.steps, value))
-                if value > outcome.fitness:
-                    outcome.fitness, outcome.spec = value, spec_dict(policy.spec)
-                    state = policy.actor.state_dict()
-                    outcome.policy = {name: tensor.detach().cpu().clone() for name, tensor in state.items()}
-                return result
+        def evaluate(policy: Any) -> EpisodeReturns:
+            result = judge(policy)
+            value = float(result.fitness[0])
+            outcome.curve.append((runner.steps, value))
+            if value > outcome.fitness:
+                outcome.fitness, outcome.spec = value, spec_dict(policy.spec)
+                state = policy.actor.state_dict()
+                outcome.policy = {name: tensor.detach().cpu().clone() for name, tensor in state.items()}
+            return result
 
-            def save() -> None:
-                if runner.current_learning_iteration > 0:  # before that there is nothing to save
-                    done.save(outcome, runner.state())
+        def save() -> None:
+            if runner.current_learning_iteration > 0:  # before that there is nothing to save
+                done.save(outcome, runner.state())
 
-            schedule = Schedule(settings.iterations, settings.save_interval, settings.eval_interval)
-            voxels = None if self.network is None else voxels_of(self.network, env.env, self.network_settings)
-            runner = Runner(env, settings.ppo, schedule, evaluator=evaluate, on_save=save, voxels=voxels)
-            if done.training is not None:
+        schedule = Schedule(settings.iterations, settings.save_interval, settings.eval_interval)
+        voxels = None if self.network is None else voxels_of(self.network, env.env, self.network_settings)
+        generators = Generators(seed, str(env.device))
+        runner = Runner(
+            env, settings.ppo, schedule, evaluator=evaluate, on_save=save, voxels=voxels, generators=generators
+        )
+        if done.training is not None:
+            with damaged(done.file, AGAIN):
                 runner.set_state(done.training)
-            elif settings.inherit and parent is not None and self.network is not None:
-                copy_voxel_policy(cast(Any, runner.alg.actor), parent.policy)
-            elif settings.inherit and parent is not None:
-                inherit_policy(self.factory, parent, env.env, 0, runner.alg)
-            try:
-                runner.run()
-            except DivergenceError:  # it leaves with what it had, as one of many would
-                outcome.stopped = True
-                runner.current_learning_iteration += 1
+        elif settings.inherit and parent is not None and self.network is not None:
+            copy_voxel_policy(cast(Any, runner.alg.actor), parent.policy)
+        elif settings.inherit and parent is not None:
+            inherit_policy(self.factory, parent, env.env, 0, runner.alg)
+        try:
+            runner.run()
+        except DivergenceError:  # it leaves with what it had, as one of many would
+            outcome.stopped = True
+            runner.current_learning_iteration += 1
         outcome.steps = runner.steps
         return outcome
 
@@ -123,9 +125,10 @@ class _Done:
         self.outcome: Outcome | None = None
         self.training: dict[str, Any] | None = None
         if content := read_evaluation(file, about):
-            self.outcomes = list(map(outcome_of, content["outcomes"]))
-            if content["training"] is not None:
-                self.outcome, self.training = outcome_of(content["outcome"]), content["training"]
+            with damaged(file, AGAIN):
+                self.outcomes = list(map(outcome_of, content["outcomes"]))
+                if content["training"] is not None:
+                    self.outcome, self.training = outcome_of(content["outcome"]), content["training"]
 
     def add(self, outcome: Outcome) -> None:
         self.outcomes.append(outcome)

@@ -8,8 +8,18 @@ from typing import Any
 import torch
 
 from warpvox.algos.candidate import Candidate, Outcome
-from warpvox.algos.checkpoints.files import load_checkpoint, save_checkpoint, spec_dict, spec_for
+from warpvox.algos.checkpoints.files import (
+    check_spec,
+    checked_weights,
+    damaged,
+    load_checkpoint,
+    save_checkpoint,
+    spec_dict,
+    spec_for,
+    spec_of,
+)
 from warpvox.algos.settings import Ppo
+from warpvox.code import is_code
 from warpvox.io.writing import check_folder, write_text, writing
 from warpvox.runs import BEST
 
@@ -46,8 +56,15 @@ class StoredPolicies:
         return (place / BEST).as_posix(), policy_sha256(policy)
 
     def load(self, path: str) -> dict[str, Any]:
-        """The policy that :meth:`save` has written to ``path``."""
-        return load_checkpoint(self.folder / path)["actor_state_dict"]
+        """The policy that :meth:`save` has written to ``path``. RunError: it is damaged."""
+        content = load_checkpoint(self.folder / path)
+        with damaged(self.folder / path):
+            spec = spec_of(content["policy"])
+            if is_code((spec.voxels or {}).get("network")):  # what a file names is not imported
+                checked_weights(content["actor_state_dict"])
+            else:
+                check_spec(spec, content["actor_state_dict"])
+        return content["actor_state_dict"]
 
 
 def policy_sha256(policy: Mapping[str, torch.Tensor]) -> str:

@@ -60,14 +60,19 @@ class Network(MLPModel):
 
 
 class Gaussian(GaussianDistribution):
-    """rsl-rl's distribution that draws nothing while learning, where rsl-rl's PPO drops what is drawn."""
+    """rsl-rl's distribution that draws nothing while learning, where rsl-rl's PPO drops what is drawn.
+
+    ``generator``: that it draws from; None: torch's own.
+    """
+
+    generator: torch.Generator | None = None
 
     def sample(self) -> torch.Tensor:
         """``[rows, actions]``: drawn, or the mean where gradients are wanted."""
-        return self.mean if torch.is_grad_enabled() else super().sample()
+        return self.mean if torch.is_grad_enabled() else torch.normal(self.mean, self.std, generator=self.generator)
 
 
-class VoxelGaussian(GaussianDistribution):
+class VoxelGaussian(Gaussian):
     """A Gaussian distribution of the actions that a body has.
 
     Actions that a body has not are 0, with a deviation of 1, and take no part: nothing is drawn for them, and they add
@@ -101,7 +106,8 @@ class VoxelGaussian(GaussianDistribution):
         """As :meth:`Gaussian.sample`."""
         if torch.is_grad_enabled():
             return self.mean
-        return torch.where(self._is_present, torch.randn_like(self.mean).mul_(self.std).add_(self.mean), 0.0)
+        noise = torch.empty_like(self.mean).normal_(generator=self.generator)
+        return torch.where(self._is_present, noise.mul_(self.std).add_(self.mean), 0.0)
 
     @property
     def entropy(self) -> torch.Tensor:

@@ -7,14 +7,17 @@ from typing import Any
 import torch
 from torch import nn
 
+from warpvox.algos.generators import Generators
 from warpvox.algos.policies.cpg import CpgNetwork
 from warpvox.algos.policies.grid import GridNetwork
 from warpvox.algos.policies.layout import CLOCK, FEATURES, VoxelLayout, layout_of
 from warpvox.algos.policies.transformer import TransformerNetwork
 from warpvox.algos.settings import CPG, MLP
+from warpvox.checks import is_integer
 from warpvox.code import is_code, load_code
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, did_you_mean, first_line, listing
+from warpvox.robots.network import MAX_LAYERS
 
 NETWORKS: dict[str, type[nn.Module]] = {"grid": GridNetwork, "transformer": TransformerNetwork, CPG: CpgNetwork}
 POLICIES = (MLP, *NETWORKS)
@@ -46,7 +49,7 @@ def check_network(env: VoxelVecEnv, name: str, settings: Any, key: str = "networ
         raise ConfigError(f"{key} must be settings by name, such as {{width:32}}; got {settings!r:.80}.")
     layout = layout_for(name, env)
     actor, shapes = make_network(name, layout, False, settings), ([2, layout.cells, FEATURES], [2, layout.rest])
-    with torch.random.fork_rng(devices=[]), torch.no_grad():  # as if nothing had been tried
+    with Generators(0), torch.no_grad():  # the critic and what networks draw do not matter
         for network, wanted in (actor, [2, layout.cells]), (make_network(name, layout, True, settings), [2]):
             try:
                 found = list(network.eval()(*map(torch.zeros, shapes)).shape)
@@ -67,6 +70,8 @@ def make_network(name: str, layout: VoxelLayout, critic: bool, settings: Mapping
         critic: whether there is one value for the body instead of one for each cell.
     """
     check_policy(name)
+    if is_integer(layers := (settings or {}).get("layers", 1)) and layers > MAX_LAYERS:
+        raise ConfigError(f"policy={name} may have {MAX_LAYERS} layers at most, got {layers}.")
     made = NETWORKS.get(name) or load_code(name)
     try:
         inspect.signature(made).bind(layout, critic, **(settings or {}))

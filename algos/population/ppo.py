@@ -14,6 +14,7 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch import nn
 
+from warpvox.algos.checkpoints.expected import AnyTensor, check_like
 from warpvox.algos.policies.network import observations
 from warpvox.algos.population.model import Normalizer, PopulationActor, PopulationModel, StackedGaussian
 from warpvox.algos.training.ppo import PPO
@@ -257,6 +258,10 @@ class PopulationPPO(PPO):
         return parts | own
 
     def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None = None, strict: bool = True) -> bool:
+        """Restore what :meth:`save` gave; RunError: it is not that of these designs."""
+        like = self.save() | {"updates": int, "optimizer": self.optimizer.state() | {"steps": int}}
+        like["streams"] = [AnyTensor(torch.uint8, (None,))] * self.num_designs  # other devices have longer ones
+        check_like(loaded_dict, like)
         self.actor.load_state_dict(loaded_dict["actor"])
         self.critic.load_state_dict(loaded_dict["critic"])
         self.optimizer.set_state(loaded_dict["optimizer"])

@@ -17,6 +17,7 @@ from warpvox.algos.checkpoints.files import actions_of
 from warpvox.algos.disturbance import as_judged
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
+from warpvox.algos.generators import Generators
 from warpvox.algos.population.model import PopulationActor, PopulationModel
 from warpvox.algos.population.ppo import PopulationPPO, Streams
 from warpvox.algos.settings import DesignTraining, Ppo
@@ -29,7 +30,7 @@ from warpvox.errors import ActionError
 
 @dataclass
 class Networks:
-    """A design's networks before training, and torch's random state after they were made."""
+    """A design's networks before training, and the random state of the CPU's generator after they were made."""
 
     actor: MLPModel
     critic: MLPModel
@@ -37,23 +38,22 @@ class Networks:
 
 
 def fresh_networks(ppo: Ppo, num_obs: int, num_actions: int, seed: int) -> Networks:
-    """Networks that a training with this ``seed`` begins with, made by rsl-rl; torch's generator stays as it was."""
+    """Networks that a training with this ``seed`` begins with, made by rsl-rl."""
     config, obs = rsl_rl_config(ppo, 1), TensorDict({OBS_GROUP: torch.zeros(1, num_obs)}, batch_size=[1])
 
     def network(name: str, outputs: int) -> MLPModel:
         model, settings = resolve_class(config[name])
         return model(obs, config["obs_groups"], name, outputs, **settings)
 
-    with torch.random.fork_rng(devices=[]):
-        torch.default_generator.manual_seed(seed)
-        return Networks(network("actor", num_actions), network("critic", 1), torch.get_rng_state())
+    with Generators(seed) as generators:
+        return Networks(network("actor", num_actions), network("critic", 1), generators.state()["cpu"])
 
 
 class PopulationTraining:
     """Trains a policy for each of some designs.
 
-    Each design's training is that which :class:`warpvox.algos.training.runner.Runner` would give it alone after
-    ``torch.manual_seed(seed)``, up to rounding.
+    Each design's training is that which :class:`warpvox.algos.training.runner.Runner` would give it alone with its
+    seed, up to rounding.
 
     Args:
         prepare: may change a design's networks before training; called with its number, the environments and the

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import nn
 
+from warpvox.algos.checkpoints.expected import AnyTensor, check_like
 from warpvox.algos.policies.cpg import TYPE, CpgNetwork
 from warpvox.algos.policies.layout import MOVING
 from warpvox.algos.policies.model import VoxelModel
@@ -15,7 +16,7 @@ from warpvox.algos.training.ppo import PPO
 from warpvox.algos.training.runner import Runner
 from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import ConfigError, SimulationError
+from warpvox.errors import ConfigError, RunError, SimulationError
 from warpvox.gradients import Gradients
 from warpvox.types import ACTION_CENTER
 
@@ -62,9 +63,9 @@ class Targets:
         self._keys = kept[-self.limit :]
         self._bodies, self._targets = bodies[-self.limit :], targets[-self.limit :]
 
-    def draw(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """So many bodies and targets, drawn at random with torch's generator of the CPU."""
-        rows = torch.randint(len(self), (count,)).to(self._bodies.device)
+    def draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+        """So many bodies and targets, drawn at random with a generator of the CPU."""
+        rows = torch.randint(len(self), (count,), generator=generator).to(self._bodies.device)
         return self._bodies[rows], self._targets[rows]
 
     def state(self) -> dict[str, torch.Tensor]:
@@ -116,7 +117,7 @@ class Ascent(PPO):
             self.set_learning_rate(self.decayed_rate)
         total, times = 0.0, self.num_learning_epochs * self.num_mini_batches
         for _ in range(times):
-            bodies, wanted = targets.draw(min(BATCH, len(targets)))
+            bodies, wanted = targets.draw(min(BATCH, len(targets)), self.generators.on("cpu"))
             driven = bodies[..., DRIVEN].sum(-1, keepdim=True)
             apart = ((self.learner.weights(bodies) - wanted).square() * driven).sum()
             loss = apart / (driven.sum().clamp(min=1) * wanted.shape[2])
@@ -230,7 +231,16 @@ class AscentRunner(Runner):
         super().set_state(content)
         if "env" not in content:
             return
-        own = content["ascent"]
+        own = content.get("ascent")
+        check_like(own, {"learner": self.alg.learner.state_dict(), "steps": int, "targets": dict}, "ascent")
+        bodies, weights, _ = self.alg.look(self.env.get_observations())
+        shapes = {"bodies": bodies.shape[1:], "targets": weights.shape[1:]}
+        if not any(map(len, own["targets"].values())):  # none yet
+            shapes = dict.fromkeys(shapes, ())
+        rows = {name: AnyTensor(torch.float32, (None, *shape)) for name, shape in shapes.items()}
+        check_like(own["targets"], rows, "ascent.targets")
+        if len({len(values) for values in own["targets"].values()}) > 1:
+            raise RunError("Its ascent.targets are not as many as its bodies.")
         self.alg.learner.load_state_dict(own["learner"])
         self.alg.steps = own["steps"]
         self._targets.set_state(own["targets"])

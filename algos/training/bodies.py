@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from warpvox.algos.checkpoints.expected import AnyTensor, check_like
 from warpvox.algos.settings import REFRESH
 from warpvox.algos.training.settings import Training
 from warpvox.batch.options import lanes_for
 from warpvox.design import DESIGN_SUFFIXES, Design, design_paths, load_design, sample_design
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
-from warpvox.errors import ConfigError, DesignError
+from warpvox.errors import ConfigError, DesignError, RunError
 from warpvox.keys import plain
 from warpvox.runs import CONFIG
 
@@ -283,7 +284,21 @@ class Bodies:
         }
 
     def set_state(self, state: dict[str, Any], env: RslRlVecEnv) -> None:
-        """Go on from :meth:`state`; the environments get their bodies back, their own state is to follow."""
+        """Go on from :meth:`state`; the environments get their bodies back, their own state is to follow.
+
+        Raises:
+            RunError: it is not that of such bodies and environments. DesignError: a body is none.
+        """
+        like = self.state(env) | {"seen": int, "random": str}
+        like["returns"] = AnyTensor(torch.float64, (len(self.bodies),), is_finite=False)
+        like["digests"] = AnyTensor(torch.int64, (None,))
+        like["shapes"] = [[int, int]] * env.num_envs
+        check_like(state, like, "bodies")
+        which, sizes = state["which"], torch.tensor(state["shapes"])
+        if not bool(((which >= -1) & (which < len(self.bodies))).all()):
+            raise RunError(f"Its bodies.which has numbers that are none of {len(self.bodies)} bodies.")
+        if not bool(((sizes >= 1) & (sizes <= torch.tensor(self.shape))).all()):
+            raise RunError(f"Its bodies.shapes are not within {self.shape[0]}x{self.shape[1]}.")
         pairs = zip(state["grids"].cpu().numpy(), state["shapes"], strict=True)
         bodies = [grid[:rows, :columns] for grid, (rows, columns) in pairs]
         env.set_designs(bodies, torch.ones(env.num_envs, dtype=torch.bool, device=env.device))

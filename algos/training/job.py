@@ -10,12 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import torch
 from rich.console import Console
 
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.checkpoints.policy import Policy, policy_of
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator, evaluator
+from warpvox.algos.generators import Generators
 from warpvox.algos.policies.registry import MLP, check_network, check_policy, voxels_of
 from warpvox.algos.protocols import episodes_of
 from warpvox.algos.settings import physics_of, sim_of
@@ -123,17 +123,16 @@ class Job:
             raise ConfigError("nan_guard=dump and logger=wandb|neptune write files; folder=None writes none.")
         with own_torch(self.settings.torch_threads):
             self._prepare(listener)
-            if not write and self.judge is not None:
-                self.runner.evaluator = partial(self._keep_best, self.judge)
-            with self._folder(place, listener) if write else nullcontext():
-                self._learn(listener)
+        if not write and self.judge is not None:
+            self.runner.evaluator = partial(self._keep_best, self.judge)
+        with self._folder(place, listener) if write else nullcontext():
+            self._learn(listener)
 
     def _prepare(self, listener: Listener) -> None:
         with listener.console.status("loading"):
             self.group = group = join_process_group(self.settings.device)
             listener.console.quiet |= not group.is_main_process
             start_warp()
-            torch.manual_seed(group.seed(self.settings.seed))
             settings = resolved(_share(self.settings, group))
             bodies = training_bodies(settings)
             exchanged = Bodies.of(bodies, settings, group.seed(settings.seed)) if settings.is_many else None
@@ -150,16 +149,21 @@ class Job:
             seed = group.seed(settings.seed)
             env = adapt(make_vec(settings.task, designs, count, seed=seed, sim=sim, **options), settings.ppo)
             self.judge = self._make_judge(settings, bodies, options) if group.is_main_process else None
+            generators = Generators(seed, str(env.device))
+            with generators:  # which a network is tried with, before the one that is trained
+                voxels = _voxels(settings, env.env)
             self.runner = runner(
                 env,
                 settings.ppo,
                 Schedule(settings.max_iterations, settings.save_interval, settings.eval_interval, settings.stop_return),
-                voxels=_voxels(settings, env.env),
+                voxels=voxels,
                 bodies=exchanged,
                 trained_on=_trained_on(settings),
                 evaluator=self.judge,
                 group=group,
                 logger=settings.logger,
+                generators=generators,
+                torch_threads=settings.torch_threads,
             )
             if self.checkpoint is not None:
                 go_on(self.checkpoint, self.runner)
@@ -259,8 +263,7 @@ class Job:
     def _keep_best(self, judge: Evaluator, policy: Any) -> EpisodeReturns:
         found = judge(policy)
         if found.mean_return > self.runner.best_return:
-            with torch.random.fork_rng(devices=[]):  # a policy begins with random weights
-                self.best = policy_of(policy)
+            self.best = policy_of(policy)
         return found
 
     @property
@@ -372,7 +375,8 @@ def go_on(checkpoint: Path, runner: Runner) -> None:
 
     One that was killed between its last iteration and its summary is let through: the summary is left.
     """
-    runner.resume(checkpoint)
+    with own_torch(runner.torch_threads):
+        runner.resume(checkpoint)
     done, total, goal = runner.current_learning_iteration, runner.schedule.total, runner.schedule.stop_return
     again = f"go on with: warpvox train {shell_argument('resume', checkpoint.parent)}"
     about = read_summary(checkpoint.parent)

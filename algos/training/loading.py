@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
 from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.files import load_controller
@@ -17,6 +16,7 @@ from warpvox.algos.checkpoints.policy import Policy, policy_of
 from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.training.metrics import COLUMNS, read_metrics
 from warpvox.algos.training.playing import SHOWN, Playing, disturbed, load_trained
+from warpvox.checks import check_path
 from warpvox.code import Code, is_code
 from warpvox.devices.names import resolve_device
 from warpvox.envs.registry import get_task, task_ids
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from warpvox.algos.training.job import Job
 
 
-@torch.random.fork_rng(devices=[])  # networks begin with random weights
 def load_policy(
     source: str | Path = "latest",
     *,
@@ -58,8 +57,10 @@ def load_policy(
     Raises:
         RunError: there is no such run, checkpoint or file, or it holds no policy. DeviceError: no such device.
     """
+    if not isinstance(policy, str | None):
+        raise ConfigError(f"policy must name code, FILE.py:Class, got {policy!r:.80}.")
     network = None if policy is None else policy if policy == STORED else Code(policy)
-    device, path = resolve_device(device), Path(source).expanduser()
+    device, path = resolve_device(device), check_path("The run or file of a policy", source)
     if str(source) != "latest" and path.is_file():
         exported = read_exported(path, network)
         if exported is not None:
@@ -157,7 +158,7 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
     alike = parts == (NOMINAL,) and not get_task(robot.task).is_random
     count = 1 if alike else config.num_envs or SHOWN
     options = {name: value for name in ("dtype", "arithmetic") if (value := getattr(config, name)) is not None}
-    if config.arithmetic == "fast":
+    if isinstance(config.arithmetic, str) and config.arithmetic == "fast":
         options.setdefault("dtype", "float32")
     options |= {"threads": config.threads, "memory_check": config.memory_check}
     options |= {"device": resolve_device(config.device, count), "num_envs": count * len(parts)}

@@ -1,18 +1,26 @@
 """rsl-rl's PPO with a linear schedule, Adam's epsilon and time limits bootstrapped where they struck."""
 
+from __future__ import annotations
+
 import copy
 import inspect
 from collections.abc import Collection, Generator, Mapping
-from typing import Any
+from contextlib import nullcontext
+from typing import Any, cast
 
 import torch
 from rsl_rl.algorithms import PPO as RslRlPPO
+from rsl_rl.extensions import resolve_rnd_config, resolve_symmetry_config
 from rsl_rl.models import MLPModel, RNNModel
 from rsl_rl.modules import EmpiricalDiscountedVariationNormalization
 from rsl_rl.storage import RolloutStorage
+from rsl_rl.utils import resolve_class
 from tensordict import TensorDict
+from torch import nn
 
+from warpvox.algos.checkpoints.expected import AnyTensor, check_like, optimizer_state
 from warpvox.algos.checkpoints.files import RNN
+from warpvox.algos.generators import Generators
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.policies.network import LATENT, Gaussian, Network
 from warpvox.algos.settings import Ppo
@@ -41,19 +49,49 @@ class PPO(RslRlPPO):
     """rsl-rl's PPO with what its settings lack.
 
     Args:
+        generators: where its random numbers come from; None: it draws none.
         schedule: ``fixed``, ``adaptive`` (rsl-rl's) or ``linear``: the learning rate of update k of n is
             ``learning_rate * (1 - k / n)`` with k = 0, 1, ..., n - 1.
     """
 
     def __init__(
-        self, *args: Any, total_iterations: int, adam_eps: float = 1e-8, schedule: str = "fixed", **settings: Any
+        self,
+        *args: Any,
+        total_iterations: int,
+        adam_eps: float = 1e-8,
+        schedule: str = "fixed",
+        generators: Generators | None = None,
+        **settings: Any,
     ) -> None:
         super().__init__(*args, schedule="adaptive" if schedule == "adaptive" else "fixed", **settings)
+        self.generators = generators
+        if generators is not None:
+            self.get_policy().distribution.generator = generators.on(self.device)
         self.decays, self.adam_eps = schedule == "linear", adam_eps
         self.initial_learning_rate, self.total_iterations, self.updates = self.learning_rate, total_iterations, 0
         self._configure_adam()
         self.storage.mini_batch_generator = self._minibatches
         self.critic.obs_normalizer, self.critic.update_normalization = self.actor.obs_normalizer, lambda obs: None
+
+    @classmethod
+    def of(
+        cls, env: Any, config: Mapping[str, Any], generators: Generators, processes: Mapping[str, int] | None = None
+    ) -> PPO:
+        """The algorithm of :func:`rsl_rl_config` for an environment, with new networks.
+
+        Args:
+            processes: that learn together, as rsl-rl describes them; None: this one alone.
+        """
+        obs, groups, device = env.get_observations(), config["obs_groups"], str(env.device)
+        settings = copy.deepcopy({name: value for name, value in config["algorithm"].items() if name != "class_name"})
+        settings = resolve_symmetry_config(resolve_rnd_config(settings, obs, groups, env), env)
+        with generators:
+            networks = []
+            for name, outputs in (("actor", env.num_actions), ("critic", 1)):
+                kind, own = resolve_class(config[name])
+                networks.append(kind(obs, groups, name, outputs, **own).to(device))
+            storage = RolloutStorage("rl", env.num_envs, config["num_steps_per_env"], obs, [env.num_actions], device)
+            return cls(*networks, storage, generators=generators, device=device, multi_gpu_cfg=processes, **settings)
 
     def _configure_adam(self) -> None:
         for group in self.optimizer.param_groups:
@@ -112,7 +150,8 @@ class PPO(RslRlPPO):
 
     def _minibatches(self, num_mini_batches: int, num_epochs: int = 8) -> Generator[RolloutStorage.Batch, None, None]:
         """Those of rsl-rl, which are the same in all epochs: put in order and scaled once."""
-        batches = list(RolloutStorage.mini_batch_generator(self.storage, num_mini_batches, 1))
+        with nullcontext() if self.generators is None else self.generators:
+            batches = list(RolloutStorage.mini_batch_generator(self.storage, num_mini_batches, 1))
         if not self.symmetry:  # which makes further observations of a batch
             for batch in batches:
                 with torch.no_grad():
@@ -124,11 +163,26 @@ class PPO(RslRlPPO):
         return super().save() | {"updates": self.updates}
 
     def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None = None, strict: bool = True) -> bool:
-        """Restore what :meth:`save` gave. Adam's epsilon and the schedule's length stay as configured."""
+        """Restore what :meth:`save` gave, but for settings: of the optimisers only moments and learning rates.
+
+        Raises:
+            RunError: it does not fit these networks; nothing has changed.
+        """
+        wanted = dict.fromkeys(("actor", "critic", "optimizer", "rnd"), True) if load_cfg is None else load_cfg
+        networks: dict[str, Any] = {"actor": self._raw_actor, "critic": self._raw_critic}
+        optimizers: dict[str, Any] = {"optimizer": self.optimizer}
+        if self.rnd:
+            networks["rnd"], optimizers["rnd"] = self.rnd, self.rnd.optimizer
+        like = {f"{name}_state_dict": network.state_dict() for name, network in networks.items() if wanted.get(name)}
+        check_like({"updates": 0, **loaded_dict}, like | {"updates": int})
+
         # torch's Adam goes on in the very tensors that it is given
-        own = {name: copy.deepcopy(value) for name, value in loaded_dict.items() if "optimizer" in name}
+        own: dict[str, Any] = {}
+        for name, optimizer in optimizers.items():
+            if wanted.get(name):
+                key = "optimizer_state_dict" if name == "optimizer" else f"{name}_optimizer_state_dict"
+                own[key] = copy.deepcopy(optimizer_state(loaded_dict.get(key), optimizer, key))
         result = super().load(loaded_dict | own, load_cfg, strict)
-        self._configure_adam()
         self.updates = loaded_dict.get("updates", 0)
         return result
 
@@ -142,6 +196,17 @@ class PPO(RslRlPPO):
         return own
 
     def set_memory(self, own: Mapping[str, Any]) -> None:
+        """Go on from :meth:`memory`; RunError: it is not that of such networks."""
+        like: dict[str, Any] = dict.fromkeys(("actor", "critic"))
+        for name, model in (("actor", self.actor), ("critic", self.critic)):
+            if model.is_recurrent and own.get(name) is not None:  # else no episode has begun
+                layers = cast(Any, model).rnn.rnn
+                hidden = AnyTensor(torch.float32, (layers.num_layers, self.storage.num_envs, layers.hidden_size))
+                like[name] = (hidden, hidden) if isinstance(layers, nn.LSTM) else hidden
+        if self.rnd:
+            average = None if own.get("rnd_average") is None else AnyTensor(torch.float32, (self.storage.num_envs,))
+            like |= {"rnd_steps": int, "rnd_average": average}
+        check_like(own, like, "memory")
         self.actor.reset(hidden_state=own["actor"])
         self.critic.reset(hidden_state=own["critic"])
         if self.rnd:

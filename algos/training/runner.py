@@ -1,7 +1,6 @@
 """The training loop: PPO with evaluations, metrics, atomic checkpoints and exact resumption."""
 
 import contextlib
-import io
 import math
 import os
 import time
@@ -16,10 +15,12 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")  # GitPython, which rsl-rl 
 from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils.logger import Logger
 
+from warpvox.algos.checkpoints.expected import check_like
 from warpvox.algos.checkpoints.files import (
     RNN,
     Controller,
     check_fits,
+    damaged,
     load_checkpoint,
     save_checkpoint,
     spec_dict,
@@ -27,17 +28,25 @@ from warpvox.algos.checkpoints.files import (
     spec_of,
 )
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator
+from warpvox.algos.generators import Generators
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
 from warpvox.algos.training.metrics import Metrics, read_metrics
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
+from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
 from warpvox.io.writing import check_folder
 from warpvox.robots.network import WIDEST
 from warpvox.runs import BEST, STATE, Run
+
+COUNTERS = {
+    "elapsed": float, "best_return": float, "best_iteration": int, "processes": int, "env": dict, "random": dict,
+    "memory": dict,
+}  # fmt: skip
+"""What a state holds beside networks and optimiser, by its types."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +123,9 @@ class Runner(OnPolicyRunner):
             and reports; its ``evaluator`` and ``report`` are the only ones that are used.
         voxels: of a policy for voxels, see :func:`warpvox.algos.training.ppo.rsl_rl_config`.
         bodies: which bodies take the place of others; None: all stay.
+        generators: random numbers for the networks, the actions and the order of learning; None: those that torch's own
+            generators would give.
+        torch_threads: threads of torch; None: as many as the caller has.
     """
 
     algorithm: type[PPO] = PPO
@@ -133,6 +145,8 @@ class Runner(OnPolicyRunner):
         logger: str = "tensorboard",
         bodies: Bodies | None = None,
         trained_on: Mapping[str, Any] | None = None,
+        generators: Generators | None = None,
+        torch_threads: int | None = None,
     ) -> None:
         ppo.check(env.num_envs)
         self.ppo, self.schedule, self.folder = ppo, schedule, folder
@@ -140,10 +154,13 @@ class Runner(OnPolicyRunner):
         self.report: Callable[[Mapping[str, float]], None] | None = None
         self.bodies, self.trained_on = bodies, dict(trained_on or {})
         self._judged: EpisodeReturns | None = None
-        config = rsl_rl_config(ppo, schedule.total, voxels, self.algorithm)
+        # rsl-rl's own way to the algorithm prints both networks, and draws from torch's generator
+        self.env, self.device = env, str(env.device)
+        self.generators, self.torch_threads = generators or Generators(None, self.device), torch_threads
+        self.cfg = rsl_rl_config(ppo, schedule.total, voxels, self.algorithm)
+        self._configure_multi_gpu()
         try:
-            with contextlib.redirect_stdout(io.StringIO()):  # rsl-rl prints both networks
-                super().__init__(env, config, None, str(env.device))
+            self.alg = self.algorithm.of(env, self.cfg, self.generators, self.cfg["multi_gpu"])
         except (TypeError, ValueError, LookupError, AttributeError) as error:
             if not (ppo.rnn or ppo.extra):
                 raise
@@ -195,22 +212,14 @@ class Runner(OnPolicyRunner):
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
         """Learn for so many iterations; random lengths apply to the very first one only."""
         end, goal = self.current_learning_iteration + num_learning_iterations, self.schedule.stop_return
-        if self.current_learning_iteration == 0 or self._turned_back:
-            self.save_state()  # a run can be resumed whenever it is killed
-        if init_at_random_ep_len and self.current_learning_iteration == 0:
-            lengths = torch.randint(int(self.env.max_episode_length), (self.env.num_envs,))
-            self.env.episode_length_buf = lengths.to(self.env.device)
-        if self.folder is not None and self.group.is_main_process:
-            for number in Run(self.folder, {}).iterations:
-                if number > self.current_learning_iteration > 0:  # they go with the rows that will be written again
-                    (self.folder / f"model_{number}.pt").unlink()
-            self._metrics = Metrics(self.folder, self.current_learning_iteration, self._writer)
-        if self.group.size > 1:
-            self.alg.broadcast_parameters()
+        with self._own_torch():
+            self._begin(init_at_random_ep_len)
         try:
             with deferred_interrupts() as interrupted:
                 while self.current_learning_iteration < end and (goal is None or not self.last_return >= goal):
-                    self._iterate(end)
+                    with self._own_torch():
+                        row = self._iterate(end)
+                    self._report(row, end)
                     if self.group.any(bool(interrupted)):
                         self.save_all()
                         interrupted.stop()
@@ -219,8 +228,31 @@ class Runner(OnPolicyRunner):
             if self._metrics is not None:
                 self._metrics.close()
 
-    def _iterate(self, end: int) -> None:
-        """One iteration: collect, learn, then evaluate, log and save as scheduled."""
+    def _own_torch(self) -> contextlib.AbstractContextManager[None]:
+        """torch for one iteration, in which no other training disturbs this one.
+
+        Code of the user's may draw from torch's global generators: the same numbers again if the run is resumed.
+        """
+        return own_torch(self.torch_threads, (self.generators.seed + self.current_learning_iteration) % 2**63)
+
+    def _begin(self, init_at_random_ep_len: bool) -> None:
+        """Prepare the environments, the folder and the networks of other processes."""
+        if self.current_learning_iteration == 0 or self._turned_back:
+            self.save_state()  # a run can be resumed whenever it is killed
+        if init_at_random_ep_len and self.current_learning_iteration == 0:
+            size, generator = (self.env.num_envs,), self.generators.on("cpu")
+            lengths = torch.randint(int(self.env.max_episode_length), size, generator=generator)
+            self.env.episode_length_buf = lengths.to(self.env.device)
+        if self.folder is not None and self.group.is_main_process:
+            for number in Run(self.folder, {}).iterations:
+                if number > self.current_learning_iteration > 0:  # they go with the rows that will be written again
+                    (self.folder / f"model_{number}.pt").unlink()
+            self._metrics = Metrics(self.folder, self.current_learning_iteration, self._writer)
+        if self.group.size > 1:
+            self.alg.broadcast_parameters()
+
+    def _iterate(self, end: int) -> dict[str, float]:
+        """One iteration: collect, learn, then evaluate as scheduled; returns its row of the metrics."""
         started = time.perf_counter()
         try:
             self._improve()
@@ -233,11 +265,15 @@ class Runner(OnPolicyRunner):
         done = self.current_learning_iteration
         evaluated = self._evaluate() if done % self.schedule.evaluate == 0 or done == end else math.nan
         self.elapsed += time.perf_counter() - started
-        row = self._row(losses, seconds, evaluated)
+        return self._row(losses, seconds, evaluated)
+
+    def _report(self, row: Mapping[str, float], end: int) -> None:
+        """Log an iteration, and save as scheduled."""
         if self._metrics is not None:
             self._metrics.write(row, self.logger.means)
         if self.report is not None and self.group.is_main_process:
             self.report(row)
+        done = self.current_learning_iteration
         if done % self.schedule.save == 0 and done != end:
             self.save_all()
 
@@ -361,12 +397,9 @@ class Runner(OnPolicyRunner):
 
     def state(self) -> dict[str, Any]:
         """The complete state of training, for :meth:`set_state`."""
-        random_state = {"cpu": torch.get_rng_state()}
-        if torch.device(self.device).type == "cuda":
-            random_state["cuda"] = torch.cuda.get_rng_state(self.device)
         own = {
             "env": self.env.state(),
-            "random": random_state,
+            "random": self.generators.state(),
             "elapsed": self.elapsed,
             "best_return": self.best_return,
             "best_iteration": self.best_iteration,
@@ -389,19 +422,21 @@ class Runner(OnPolicyRunner):
         learning begins. The best policy of its folder stays until there is a better one.
         """
         content = load_checkpoint(path, self.device)
-        if "env" in content:
-            if (processes := content["processes"]) != self.group.size:
-                raise RunError(f"{path} was made by {processes} process(es) and can only go on with as many.")
-            content = load_checkpoint(self.state_file(path), self.device)
-        if (found := spec_of(content["policy"])) != self.spec:
-            raise RunError(f"{path} holds another kind of policy: {found}, not {self.spec}.")
-        self.set_state(content)
+        with damaged(path):
+            if "env" in content:
+                if (processes := content.get("processes")) != self.group.size:
+                    raise RunError(f"It was made by {processes} process(es) and can only go on with as many.")
+                content = load_checkpoint(self.state_file(path), self.device)
+            if (found := spec_of(content["policy"])) != self.spec:
+                raise RunError(f"It holds another kind of policy: {found}, not {self.spec}.")
+            self.set_state(content)
         if "env" not in content:
             self._turned_back = True
             times = [row["elapsed"] for row in read_metrics(path.parent) if row["iteration"] <= content["iter"]]
             self.elapsed = times[-1] if times else 0.0
         with contextlib.suppress(RunError):  # there may be none
             best = load_checkpoint(path.with_name(BEST))
+            check_like(best, {"eval_return": float, "iter": int})
             self._kept = best["eval_return"]
             if self._turned_back:
                 self.best_return, self.best_iteration = best["eval_return"], best["iter"]
@@ -415,14 +450,15 @@ class Runner(OnPolicyRunner):
         check_fits(self.spec, spec_of(learned["policy"]))
         try:
             self.alg.load(dict(learned), None if optimizer else {"actor": True, "critic": True})
-        except RuntimeError as error:  # torch's, of a critic with other weights
-            raise RunError(f"The pretrained policy has another kind of network: {str(error)[:200]}") from None
+        except RunError as error:  # such as a critic with other weights
+            raise RunError(f"The pretrained policy has another kind of network: {error}") from None
         self.alg.updates = 0
         if self.ppo.schedule != "adaptive":
             self.alg.set_learning_rate(self.ppo.learning_rate)
 
     def set_state(self, content: dict[str, Any]) -> None:
         """Go on from :meth:`state`, or with new episodes from the content of ``model_<iteration>.pt``."""
+        check_like(content, {"iter": int, "eval_return": float} | (COUNTERS if "env" in content else {}))
         self.alg.load(content, None, True)
         self.current_learning_iteration = self.saved_iteration = content["iter"]
         self.last_return = content["eval_return"]
@@ -432,8 +468,6 @@ class Runner(OnPolicyRunner):
             self.bodies.set_state(content["bodies"], self.env)
         self.env.set_state(content["env"])
         self.alg.set_memory(content["memory"])
-        torch.set_rng_state(content["random"]["cpu"].cpu())
-        if "cuda" in content["random"] and torch.device(self.device).type == "cuda":
-            torch.cuda.set_rng_state(content["random"]["cuda"].cpu(), self.device)
+        self.generators.set_state(content["random"])
         self.elapsed = content["elapsed"]
         self.best_return, self.best_iteration = content["best_return"], content["best_iteration"]

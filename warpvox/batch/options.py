@@ -80,7 +80,7 @@ class SimOptions:
         Raises:
             SimulationError, DeviceError, ConfigError: an option that is none, or does not go with the others.
         """
-        if self.dtype not in ("float32", "float64") or not isinstance(self.dtype, str):
+        if not isinstance(self.dtype, str) or self.dtype not in ("float32", "float64"):
             raise SimulationError(f"dtype must be 'float32' or 'float64', got {self.dtype!r:.80}.")
         arithmetic = resolve_arithmetic(self.arithmetic, self.dtype)
         device = resolve_device(self.device, num_envs)

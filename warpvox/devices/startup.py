@@ -12,8 +12,9 @@ import logging
 import os
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from warpvox.errors import StorageError
@@ -23,17 +24,24 @@ LOGGER = logging.getLogger("warpvox")
 """Takes the line about compilation, as a warning: it shows without any configuration."""
 NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 """Warp's native code prints this on every machine without a GPU, whatever its log level is."""
+PROCESS = threading.RLock()
+"""Held by the thread that changes what all threads of the process share."""
 BUILDERS = {"build_cpu": "the CPU", "build_cuda": "CUDA"}
 """Functions in which Warp compiles. It offers no other way to learn of it before it is over."""
 
 
-@functools.cache
 def start_warp() -> None:
     """Initialise Warp, unless it is; only what it complains about besides a missing GPU gets through.
 
     Raises:
         StorageError: Warp's folder for kernels cannot be made.
     """
+    with PROCESS:  # its output is redirected meanwhile
+        _start_warp()
+
+
+@functools.cache
+def _start_warp() -> None:
     import warp as wp
     from warp._src import build, context
 
@@ -120,16 +128,83 @@ def prepare(torch_threads: int, seed: int) -> None:
 
 
 @contextmanager
-def own_torch(threads: int) -> Iterator[None]:
-    """Inside, torch has so many threads and may be given a seed; afterwards both are the caller's again."""
+def own_torch(threads: int | None = None, seed: int | None = None) -> Iterator[None]:
+    """Inside, torch is this thread's alone: other threads that ask for it wait. Settings are those of :func:`ambient`.
+
+    Nothing inside may wait for another thread. torch's global generators are the caller's again afterwards.
+
+    Args:
+        threads: that torch computes with; None: as many as before.
+        seed: of torch's global generators; None: they go on as they are.
+    """
+    with PROCESS, ambient(threads), _restored():
+        if seed is not None:
+            import torch
+
+            torch.manual_seed(seed)
+        yield
+
+
+@contextmanager
+def ambient(threads: int | None = None) -> Iterator[None]:
+    """Inside, torch has the settings of a new process: float32, the CPU as the default device, gradients.
+
+    Neither inference mode nor autocast are on. Several threads may be inside at the same time.
+    """
     import torch
 
-    known, gpus = torch.get_num_threads(), range(torch.cuda.device_count()) if torch.cuda.is_initialized() else ()
-    torch.set_num_threads(threads)
+    used = torch.get_num_threads()
+    with ExitStack() as changed:
+        # settings of this thread
+        changed.enter_context(torch.inference_mode(False))
+        changed.enter_context(torch.enable_grad())
+        if torch.get_default_device().type != "cpu":  # such a context costs time in each call of torch
+            changed.enter_context(torch.device("cpu"))
+        for kind in ("cpu", "cuda"):
+            if torch.is_autocast_enabled(kind):
+                changed.enter_context(torch.autocast(kind, enabled=False))
+        if threads is not None:
+            changed.callback(torch.set_num_threads, used)
+            torch.set_num_threads(threads)
+
+        # settings of the process
+        changed.enter_context(_shared)
+        torch.set_default_dtype(torch.float32)
+        yield
+
+
+class _Shared:
+    """Restores what threads share in torch when the last of those inside leaves."""
+
+    def __init__(self) -> None:
+        self._inside, self._kept = 0, ExitStack()
+
+    def __enter__(self) -> None:
+        with PROCESS:
+            if not self._inside:
+                self._kept.enter_context(_restored())
+            self._inside += 1
+
+    def __exit__(self, *error: object) -> None:
+        with PROCESS:
+            self._inside -= 1
+            if not self._inside:
+                self._kept.close()
+
+
+_shared = _Shared()
+
+
+@contextmanager
+def _restored() -> Iterator[None]:
+    """Afterwards torch's default type and global generators are as they were."""
+    import torch
+
+    dtype, gpus = torch.get_default_dtype(), range(torch.cuda.device_count()) if torch.cuda.is_initialized() else ()
     try:
         with torch.random.fork_rng(gpus, device_type="cuda"):
             yield
     finally:
-        torch.set_num_threads(known)
+        torch.set_default_dtype(dtype)
         if not gpus:  # a seed is also that with which torch begins on a GPU
             torch.cuda.manual_seed_all(torch.initial_seed())

@@ -21,6 +21,8 @@ multiples: a chance of about 1e-10 an action. All multiples in the range of acti
 LOW, HIGH = math.ceil(ACTION_LOW / STEP) * STEP, math.floor(ACTION_HIGH / STEP) * STEP
 WIDEST = 1 << 16
 """Observations, actions or units of a layer."""
+MAX_LAYERS = 256
+"""Layers of a network."""
 
 ACTIVATIONS = {
     "tanh": np.tanh,

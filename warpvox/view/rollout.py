@@ -251,7 +251,11 @@ def record(
         raise ConfigError(f"record needs what warpvox.make_vec makes, got {type(env).__name__}.{hint}")
     if num_steps is not None:
         check_integer("num_steps (or None)", num_steps, 1)
+    if not isinstance(metadata, Mapping | None):
+        raise ConfigError(f"metadata must be JSON values by name, got {metadata!r:.80}.")
     act = agent_of(policy, env) if isinstance(policy, str) else policy
+    if not callable(act):
+        raise ConfigError(f"policy must be a function of observations or the name of an agent, got {policy!r:.80}.")
     if hasattr(act, "in_float64"):
         act = act.in_float64()
     scenes, gather = scenes_of(env.sim)

@@ -199,6 +199,7 @@ class FewShot(CommonPolicy):
 
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> dict[str, Any]:
         """The checkpoint of the pretrained policy."""
+        from warpvox.algos.checkpoints.expected import check_like
         from warpvox.algos.checkpoints.files import load_checkpoint
 
         path, run = (folder / PRETRAINED, {}) if folder else find_pretrained(str(self.pretrained), search.output_dir)
@@ -215,6 +216,7 @@ class FewShot(CommonPolicy):
             )
         check_learned(path, content, self.policy)
         if {"num_envs", "ppo"} <= run.keys():
+            check_like(content, {"iter": int})
             content[STEPS] = int(content["iter"]) * int(run["num_envs"]) * int(run["ppo"]["steps"])
         return content
 

@@ -1,0 +1,70 @@
+"""Random numbers of one training, which nothing else in the process draws from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch.overrides import TorchFunctionMode
+
+from warpvox.algos.checkpoints.expected import AnyTensor, check_like
+
+DRAWING = frozenset({
+    "rand", "randn", "randint", "randperm", "normal", "bernoulli", "multinomial", "poisson",
+    "bernoulli_", "cauchy_", "exponential_", "geometric_", "log_normal_", "normal_", "random_", "uniform_",
+    "kaiming_normal_", "kaiming_uniform_", "trunc_normal_", "xavier_normal_", "xavier_uniform_",
+})  # fmt: skip
+"""Functions of torch, methods of tensors and ways to initialise weights that take a ``generator``."""
+
+
+class Generators(TorchFunctionMode):
+    """Generators of a training, one for each kind of device, which give what torch's own would give after a seed.
+
+    As a context, what this thread draws by torch comes from them; other threads neither notice nor change it. That
+    makes each call of torch slower: it is for the making of networks, not for every step.
+
+    Args:
+        seed: of the generators; None: they go on from where torch's own are.
+        device: that is drawn for besides the CPU.
+    """
+
+    def __init__(self, seed: int | None = None, device: str = "cpu") -> None:
+        super().__init__()
+        self._generators = {"cpu": torch.Generator()}
+        if (kind := torch.device(device).type) != "cpu":
+            self._generators[kind] = torch.Generator(device)
+        for kind, generator in self._generators.items():
+            if seed is not None:
+                generator.manual_seed(seed)
+            else:
+                generator.set_state(torch.get_rng_state() if kind == "cpu" else torch.cuda.get_rng_state(device))
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        kwargs = kwargs or {}
+        if getattr(func, "__name__", "") in DRAWING and kwargs.get("generator") is None:
+            first = args[0] if args else None
+            device = kwargs.get("device") or torch.get_default_device()
+            device = torch.device(first.device if isinstance(first, torch.Tensor) else device)
+            if device.type != "meta":  # where tensors have no numbers
+                kwargs = {**kwargs, "generator": self.on(device)}
+        return func(*args, **kwargs)
+
+    def on(self, device: str | torch.device) -> torch.Generator:
+        """The generator of a device."""
+        return self._generators[torch.device(device).type]
+
+    @property
+    def seed(self) -> int:
+        """What the generators began with."""
+        return self.on("cpu").initial_seed()
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Where the generators are, by kind of device, for :meth:`set_state`."""
+        return {kind: generator.get_state() for kind, generator in self._generators.items()}
+
+    def set_state(self, state: dict[str, torch.Tensor]) -> None:
+        """Go on from :meth:`state`; a kind of device that it lacks stays as it is. RunError: it is none."""
+        like = {kind: AnyTensor(torch.uint8, (None,)) for kind in {"cpu", *state}}
+        check_like(state, like, "random")
+        for kind in self._generators.keys() & state.keys():
+            self._generators[kind].set_state(state[kind].cpu())
