@@ -15,7 +15,7 @@ import notebooks  # noqa: E402
 import task_pages  # noqa: E402
 
 PARTS = {
-    "Tutorials": ("quickstart", "custom_tasks", "own_search", "task_features", "design_in_episode"),
+    "Tutorials": ("quickstart", "custom_tasks", "own_search", "task_features"),
     "How to": (
         *("codesign", "gaits", "suite", "clusters", "universal", "universal_cpg", "common_policy"),
         *("policies", "libraries", "evaluation", "protocols", "gradients", "see", "editor", "zoo", "evogym", "faq"),
