@@ -7,16 +7,15 @@ from typing import Any
 import torch
 from torch import nn
 
-from warpvox.algos.policies.cpg import CpgNetwork
 from warpvox.algos.policies.grid import GridNetwork
 from warpvox.algos.policies.layout import CLOCK, FEATURES, VoxelLayout, layout_of
 from warpvox.algos.policies.transformer import TransformerNetwork
-from warpvox.algos.settings import CPG, MLP
+from warpvox.algos.settings import MLP
 from warpvox.code import is_code, load_code
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, did_you_mean, first_line, listing
 
-NETWORKS: dict[str, type[nn.Module]] = {"grid": GridNetwork, "transformer": TransformerNetwork, CPG: CpgNetwork}
+NETWORKS: dict[str, type[nn.Module]] = {"grid": GridNetwork, "transformer": TransformerNetwork}
 POLICIES = (MLP, *NETWORKS)
 
 

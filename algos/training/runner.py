@@ -116,7 +116,6 @@ class Runner(OnPolicyRunner):
         bodies: which bodies take the place of others; None: all stay.
     """
 
-    algorithm: type[PPO] = PPO
     alg: PPO
     env: RslRlVecEnv
 
@@ -140,7 +139,7 @@ class Runner(OnPolicyRunner):
         self.report: Callable[[Mapping[str, float]], None] | None = None
         self.bodies, self.trained_on = bodies, dict(trained_on or {})
         self._judged: EpisodeReturns | None = None
-        config = rsl_rl_config(ppo, schedule.total, voxels, self.algorithm)
+        config = rsl_rl_config(ppo, schedule.total, voxels)
         try:
             with contextlib.redirect_stdout(io.StringIO()):  # rsl-rl prints both networks
                 super().__init__(env, config, None, str(env.device))
@@ -244,14 +243,11 @@ class Runner(OnPolicyRunner):
     def _improve(self) -> None:
         """Collect, learn and exchange bodies, once; :attr:`logger` is told what came of it."""
         super().learn(1)
-        with torch.inference_mode():  # as the environments have made steps
-            self._exchange()
-
-    def _exchange(self) -> None:
         if self.bodies is not None and self.bodies.refresh != "none":
-            self.bodies.exchange(self.env, self.logger.ended)
-            self.alg.actor.reset(self.logger.ended)
-            self.alg.critic.reset(self.logger.ended)
+            with torch.inference_mode():  # as the environments have made steps
+                self.bodies.exchange(self.env, self.logger.ended)
+                self.alg.actor.reset(self.logger.ended)
+                self.alg.critic.reset(self.logger.ended)
 
     def _check(self, losses: dict[str, float]) -> None:
         """Raise DivergenceError if losses, weights or moments are not finite."""
