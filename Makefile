@@ -7,6 +7,7 @@
 #   make packaging   install the wheel into clean environments of all Pythons that are found
 #   make lowest      run the tests with the oldest versions that pyproject.toml allows
 #   make slow        run the tests that take long
+#   make lab         run the tests of the research that is built on warpvox: lab/
 #   make coverage    run the default tests and say which lines they reach: build/report/coverage/index.html
 #   make bench       measure beside EvoGym and compare with the figures of the documentation
 #   make audit       ask the advisory database about the pinned versions (pip-audit)
@@ -44,11 +45,11 @@ COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10
   --no-annotate --custom-compile-command "make lock" pyproject.toml
 HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test ptxas fast slow parity coverage bench lint types format licences packaging lowest audit lock release docs tables charts notebooks pictures results zoo_picture clean distclean
+.PHONY: help install demo test ptxas fast slow lab parity coverage bench lint types format licences packaging lowest audit lock release docs tables charts notebooks pictures results zoo_picture clean distclean
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '2,22s/^# *//p' Makefile
+	@sed -n '2,23s/^# *//p' Makefile
 
 install: $(STAMP)
 
@@ -81,6 +82,10 @@ parity: $(STAMP)
 
 slow: $(STAMP) $(PTXAS)
 	$(PYTEST) -m "slow and not gpu and not packaging"
+
+# What is built on the package and lies beside it.
+lab: $(STAMP)
+	$(PYTEST) lab
 
 # Beside .venv, whose lock is that of the tests. What Warp compiles is not Python's to run: pyproject.toml leaves it out.
 coverage: $(STAMP) $(COVERAGE)/.installed

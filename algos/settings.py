@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 MLP = "mlp"
 """The policy that is no network for voxels: fully connected layers on the whole observation."""
-CPG = "cpg"
-"""The policy without feedback, which gradients through the physics train."""
 REFRESH = ("none", "new", "random", "performance")
 """Ways in which bodies take the place of others while one policy learns to control them."""
 ACTIVATIONS = ("tanh", "elu", "relu", "selu", "gelu", "swish")

@@ -22,7 +22,6 @@ TITLES = {
     "envs.vec_env": "Batches of environments",
     "batch.options": "Options of a simulation",
     "envs.registry": "Tasks",
-    "envs.design_episodes": "Bodies within episodes",
     "design": "Bodies",
     "world": "Worlds",
     "simulation": "Simulation",
@@ -38,7 +37,6 @@ TITLES = {
 BESIDE = {
     "Training and policies": ("algos.checkpoints.policy.Policy",),
     "Batches of environments": ("envs.vec_env.VoxelVecEnv",),
-    "Bodies within episodes": ("envs.design_episodes.DesignVecEnv", "envs.design_episodes.DesignLayout"),
     "Tasks": (
         *("envs.spec.TaskSpec", "envs.spec.observes", "envs.spec.rewards", "envs.spec.terminates", "envs.spec.Memory"),
         *("envs.about.about", "envs.snapshot.Snapshot", "envs.random_stream.RandomStream", "envs.registry.get_task"),

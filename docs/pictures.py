@@ -1,8 +1,5 @@
 """Redraws the pictures of the documentation; ``make pictures`` runs it. Not part of the library.
 
-``python docs/pictures.py RUN`` draws that of a training over many bodies alone: the GIF of held-out bodies under its
-policy.
-
 Trains a walker from three seeds and searches for one, then draws with the commands that users have. The screenshots
 need Playwright and a Chromium of the system.
 """
@@ -61,16 +58,6 @@ def draw() -> None:
     photograph(newest("play/UpStepper-v0/*") / "rollout.html", newest("codesign/Walker-v0/*") / "report.html")
 
 
-def draw_bodies(run: Path) -> None:
-    """Twelve of the held-out bodies of a run, evenly chosen by their returns."""
-    from warpvox.cli.exports import tiles_of
-
-    command("play", f"run={run}", "num_envs=32", "export=[]", "window=off", f"output_dir={WORK}")
-    rollout = Rollout.load(newest("play/*/*") / "rollout.npz")
-    film = {"size": (600, 300), "fps": 8, "every": 2, "stop": 260, "voxels": 9}
-    write_gif(rollout, IMAGES / "universal.gif", envs=tiles_of(rollout, 12), **film)
-
-
 def photograph(page_file: Path, report: Path) -> None:
     """Screenshots of the page, of a search's report and of the editor."""
     from playwright.sync_api import sync_playwright
@@ -111,7 +98,4 @@ def save(screenshot: bytes, name: str) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        draw_bodies(Path(sys.argv[1]))
-    else:
-        draw()
+    draw()

@@ -15,9 +15,9 @@ import notebooks  # noqa: E402
 import task_pages  # noqa: E402
 
 PARTS = {
-    "Tutorials": ("quickstart", "custom_tasks", "own_search", "task_features", "design_in_episode"),
+    "Tutorials": ("quickstart", "custom_tasks", "own_search", "task_features"),
     "How to": (
-        *("codesign", "gaits", "suite", "clusters", "universal", "universal_cpg", "common_policy"),
+        *("codesign", "gaits", "suite", "clusters", "universal", "common_policy"),
         *("policies", "libraries", "evaluation", "protocols", "gradients", "see", "editor", "zoo", "evogym", "faq"),
     ),
     "Reference": ("commands", "observations", "search", "archive", "formats", "results", "figures"),

@@ -31,7 +31,6 @@ from .design import (
     save_design as save_design,
 )
 from .design_search import codesign as codesign
-from .envs.design_episodes import design_episodes as design_episodes
 from .envs.registry import task_ids as task_ids
 from .envs.vec_env import make_vec as make_vec
 from .errors import (

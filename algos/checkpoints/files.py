@@ -19,7 +19,7 @@ from warpvox.algos.generators import Generators
 from warpvox.algos.policies.gait import GaitModel
 from warpvox.algos.policies.layout import VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
-from warpvox.algos.settings import CPG, Ppo
+from warpvox.algos.settings import Ppo
 from warpvox.code import Code, is_code
 from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
@@ -64,7 +64,7 @@ class PolicySpec:
     @property
     def has_feedback(self) -> bool:
         """True where actions depend on more than the body and the time."""
-        return self.gait is None and (self.voxels or {}).get("network") != CPG
+        return self.gait is None
 
 
 class Controller:

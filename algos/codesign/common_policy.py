@@ -18,8 +18,7 @@ from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.generators import Generators
 from warpvox.algos.policies.registry import voxels_of
-from warpvox.algos.settings import CPG, Ppo
-from warpvox.algos.training.ascent import AscentRunner
+from warpvox.algos.settings import Ppo
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -34,9 +33,9 @@ if TYPE_CHECKING:
 class SharedEvaluator:
     """One policy goes on learning from generation to generation, over all designs of each in one batch.
 
-    It learns by PPO, or by gradients through the physics (``policy=cpg``). The fitness of a design is its
-    deterministic return after the iterations of its generation, if there are any. What the policy has learned is kept
-    beside the checkpoints (``shared/<generation>.pt``), for an experiment that is resumed.
+    It learns by PPO. The fitness of a design is its deterministic return after the iterations of its generation, if
+    there are any. What the policy has learned is kept beside the checkpoints (``shared/<generation>.pt``), for an
+    experiment that is resumed.
 
     Attributes:
         factory: makes environments with ``obs="voxel"`` and a grid that has room for all designs.
@@ -124,22 +123,17 @@ class _Course:
                 report(done | {"best": [math.nan] * count, "training": [True] * count})
 
         schedule = Schedule(settings.iterations, settings.save_interval)
-        # without feedback there is nothing that PPO could learn from single actions
-        climbs = settings.policy == CPG and settings.iterations > 0
         generators = Generators(self.seeds[0], str(env.device))
-        runner = (AscentRunner if climbs else Runner)(
-            env, ppo, schedule, voxels=voxels, on_save=save, generators=generators
-        )
+        runner = Runner(env, ppo, schedule, voxels=voxels, on_save=save, generators=generators)
         runner.report = tell
-        moments = settings.policy != CPG  # those of other bodies' derivatives are of no use
         if content := read_evaluation(checkpoint, self.about):
             with damaged(checkpoint, AGAIN):
                 runner.set_state(content["training"])
         elif self.fresh and self.learned is not None:
-            runner.begin_with(self.learned, optimizer=moments)
+            runner.begin_with(self.learned, optimizer=True)
         elif self.learned is not None:
             with damaged(None if checkpoint is None else checkpoint.parent / "shared"):
-                runner.alg.load(dict(self.learned), None if moments else {"actor": True, "critic": True})
+                runner.alg.load(dict(self.learned))
         return runner
 
     def _make(self, envs: int, auto_reset: bool) -> VoxelVecEnv:

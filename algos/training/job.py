@@ -19,7 +19,6 @@ from warpvox.algos.generators import Generators
 from warpvox.algos.policies.registry import MLP, check_network, check_policy, voxels_of
 from warpvox.algos.protocols import episodes_of
 from warpvox.algos.settings import physics_of, sim_of
-from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.bodies import Bodies, TrainingBodies, load_bodies, read_bodies, training_bodies
 from warpvox.algos.training.distributed import ProcessGroup, join_process_group
 from warpvox.algos.training.held_out import HeldOut
@@ -100,8 +99,6 @@ class Job:
             settings = dataclasses.replace(settings, task=known_task(zoo(settings.design.removeprefix(ZOO))))
         if source is None and settings.pretrained is not None:
             settings, self.learned = adopted(settings, settings.pretrained, named)
-        if settings.method == "gradients" and settings.nan_guard == "dump":
-            raise ConfigError("nan_guard=dump goes with method=ppo: gradients do not take the environments' own steps.")
         self.settings = settings
 
     def check(self) -> None:
@@ -140,9 +137,7 @@ class Job:
             sim = dataclasses.replace(sim_of(settings), grid=bodies.grid)
             if settings.memory_check:
                 _ask_for_memory(settings, designs, sim)
-        count, runner = settings.num_envs, Runner
-        if settings.method == "gradients":
-            sim, runner = dataclasses.replace(sim, layout="lanes"), AscentRunner
+        count = settings.num_envs
         advice = f"Train with fewer environments: num_envs={max(1, count // 2)} instead of {count}."
         with listener.console.status(PREPARING), enough_memory(advice):
             options: dict[str, Any] = {"rules": settings.rules, "obs": settings.obs}
@@ -152,7 +147,7 @@ class Job:
             generators = Generators(seed, str(env.device))
             with generators:  # which a network is tried with, before the one that is trained
                 voxels = _voxels(settings, env.env)
-            self.runner = runner(
+            self.runner = Runner(
                 env,
                 settings.ppo,
                 Schedule(settings.max_iterations, settings.save_interval, settings.eval_interval, settings.stop_return),

@@ -215,9 +215,7 @@ class PPO(RslRlPPO):
                 scale.disc_avg.avg = own["rnd_average"]
 
 
-def rsl_rl_config(
-    ppo: Ppo, total_iterations: int, voxels: Mapping[str, Any] | None = None, algorithm: type[PPO] = PPO
-) -> dict[str, Any]:
+def rsl_rl_config(ppo: Ppo, total_iterations: int, voxels: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """The dictionary that rsl-rl's runner wants.
 
     Args:
@@ -243,7 +241,7 @@ def rsl_rl_config(
         if SYMMETRY not in symmetry:
             raise ConfigError(f"ppo.extra.symmetry_cfg needs {SYMMETRY}, a function of yours: FILE.py:NAME.")
         extra["symmetry_cfg"] = {**symmetry, SYMMETRY: load_code(symmetry[SYMMETRY])}
-    own = {"class_name": algorithm, "total_iterations": total_iterations, "adam_eps": ppo.adam_eps}
+    own = {"class_name": PPO, "total_iterations": total_iterations, "adam_eps": ppo.adam_eps}
     noise = {"class_name": Gaussian, "init_std": ppo.init_std, "std_type": "log"}
     return {
         "num_steps_per_env": ppo.steps,

@@ -18,15 +18,10 @@ if TYPE_CHECKING:
 
 OBS_OF_VOXELS = {"task": "voxel", "timed": "timed_voxel"}
 """Observations of a policy for voxels, by those that ``obs`` says."""
-UNIVERSAL = "universal"
-"""The policy that comes with warpvox, made by ``preset=universal_cpg``: for bodies up to 5x5 on Walker-v0."""
-UNIVERSAL_FILE = Path(__file__).parents[1] / "checkpoints" / "data" / f"{UNIVERSAL}.pt"
 
 
 def find_pretrained(source: str, output_dir: str) -> tuple[Path, dict[str, Any]]:
     """The file that ``pretrained`` names, and the configuration of its run; empty for a file by itself."""
-    if source == UNIVERSAL:
-        return UNIVERSAL_FILE, {"method": "gradients"}
     path = Path(source).expanduser()
     if path.is_file() and not (path.parent / CONFIG).is_file():
         return path, {}
@@ -34,11 +29,6 @@ def find_pretrained(source: str, output_dir: str) -> tuple[Path, dict[str, Any]]
         raise ConfigError(f"pretrained={source}: robots of the zoo are stored without what it takes to learn on.")
     run = find_run(source, output_dir, TRAINING)
     return run.find_checkpoint("best"), run.config
-
-
-def kept_name(source: str, file: Path) -> str:
-    """How a configuration names a policy, as the latest run is another one later."""
-    return source if source == UNIVERSAL else str(file.absolute())
 
 
 def check_learned(path: Path, content: Mapping[str, Any], network: str | None) -> PolicySpec:
@@ -64,7 +54,7 @@ def observed_by(spec: Mapping[str, Any] | None) -> str:
 def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[Training, dict[str, Any]]:
     """The configuration of a training that begins with the policy ``pretrained``, and this policy's checkpoint.
 
-    Network, observations and method are those of the policy. One that sees voxels keeps its grid, which other bodies
+    Network and observations are those of the policy. One that sees voxels keeps its grid, which other bodies
     lie in.
 
     Args:
@@ -78,7 +68,8 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
     spec = check_learned(path, content, config.policy)
     ppo = {"action_scale": spec.action_scale, "normalize_obs": spec.normalize_obs}
     changes: dict[str, Any] = {"policy": "mlp", "network": None}
-    changes |= {key: run[key] for key in ("obs", "method") if key in run}
+    if "obs" in run:
+        changes["obs"] = run["obs"]
     usual: dict[str, Any] = {"ppo.rnn": RNN, "network": {}}
     if spec.voxels is None:
         ppo |= {"hidden": list(spec.hidden), "activation": spec.activation, "rnn": spec.rnn}
@@ -98,7 +89,7 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
         given = {**usual[key], **given} if isinstance(given, Mapping) else given
         if given != known[key] and (key != "obs" or OBS_OF_VOXELS.get(given) != known[key]):
             raise ConfigError(f"{key}={given} is not that of the policy in {path}: {key}={known[key]}.")
-    changes |= {"ppo": dataclasses.replace(config.ppo, **ppo), "pretrained": kept_name(pretrained, path)}
+    changes |= {"ppo": dataclasses.replace(config.ppo, **ppo), "pretrained": str(path.absolute())}
     return dataclasses.replace(config, **changes), content
 
 

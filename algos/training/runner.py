@@ -128,7 +128,6 @@ class Runner(OnPolicyRunner):
         torch_threads: threads of torch; None: as many as the caller has.
     """
 
-    algorithm: type[PPO] = PPO
     alg: PPO
     env: RslRlVecEnv
 
@@ -157,10 +156,10 @@ class Runner(OnPolicyRunner):
         # rsl-rl's own way to the algorithm prints both networks, and draws from torch's generator
         self.env, self.device = env, str(env.device)
         self.generators, self.torch_threads = generators or Generators(None, self.device), torch_threads
-        self.cfg = rsl_rl_config(ppo, schedule.total, voxels, self.algorithm)
+        self.cfg = rsl_rl_config(ppo, schedule.total, voxels)
         self._configure_multi_gpu()
         try:
-            self.alg = self.algorithm.of(env, self.cfg, self.generators, self.cfg["multi_gpu"])
+            self.alg = PPO.of(env, self.cfg, self.generators, self.cfg["multi_gpu"])
         except (TypeError, ValueError, LookupError, AttributeError) as error:
             if not (ppo.rnn or ppo.extra):
                 raise
@@ -280,14 +279,11 @@ class Runner(OnPolicyRunner):
     def _improve(self) -> None:
         """Collect, learn and exchange bodies, once; :attr:`logger` is told what came of it."""
         super().learn(1)
-        with torch.inference_mode():  # as the environments have made steps
-            self._exchange()
-
-    def _exchange(self) -> None:
         if self.bodies is not None and self.bodies.refresh != "none":
-            self.bodies.exchange(self.env, self.logger.ended)
-            self.alg.actor.reset(self.logger.ended)
-            self.alg.critic.reset(self.logger.ended)
+            with torch.inference_mode():  # as the environments have made steps
+                self.bodies.exchange(self.env, self.logger.ended)
+                self.alg.actor.reset(self.logger.ended)
+                self.alg.critic.reset(self.logger.ended)
 
     def _check(self, losses: dict[str, float]) -> None:
         """Raise DivergenceError if losses, weights or moments are not finite."""

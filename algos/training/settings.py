@@ -76,7 +76,7 @@ class Training(Settings):
     rules: str = key("evogym", RULE_SETS, choices=RULES)
     policy: str = key(
         "mlp",
-        "network of the policy: mlp (layers: ppo.hidden), grid, transformer or cpg (all observe voxels: obs=task"
+        "network of the policy: mlp (layers: ppo.hidden), grid or transformer (both observe voxels: obs=task"
         " becomes voxel, timed becomes timed_voxel), or your own: module:Class, file.py:Class",
         path="read",
     )
@@ -131,16 +131,9 @@ class Training(Settings):
     designs: Designs = key(Designs, "many bodies for one policy")
     pretrained: str | None = key(
         None,
-        "policy to begin with instead of a new one: universal (comes with warpvox: bodies up to 5x5, Walker-v0),"
-        " latest, the folder of a run of `warpvox train` or a checkpoint in it; network, observations and method are"
-        " its own",
+        "policy to begin with instead of a new one: latest, the folder of a run of `warpvox train` or a checkpoint in"
+        " it; network and observations are its own",
         path="read",
-    )
-    method: str = key(
-        "ppo",
-        "how the policy learns: ppo, or gradients through the physics (policy=cpg; of ppo.* only steps, epochs,"
-        " minibatches, learning_rate, schedule, max_grad_norm, adam_eps and action_scale count)",
-        choices=("ppo", "gradients"),
     )
 
     def __post_init__(self) -> None:

@@ -116,7 +116,7 @@ class RslRlVecEnv(VecEnv):
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """One control step; ``actions`` ``[num_envs, num_actions]`` are outputs of the policy."""
-        obs, reward, terminated, truncated, info = self.env.step(self._goals(actions))
+        obs, reward, terminated, truncated, info = self.env.step(self.goals(actions))
         self._obs = obs
         done = terminated | truncated
         whole = done & ~self._shortened
@@ -135,8 +135,8 @@ class RslRlVecEnv(VecEnv):
             reward = self.reward_norm(reward, done)
         return self._group(obs), reward * self.reward_scale, done, extras
 
-    def _goals(self, outputs: torch.Tensor) -> torch.Tensor:
-        """Actions of the environments, from outputs of the policy."""
+    def goals(self, outputs: torch.Tensor) -> torch.Tensor:
+        """Actions of the environments from outputs of the policy, both ``[num_envs, num_actions]``."""
         return ACTION_CENTER + self.action_scale * outputs
 
     def _group(self, obs: torch.Tensor) -> TensorDict:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +18,10 @@ from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 from warpvox.algos.disturbance import CHOOSING, JUDGED, NOISE, SEARCHED, Disturbed, Draws
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.protocols import COPIES, DISTURBANCES, PROTOCOLS
-from warpvox.algos.training.pretrained import UNIVERSAL_FILE
 from warpvox.envs.registry import get_task
 from warpvox.errors import ConfigError
 from warpvox.robots.entry import DIGITS, zoo_tasks
 from warpvox.robots.returns import EPISODES, judge_robust
-from warpvox.runs import BEST, CONFIG
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 COUNT = 500
@@ -177,17 +174,6 @@ def test_a_gait_has_no_sensors() -> None:
         wv.evaluate("zoo:Jumper-v0", protocol="sensors")
     with pytest.raises(ConfigError, match="Did you mean 'sticky'"):
         wv.evaluate("zoo:Jumper-v0", protocol="stiky")
-
-
-def test_a_pattern_generator_has_no_sensors(tmp_path: Path) -> None:
-    """``policy=cpg`` acts by the body and the time; the policy that comes with the package is one."""
-    (tmp_path / CONFIG).write_text("task: Walker-v0\ndesign: mini\npolicy: cpg\nobs: timed_voxel\nppo: {}\n...\n")
-    shutil.copy(UNIVERSAL_FILE, tmp_path / BEST)
-    with pytest.raises(ConfigError, match="policy with feedback"):
-        wv.evaluate(tmp_path, episodes=1, protocol="sensors", device="cpu")
-    policy = wv.load_policy(UNIVERSAL_FILE)
-    with pytest.raises(ConfigError, match="policy with feedback"):
-        wv.evaluate(policy, "Walker-v0", [[3, 3]], episodes=1, protocol="sensors", device="cpu")
 
 
 @pytest.mark.usefixtures("narrow_packs")

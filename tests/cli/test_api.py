@@ -93,7 +93,6 @@ def test_values_of_python_arrive_as_they_are(tmp_path: Path, monkeypatch: pytest
         ({"ppo": {"step": 4}}, r"ppo: Ppo got an unexpected keyword argument 'step'\. Did you mean 'steps'"),
         ({"ppo": "evogim"}, "Did you mean 'evogym'"),
         ({"design": object()}, "design cannot be a object"),
-        ({"task": wv.Training(pretrained="universal", policy="grid")}, "policy=grid is not that of the policy in"),
         ({"folder": "latest"}, "folder cannot be 'latest'"),
         ({"ppo": 3}, r"ppo must be Ppo\(...\) or values by name, got 3"),
         ({"sim": wv.SimOptions(layout="group")}, "sim.layout cannot be given"),

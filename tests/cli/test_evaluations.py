@@ -11,7 +11,6 @@ from tiny import tiny
 
 from warpvox.algos.candidate import FINALIST, START, Candidate, Outcome
 from warpvox.algos.codesign.archive import FILE, Archive, Record
-from warpvox.algos.codesign.evaluations import Shared
 from warpvox.algos.codesign.robots import read_start
 from warpvox.algos.codesign.run import check, environments
 from warpvox.algos.codesign.settings import Codesign
@@ -106,13 +105,6 @@ def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -
     screened = records_of(folder)[:3]
     one = max(screened, key=lambda record: abs(record.fitness))
     assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
-
-
-def test_gradients_go_through_lanes() -> None:
-    """On CUDA another layout would be chosen, through which they do not go."""
-    job = Codesign(evaluation="shared")
-    assert Shared(policy="cpg").factory(job).sim.layout == "lanes"
-    assert Shared().factory(job).sim.layout is None
 
 
 def test_a_search_by_gaits(warpvox: Callable) -> None:

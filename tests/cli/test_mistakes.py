@@ -67,7 +67,6 @@ MISTAKES = {
     "play zoo=Walker-v0 checkpoint=2": "checkpoint goes with a run, not with zoo",
     "evaluate zoo=[Walker-v0] designs=random:4": "a stored robot has its own",
     "evaluate zoo=[Walker-v0] checkpoint=2": "checkpoint goes with a run; a stored robot has one policy",
-    "train method=gradients policy=cpg nan_guard=dump": "nan_guard=dump goes with method=ppo",
     "play agent=zero window=off export=[usd,mp4] size=[321,180]": "MP4",  # with or without imageio-ffmpeg
     "play agent=zero size=[300]": "size must be [width,height]",
     "design file=nothing": "There is no file 'nothing.json'",

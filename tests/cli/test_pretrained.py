@@ -1,6 +1,5 @@
 """``warpvox train pretrained=``: trainings that begin with the policy of another one."""
 
-import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -66,16 +65,6 @@ def test_a_policy_for_many_bodies_is_tuned_for_one(warpvox: Callable, train: Cal
     (second / "summary.json").unlink()
     warpvox("train", f"resume={second}", "max_iterations=4")
     warpvox("play", f"run={second}", "num_envs=1", "steps=3", "export=[]", "device=cpu")
-
-
-@pytest.mark.usefixtures("whole_episodes")
-@pytest.mark.slow
-def test_the_policy_that_comes_with_warpvox_walks_after_two_iterations(warpvox: Callable) -> None:
-    words = "preset=fine_tune_cpg", "design=walker", "max_iterations=2"
-    warpvox("train", *words, "lanes=8", "device=cpu", "threads=1")  # of lanes that others have compiled
-    (run,) = Path("outputs/train/Walker-v0").iterdir()
-    assert json.loads((run / "summary.json").read_text())["best_return"] > 5
-    assert config_of(run)["pretrained"] == "universal"
 
 
 def test_settings_of_a_network_may_be_written_out(train: Callable) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
 import warpvox as wv
-from warpvox.design import are_valid, full_connections
+from warpvox.design import are_valid, full_connections, repair_design
 from warpvox.evogym.utils import is_connected
 
 GRIDS = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=7), elements=st.integers(0, 4))
@@ -352,3 +352,18 @@ def test_folders_and_devices_without_a_body_are_described(tmp_path: Path) -> Non
         wv.load_design("/dev/null")
     with pytest.raises(wv.DesignError, match="Did you mean 'walker'"):
         wv.load_design("walkr")
+
+
+def test_repaired_bodies_are_valid_and_keep_what_they_can() -> None:
+    apart = np.array([[1, 0, 3, 0], [1, 0, 3, 0], [1, 0, 0, 0], [1, 0, 0, 2]])
+    bodies = np.random.default_rng(1).integers(0, 5, (300, 3, 4)) * np.random.default_rng(2).integers(0, 2, (300, 3, 4))
+    made = np.stack([repair_design(body) for body in bodies])
+    fine = are_valid(bodies)
+    assert are_valid(made).all()
+    assert 0 < fine.sum() < 300
+    assert np.array_equal(made[fine], bodies[fine])
+    assert ((made == bodies) | (made == 0) | (made == 3)).all()
+    assert ((made != bodies) & (made == 3)).sum((1, 2)).max() == 1
+    assert repair_design(apart.T).tolist() == np.where(apart == 3, 3, 0).T.tolist()
+    with pytest.raises(wv.DesignError, match="unknown cell type"):
+        repair_design([[7]])

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
-from warpvox.envs.design_episodes import design_episodes
 from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 
@@ -75,15 +74,3 @@ def test_training_that_begins_at_random_ages_sees_them() -> None:
     adapter.episode_length_buf = torch.tensor([3, 0, 1])
     assert adapter.get_observations()["policy"][:, -1].tolist() == [3.0, 0.0, 1.0]
     assert adapter.step(torch.zeros(3, adapter.num_actions))[0]["policy"][:, -1].tolist() == [0.0, 1.0, 2.0]
-
-
-def test_with_bodies_designed_in_the_episode_it_counts_the_control_stage() -> None:
-    env = design_episodes("Walker-v0", 2, (3, 3), design_steps=2, obs="timed", device="cpu", threads=1, lanes=8)
-    moves = torch.full((2, env.num_actions), 3.0)  # all cells actuators: the body fills the grid
-    env.reset()
-    env.episode_length = torch.tensor([0, 5])
-    obs = [env.step(moves)[0] for _ in range(4)]
-    place = env.env.obs_columns[0]["elapsed_steps"]
-    assert [row[:, place].flatten().tolist() for row in obs] == [[0.0, 0.0], [0.0, 5.0], [1.0, 6.0], [2.0, 7.0]]
-    env.episode_length = torch.tensor([9, 9])
-    assert env.retimed(obs[-1])[:, place].flatten().tolist() == [7.0, 7.0]

@@ -7,11 +7,11 @@ from pathlib import Path
 
 LINKED = ("kernels", "envs", "algos", "configs")
 """Top-level folders that are subpackages of warpvox, by links in its folder."""
-FOLDERS = ("warpvox", *LINKED, "tests")
+FOLDERS = ("warpvox", *LINKED, "lab", "tests")
 
 
 def copy_sources(repository: Path, place: Path) -> Path:
-    """Everything of a checkout that a build may look at, tests included, since they must stay out."""
+    """Everything of a checkout that a build may look at, lab and tests included, since they must stay out."""
     for path in repository.iterdir():
         if path.name in FOLDERS:
             ignore = shutil.ignore_patterns("__pycache__", "recordings")

@@ -9,7 +9,7 @@ from typing import Any
 
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.suite.members import Member
-from warpvox.algos.training.pretrained import find_pretrained, kept_name
+from warpvox.algos.training.pretrained import find_pretrained
 from warpvox.checks import check_choice, check_integer, check_shape, is_integer
 from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, options_of
@@ -162,7 +162,7 @@ def merged(words: Sequence[str], typed: Sequence[str], output_dir: str) -> list[
     found = by_key([*words, *typed])
     if PRETRAINED in found:
         _, name = key_and_value(found[PRETRAINED])
-        found[PRETRAINED] = f"{PRETRAINED}={quoted(kept_name(name, find_pretrained(name, output_dir)[0]))}"
+        found[PRETRAINED] = f"{PRETRAINED}={quoted(str(find_pretrained(name, output_dir)[0].absolute()))}"
     return list(found.values())
 
 

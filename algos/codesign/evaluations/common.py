@@ -14,8 +14,8 @@ from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.evaluations.base import Workload, probe, steps_of_training
 from warpvox.algos.codesign.evaluations.specialist import Screened
 from warpvox.algos.protocols import episodes_of
-from warpvox.algos.settings import CPG, MLP, Ppo
-from warpvox.algos.training.pretrained import check_learned, find_pretrained, kept_name, observed_by
+from warpvox.algos.settings import MLP, Ppo
+from warpvox.algos.training.pretrained import check_learned, find_pretrained, observed_by
 from warpvox.code import is_code
 from warpvox.errors import ConfigError
 from warpvox.keys import changed, check_values, convert, key
@@ -41,7 +41,7 @@ class CommonPolicy(Screened):
     fewer = "search.population"
     """The key that sets how many designs the policy learns on at once."""
 
-    policy: str = key("grid", "network of the policy: grid, transformer, cpg, module:Class, file.py:Class", path="read")
+    policy: str = key("grid", "network of the policy: grid, transformer, module:Class, file.py:Class", path="read")
     network: Any = key(None, "settings of this network, {width:32} for instance; null: its defaults")
     envs: int = key(16, "training environments for each design", low=1)
     iterations: int = key(10, "training iterations on the designs of each generation", low=0)
@@ -59,9 +59,7 @@ class CommonPolicy(Screened):
             raise ConfigError(
                 "evaluation.policy must see voxels to control many bodies: grid, transformer or your own."
             )
-        ppo = self.ppo_of(search)
-        if self.policy != CPG:  # which learns without rsl-rl
-            rsl_rl_config(ppo, 1, {})
+        rsl_rl_config(self.ppo_of(search), 1, {})
 
     def ppo_of(self, search: Codesign) -> Ppo:
         """PPO of the common policy: ``training.ppo`` with the changes of ``ppo``."""
@@ -73,24 +71,16 @@ class CommonPolicy(Screened):
         check_values(ppo, "evaluation.ppo.")
         return ppo
 
-    def factory(self, search: Codesign, obs: str | None = None) -> EnvFactory:
+    def factory(self, search: Codesign, obs: str = "voxel") -> EnvFactory:
         """Makes environments for the policy; ``obs``: what a pretrained one observes."""
-        # gradients, which train the policy without feedback, go through the layout of lanes
-        without_feedback = self.policy == CPG
-        obs = obs or ("timed_voxel" if without_feedback else "voxel")
-        layout = "lanes" if without_feedback else None
-        return search.factory(obs).computed(grid=tuple(search.shape), layout=layout)
+        return search.factory(obs).computed(grid=tuple(search.shape))
 
-    def layout(self, search: Codesign, obs: str | None = None) -> Any:
+    def layout(self, search: Codesign, obs: str = "voxel") -> Any:
         """The layout of the policy, after all that is named has been tried."""
         from warpvox.algos.policies.registry import check_network
-        from warpvox.algos.training.ascent import check_gradients
 
         env = probe(self.factory(search, obs), search.shape)
-        found = check_network(env, self.policy, self.network, "evaluation.network")
-        if self.policy == CPG and self.iterations > 0:
-            check_gradients(env)
-        return found
+        return check_network(env, self.policy, self.network, "evaluation.network")
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float]:
         each = self.ppo_of(search).steps * self.iterations * self.envs
@@ -160,9 +150,8 @@ class FewShot(CommonPolicy):
     iterations: int = key(10, "training iterations on the designs of each generation; 0: none", low=0)
     pretrained: str | None = key(
         None,
-        "the policy to start from: universal (comes with warpvox: bodies up to 5x5, Walker-v0), latest, the folder of a"
-        " run of `warpvox train designs=...` or a checkpoint in it; network and policy are its own, but for code, which"
-        " evaluation.policy must name",
+        "the policy to start from: latest, the folder of a run of `warpvox train designs=...` or a checkpoint in it;"
+        " network and policy are its own, but for code, which evaluation.policy must name",
         path="read",
     )
 
@@ -170,8 +159,8 @@ class FewShot(CommonPolicy):
         super().check(search)
         if self.pretrained is None:
             raise ConfigError(
-                "evaluation=few_shot needs evaluation.pretrained: universal, latest, the folder of a run of `warpvox"
-                " train designs=...` or a checkpoint in it."
+                "evaluation=few_shot needs evaluation.pretrained: latest, the folder of a run of `warpvox train"
+                " designs=...` or a checkpoint in it."
             )
 
     def resolved(self, search: Codesign, folder: Path | None) -> FewShot:
@@ -186,7 +175,7 @@ class FewShot(CommonPolicy):
             changes["policy"] = spec["voxels"]["network"]
         if folder is None:
             file, _ = find_pretrained(str(self.pretrained), search.output_dir)
-            changes["pretrained"] = kept_name(str(self.pretrained), file)
+            changes["pretrained"] = str(file.absolute())
         resolved = dataclasses.replace(self, **changes)
         layout, found = resolved.layout(search, observed_by(spec)), VoxelLayout(**spec["voxels"]["layout"])
         if found != layout:

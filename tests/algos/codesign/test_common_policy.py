@@ -17,8 +17,6 @@ from warpvox.algos.codesign.evaluations import FewShot
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.registry import layout_for
-from warpvox.algos.settings import Ppo
-from warpvox.algos.training.ascent import AscentRunner
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.errors import DivergenceError, RunError
 
@@ -47,27 +45,6 @@ def pretrained() -> dict[str, Any]:
     env = adapt(FACTORY.make([item.body for item in candidates(3)], 4, [0, 1, 2], auto_reset=True), small().ppo)
     voxels = {"network": "grid", "settings": {}, "layout": layout_for("grid", env.env).dict()}
     runner = Runner(env, small().ppo, Schedule(3), voxels=voxels)
-    runner.run()
-    return runner.state()
-
-
-TIMED = dataclasses.replace(FACTORY, obs="timed_voxel")
-CPG = {"width": 8, "heads": 2, "layers": 1}
-
-
-def cpg(iterations: int) -> FewShot:
-    settings = dataclasses.asdict(small().ppo) | {"steps": 16, "learning_rate": 0.01}
-    return FewShot(policy="cpg", network=CPG, envs=1, iterations=iterations, save_interval=1, ppo=settings)
-
-
-@pytest.fixture(scope="module")
-def pretrained_cpg() -> dict[str, Any]:
-    """What `warpvox train policy=cpg method=gradients` would have left."""
-    torch.manual_seed(3)
-    bodies = [item.body for item in candidates(3)]
-    env = adapt(TIMED.make(bodies, 1, [0, 1, 2], auto_reset=True), Ppo(**cpg(0).ppo))
-    voxels = {"network": "cpg", "settings": CPG, "layout": layout_for("cpg", env.env).dict()}
-    runner = AscentRunner(env, Ppo(**cpg(0).ppo), Schedule(1), voxels=voxels)
     runner.run()
     return runner.state()
 
@@ -105,21 +82,6 @@ def test_the_policy_goes_on_learning_from_generation_to_generation() -> None:
     assert not torch.equal(second[0].policy[name], alone[0].policy[name])
     samples = [float(one[0].policy["obs_normalizer.count"]) for one in (first, second, alone)]
     assert samples == [samples[0], 2 * samples[0], samples[0]]
-
-
-def test_a_policy_without_feedback_is_tuned_by_gradients(pretrained_cpg: dict[str, Any]) -> None:
-    found = candidates(3)
-    before, after, again = (
-        SharedEvaluator(TIMED, cpg(iterations), 0, pretrained_cpg).evaluate(found, {}) for iterations in (0, 4, 4)
-    )
-    assert all(torch.equal(value, pretrained_cpg["actor_state_dict"][name]) for name, value in before[0].policy.items())
-    assert not torch.equal(after[0].policy["network.wave"], before[0].policy["network.wave"])
-    assert torch.equal(after[0].policy["distribution.log_std_param"], before[0].policy["distribution.log_std_param"])
-    assert values(after) == values(again)
-    assert [outcome.curve[0][0] for outcome in after] == [4 * 16] * 3
-    one = SharedEvaluator(TIMED, cpg(2), 0)
-    first, second = one.evaluate(found, {}), one.evaluate(later(found, 1), {})
-    assert not torch.equal(first[0].policy["network.wave"], second[0].policy["network.wave"])
 
 
 def test_few_shot_begins_each_generation_with_the_pretrained_policy(pretrained: dict[str, Any]) -> None:

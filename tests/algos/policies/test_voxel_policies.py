@@ -31,7 +31,6 @@ STEPS, LIMIT = 6, 12
 NETWORKS = {
     "grid": {"width": 6, "summary": 8, "heads": 4},
     "transformer": {"width": 8},
-    "cpg": {"width": 8, "heads": 2, "layers": 1},
 }
 OWN = """
 import torch
@@ -56,17 +55,12 @@ def make_env(num_envs: int = ENVS, auto_reset: bool = True, obs: str = "voxel") 
     return small_env(num_envs, designs=BODIES, max_episode_steps=LIMIT, obs=obs, auto_reset=auto_reset)
 
 
-def env_for(name: str, num_envs: int = ENVS, auto_reset: bool = True) -> VoxelVecEnv:
-    return make_env(num_envs, auto_reset, "timed_voxel" if name == "cpg" else "voxel")
-
-
 def voxels(env: VoxelVecEnv, name: str) -> dict:
     return {"network": name, "settings": NETWORKS.get(name, {}), "layout": layout_for(name, env).dict()}
 
 
 def make_runner(name: str, folder: Path | None = None, total: int = 2, seed: int = 0, obs: str = "voxel") -> Runner:
     torch.manual_seed(seed)
-    obs = "timed_voxel" if name == "cpg" else obs
     env, judge = make_env(obs=obs), evaluator(make_env(2, auto_reset=False, obs=obs))
     ppo = ppo_settings()
     return Runner(adapt(env, ppo), ppo, Schedule(total, 100, 1), folder, judge, voxels=voxels(env, name))
@@ -153,7 +147,7 @@ def config(env: VoxelVecEnv, name: str) -> dict:
 
 @pytest.mark.parametrize("name", NETWORKS)
 def test_what_a_body_has_not_changes_no_bit(name: str) -> None:
-    env = env_for(name)
+    env = make_env()
     obs, layout = some_obs(env), layout_for(name, env)
     actions = torch.rand((ENVS, env.num_actions))
     before = learned(name, obs, actions, env)
@@ -188,7 +182,7 @@ def test_likelihood_and_entropy_are_those_of_the_actions_there_are(env: VoxelVec
 
 @pytest.mark.parametrize("name", NETWORKS)
 def test_environments_may_change_places(name: str) -> None:
-    env = env_for(name)
+    env = make_env()
     controller, obs = make_runner(name).controller, some_obs(env)
     order = torch.randperm(ENVS, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(controller(obs[order]), controller(obs)[order], rtol=0, atol=1e-6)
@@ -202,12 +196,10 @@ def test_environments_may_change_places(name: str) -> None:
         pytest.param("grid", {"policy.onnx": write_onnx}, marks=pytest.mark.slow),
         ("transformer", {"policy.pt": write_script}),
         pytest.param("transformer", {"policy.onnx": write_onnx}, marks=pytest.mark.slow),
-        ("cpg", {"policy.pt": write_script}),
-        pytest.param("cpg", {"policy.onnx": write_onnx}, marks=pytest.mark.slow),
     ],
 )
 def test_a_policy_trains_and_comes_back_from_files(tmp_path: Path, name: str, formats: dict) -> None:
-    env = env_for(name)
+    env = make_env()
     runner, obs = make_runner(name, tmp_path, total=1), some_obs(env)
     before = copy.deepcopy(runner.alg.actor.state_dict())
     runner.run()
@@ -223,7 +215,7 @@ def test_a_policy_trains_and_comes_back_from_files(tmp_path: Path, name: str, fo
         write(policy, tmp_path / file)
         again = read_exported(tmp_path / file)
         assert torch.equal(again(obs), policy(obs))
-    assert evaluate(env_for(name, 2, auto_reset=False), controller).returns.isfinite().all()
+    assert evaluate(make_env(2, auto_reset=False), controller).returns.isfinite().all()
     sampled = SampledController(controller)(obs)
     assert bool((sampled != controller(obs))[env.action_mask[env.design_index]].any())
 
@@ -244,7 +236,7 @@ def test_a_network_of_ones_own_is_imported_only_if_it_is_named(tmp_path: Path) -
         make_network(Code(f"{tmp_path / 'nets.py'}:Owm"), VoxelLayout(2, 3, 2, 5), False)
     (tmp_path / "narrow.py").write_text(OWN.replace("26", "25"), encoding="utf-8")
     with pytest.raises(ConfigError, match=r"must make \[2, 6\] of cells \[2, 6, 26\] .*shapes cannot be multiplied"):
-        check_network(env_for("grid"), Code(f"{tmp_path / 'narrow.py'}:Own"), None)
+        check_network(make_env(), Code(f"{tmp_path / 'narrow.py'}:Own"), None)
 
 
 def test_mistakes_are_explained(env: VoxelVecEnv) -> None:

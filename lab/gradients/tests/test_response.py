@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from warpvox import make_vec
-from warpvox.algos.policies.cpg import CpgNetwork, _moved
-from warpvox.algos.policies.layout import VoxelInputs, VoxelLayout, layout_of
-from warpvox.algos.policies.response import LinearResponse
-from warpvox.design import sample_design
-from warpvox.errors import ConfigError
-from warpvox.types import DT, SUBSTEPS, Physics
+from lab.gradients.ascent import Motion
+from lab.gradients.cpg import PERIODS, TYPE, CpgNetwork, describe_bodies
+from lab.gradients.response import LinearResponse
+from warpvox import Physics, make_vec, sample_design
+
+DT, SUBSTEPS = Physics().dt, Physics().substeps
 
 BODY = np.array([[3, 1, 4], [0, 2, 3], [4, 3, 1]])
 PERIOD = 10.0
@@ -79,38 +78,49 @@ def test_it_solves_the_linear_dynamics(actuator: int) -> None:
 
 
 def test_bodies_on_the_ground_move_much_like_it() -> None:
-    """Random bodies under random waves of amplitude 0.4: the first harmonic of the voxels' motion about the centre."""
+    """Random bodies under waves of amplitude 0.4: the first harmonic of the motion of the centres of their halves."""
     bodies = [sample_design((5, 5), seed=k) for k in range(16)]
-    env = make_vec("Walker-v0", designs=bodies, num_envs=16, device="cpu", obs="voxel", grid=(5, 5), auto_reset=False)
-    layout, draw = layout_of(env), np.random.default_rng(0)
-    cells, present, actions, _ = VoxelInputs(layout)(env.reset()[0])
-    phase = torch.from_numpy(draw.uniform(0, 2 * math.pi, (16, 25)))
-    swing = 0.4 * torch.stack([phase.sin(), phase.cos()], -1) * (actions < layout.actions)[..., None]
+    env = make_vec("Walker-v0", bodies, 16, device="cpu", obs="voxel", grid=(5, 5), auto_reset=False)
+    described = describe_bodies(np.stack(bodies))
+    present = described[..., TYPE].sum(-1)
+    phase = torch.from_numpy(np.random.default_rng(0).uniform(0, 2 * math.pi, (16, 25))).float()
+    driven = described[..., 4:6].sum(-1)
+    swing = 0.4 * torch.stack([phase.sin(), phase.cos()], -1) * driven[..., None]
+    grid = env.voxels["robot"]
+    obs, _ = env.reset()
     moves = []
     for step in range(60):
         angle = 2 * math.pi * step / PERIOD
-        of_cells = 1.0 + swing @ torch.tensor([math.sin(angle), math.cos(angle)]).double()
-        goals = torch.ones(16, layout.actions + 1).double().scatter(1, actions, of_cells)[:, :-1]
-        cells = VoxelInputs(layout)(env.step(goals)[0])[0]
-        moves.append(10 * cells[..., :2].double())
+        of_cells = 1.0 + swing @ torch.tensor([math.sin(angle), math.cos(angle)])
+        obs = env.step(grid.actions(of_cells))[0]
+        corners = grid.cells(obs)[..., :8].unflatten(-1, (4, 2)).mean(2)
+        moves.append(10 * corners.double())
     angle = 2 * math.pi * torch.arange(41, 61).double() / PERIOD
     both = torch.stack([angle.sin(), angle.cos()], -1)
     seen = torch.einsum("tncx,tk->ncxk", torch.stack(moves[40:]), both) / 10
-    types = one_hot(np.stack(bodies))
-    told = _moved(LinearResponse(5, 5, [PERIOD])(types), swing[:, None])[:, 0].unflatten(1, (25, 2))
-    told = (told - told.sum(1, keepdim=True) / present.sum(1)[:, None, :, None]) * present[..., None]
+    real, imaginary = LinearResponse(5, 5, [PERIOD])(one_hot(np.stack(bodies)))[:, 0].unbind(1)
+    quarter = torch.stack([-swing[..., 1], swing[..., 0]], dim=-1).double()
+    told = (real @ swing.double() + imaginary @ quarter).unflatten(1, (25, 2))
+    weight = present[..., None, None]
+    told, seen = ((v - (v * weight).sum(1, keepdim=True) / weight.sum(1, keepdim=True)) * weight for v in (told, seen))
     assert float((seen * told).sum() / (seen.norm() * told.norm())) > 0.7
 
 
-def test_large_grids_are_refused() -> None:
-    with pytest.raises(ConfigError, match="its grid may have 100 cells, got 11x10"):
-        CpgNetwork(VoxelLayout(11, 10, 4, 110, timed=True, periods=CpgNetwork.periods), critic=False)
-
-
 def test_known_bodies_are_not_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    response = LinearResponse(3, 3, CpgNetwork.periods)
+    response = LinearResponse(3, 3, PERIODS)
     bodies = one_hot(np.stack([BODY, BODY[::-1], BODY, BODY.T]))
     first = response.known(bodies)
     assert torch.equal(first, response(bodies).float())
     monkeypatch.setattr(LinearResponse, "forward", lambda *_: pytest.fail("computed again"))
     assert torch.equal(response.known(bodies[[3, 1]]), first[[3, 1]])
+
+
+def test_motions_are_those_of_the_actuators_in_order() -> None:
+    bodies = describe_bodies(np.stack([BODY, BODY[::-1].copy()]))
+    torch.manual_seed(0)
+    weights = CpgNetwork(3, 3, width=8, heads=2, layers=1)(bodies)
+    actions = Motion(weights, bodies).at(torch.zeros(1, 1))
+    for row, body in enumerate((BODY, BODY[::-1])):
+        cells = np.flatnonzero(body.ravel() >= 3)
+        wanted = 1.1 + 0.5 * torch.tanh(weights[row, cells, 0] + weights[row, cells, 3:].sum(-1))
+        torch.testing.assert_close(actions[row, : len(cells)], wanted)

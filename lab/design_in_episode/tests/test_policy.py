@@ -8,18 +8,12 @@ from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 from torch.distributions import Categorical, Normal
 
-from warpvox.algos.evaluate import evaluate
-from warpvox.algos.policies.design import DesignModel, design_models
-from warpvox.design import are_valid
-from warpvox.envs.adapters.design_rsl_rl import RslRlDesignEnv
-from warpvox.envs.design_episodes import design_episodes
-from warpvox.envs.vec_env import make_vec
-from warpvox.view.rollout import record
+from lab.design_in_episode.episodes import RslRlDesignEnv, design_episodes
+from lab.design_in_episode.policy import DesignModel, design_models
+from warpvox import make_vec, record
 
 ENVS, SHAPE, LIMIT = 8, (3, 3), 4
 OPTIONS = dict(device="cpu", threads=1, lanes=8, max_episode_steps=LIMIT)
-
-pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def make(revise: str = "all", **options: object) -> RslRlDesignEnv:
@@ -43,9 +37,9 @@ def mixed_stages(env: RslRlDesignEnv) -> TensorDict:
         actions = torch.rand(ENVS, env.num_actions, generator=generator)
         actions[:, env.env.layout.control :] *= 4
         env.step(actions)
-    env.env.reset(mask=torch.arange(ENVS) % 2 == 0)
-    env.step(actions) if env.env.design_steps > 1 else None  # not of a complete design
-    obs = env.env._observe(env.env._task)
+    obs = env.env.reset(mask=torch.arange(ENVS) % 2 == 0)[0]
+    if env.env.design_steps > 1:  # not of a complete design
+        obs = env.step(actions)[0]["policy"]
     assert env.env.designing.tolist() == [k % 2 == 0 for k in range(ENVS)]
     return TensorDict({"policy": obs}, batch_size=[ENVS])
 
@@ -156,13 +150,16 @@ def test_rsl_rls_own_runner_trains_both_stages(revise: str) -> None:
         assert not torch.equal(value, before[name]), name
 
     policy = runner.get_inference_policy()
-    waiting = make(revise, auto_reset=True).env
-    waiting.auto_reset = False
-    found = evaluate(waiting, lambda obs: env._goals(policy(TensorDict({"policy": obs}, batch_size=[ENVS]))))
-    assert found.lengths.tolist() == [waiting.max_episode_steps] * ENVS
-    bodies = waiting.cells.numpy()
-    assert are_valid(bodies).all()
+    other = make(revise)
+    obs = other.reset()
+    with torch.no_grad():
+        for _ in range(other.env.design_steps):
+            obs = other.step(policy(obs))[0]
+        bodies = other.env.cells.numpy().copy()
+        for _ in range(LIMIT):
+            obs, _, done, extras = other.step(policy(obs))
+    assert done.all()
     # the same bodies in plain environments, for pictures and comparisons
     plain = make_vec("Walker-v0", list(bodies), ENVS, obs="voxel", grid=SHAPE, auto_reset=False, **OPTIONS)
     rollout = record(plain, env.controller(policy, bodies))
-    np.testing.assert_allclose(rollout.returns[-1], found.returns, atol=1e-6)
+    np.testing.assert_allclose(rollout.returns[-1], extras["returns"], atol=1e-6)

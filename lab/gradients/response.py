@@ -8,14 +8,14 @@ import numpy as np
 import torch
 from torch import nn
 
-from warpvox.types import Cell, Physics
+from warpvox import Cell, Physics
 
 DEGREE = 64
 """Degree of the polynomials: for a period of 10 control steps they are off by 1.3 % of their largest value."""
 KEPT = 400 << 20
-"""Bytes of responses that are kept for bodies that come again."""
+"""Limit on the responses that are kept for bodies that come again, bytes."""
 KINDS = (Cell.RIGID, Cell.SOFT, Cell.H_ACT, Cell.V_ACT)
-"""The order of types in the inputs of a policy."""
+"""Types of voxels, in the order of the inputs of the network."""
 
 
 class LinearResponse(nn.Module):
@@ -25,7 +25,7 @@ class LinearResponse(nn.Module):
     rest lengths of the preset ``evogym``, no drag. With K the matrix of the springs, over the mass, a response is
     H(K) f: forces f by which an actuator changes lengths, and a function H that all bodies share, that of one mass on
     one spring, here as a sum of Chebyshev polynomials. Voxels that are neighbours in the grid count as connected.
-    Nothing in it learns. On the ground bodies move otherwise, but alike (tests/algos/policies/test_response.py).
+    Nothing in it learns. On the ground bodies move otherwise, but alike (tests/test_response.py).
 
     Args:
         periods: of the oscillations, in control steps.

@@ -9,28 +9,23 @@ different stages.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 import torch
+from tensordict import TensorDict
 
-from warpvox.batch.options import SimOptions
-from warpvox.checks import check_choice, check_integer, check_known, check_mask, check_shape, is_number
-from warpvox.design import are_valid, as_grid, repair_design, sample_design
-from warpvox.envs.checks import check_fields
-from warpvox.envs.random_stream import RandomStream
-from warpvox.envs.registry import get_task
-from warpvox.envs.spec import TaskSpec
-from warpvox.envs.vec_env import StepResult, VoxelVecEnv, make_vec
-from warpvox.errors import ConfigError, DesignError
-from warpvox.simulation import checked_actions
-from warpvox.types import Cell
+import warpvox as wv
+from warpvox.design import repair_design
+from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
+from warpvox.envs.vec_env import StepResult, VoxelVecEnv
 
 NUM_TYPES = 5
-"""Types of a cell of a robot: empty, rigid, soft, horizontal and vertical actuator (:class:`warpvox.types.Cell`)."""
+"""Number of types of a robot's cell: empty, rigid, soft, horizontal and vertical actuator (:class:`warpvox.Cell`)."""
 CHOICES = {"revise": ("all", "one"), "actions": ("types", "logits"), "invalid": ("repair", "end")}
+"""Values of the arguments of :func:`design_episodes` that are names."""
 AT_REST = 1.0
 """Goal length of actuators whose action does not count."""
 
@@ -106,7 +101,7 @@ class DesignLayout:
         In the design stage those of the design; in the control stage one for each actuator of the body.
         """
         designing = self.designing(obs)[..., None]
-        actuators = self.types(obs)[..., int(Cell.H_ACT) :].sum((-2, -1))[..., None]
+        actuators = self.types(obs)[..., int(wv.Cell.H_ACT) :].sum((-2, -1))[..., None]
         control = (torch.arange(self.control, device=obs.device) < actuators) & ~designing
         return torch.cat([control, designing.expand(*designing.shape[:-1], self.design)], dim=-1)
 
@@ -116,17 +111,17 @@ class DesignLayout:
 
 
 def design_episodes(
-    task: str | TaskSpec,
+    task: Any,
     num_envs: int = 1,
     shape: tuple[int, int] = (5, 5),
     design_steps: int | None = None,
     revise: str = "all",
     actions: str = "types",
-    start: object = "empty",
+    start: Any = "empty",
     invalid: str = "repair",
     penalty: float = 0.0,
     cost: float | Sequence[float] = 0.0,
-    auto_reset: bool = True,
+    seed: int = 0,
     **options: Any,
 ) -> DesignVecEnv:
     """Make environments in which the body is designed within the episode.
@@ -148,54 +143,45 @@ def design_episodes(
         penalty: taken off the reward of the last design step if the completed body is not valid.
         cost: of material, taken off the reward of the last design step: for each voxel of the body that the control
             stage gets, or four numbers, for each rigid, soft, horizontally and vertically actuated voxel.
-        auto_reset: begin the next episode, with its design stage, in the step in which one ends.
-        options: ``rules``, ``obs`` (here ``voxel`` by default), ``seed``, ``sim`` and its fields, as in
+        options: ``rules``, ``obs`` (here ``voxel`` by default), ``sim`` and its fields, as in
             :func:`warpvox.make_vec`; ``max_episode_steps`` limits the control stage.
 
     Raises:
-        ConfigError: a value that is not valid, or a task with several robots. SimulationError: exact arithmetic, in
-            which bodies cannot be exchanged. DesignError: a ``start`` that is no grid of ``shape``. WorldError: the
-            largest body does not fit. And what ``make_vec`` raises.
+        ConfigError: a value that is not valid. And what ``make_vec`` raises.
     """
-    without = ("designs", "body", "connections", "grid")
-    check_known(options, design_episodes, make_vec, SimOptions, without=without)
     for name, value in {"revise": revise, "actions": actions, "invalid": invalid}.items():
-        check_choice(name, value, CHOICES[name])
-    shape = check_shape("shape", shape)
-    if get_task(task).partners:
-        raise ConfigError(f"Bodies are designed in tasks of one robot; {get_task(task).id} has several.")
+        if value not in CHOICES[name]:
+            raise wv.ConfigError(f"{name} must be one of {', '.join(CHOICES[name])}, got {value!r}.")
     if design_steps is None:
         design_steps = max(shape) if revise == "all" else shape[0] * shape[1]
-    check_integer("design_steps", design_steps, 1)
-    if not is_number(penalty):
-        raise ConfigError(f"penalty must be a number, got {penalty!r:.80}.")
-    prices = [cost] * 4 if is_number(cost) else cost
-    if not isinstance(prices, Sequence) or len(prices) != 4 or not all(is_number(price) for price in prices):
-        raise ConfigError(f"cost must be a number, or four (rigid, soft, horizontal, vertical), got {cost!r:.80}.")
-    beginning, body = _start(start, shape), [np.full(shape, int(Cell.H_ACT), np.int8)]
-    settings: dict[str, Any] = {} if options.get("sim") else {"arithmetic": "fast"}
-    settings = {"obs": "voxel"} | settings | options | {"grid": shape}
-    env = make_vec(task, body, num_envs, auto_reset=False, **settings)
+    if design_steps < 1:
+        raise wv.ConfigError(f"design_steps must be at least 1, got {design_steps}.")
+    prices = list(cost) if isinstance(cost, Sequence) else [cost] * 4
+    if len(prices) != 4:
+        raise wv.ConfigError(f"cost must be a number, or four (rigid, soft, horizontal, vertical), got {cost}.")
+    first = None if isinstance(start, str) else np.asarray(start, np.int8)
+    if first is None and start not in ("empty", "random"):
+        raise wv.ConfigError(f"start, if it is a name, must be empty or random, got {start!r}.")
+    if isinstance(start, str) and start == "empty":
+        first = np.zeros(shape, np.int8)
+    if first is not None and (first.shape != tuple(shape) or first.min() < 0 or first.max() >= NUM_TYPES):
+        raise wv.ConfigError(f"start must hold cell types 0 to {NUM_TYPES - 1} in the shape {shape}.")
+
+    fast = {} if options.get("sim") else {"arithmetic": "fast"}  # exact arithmetic cannot exchange bodies
+    settings: dict[str, Any] = {"obs": "voxel"} | fast | options
+    largest = np.full(shape, wv.Cell.H_ACT, np.int8)
+    env = wv.make_vec(task, [largest], num_envs, auto_reset=False, seed=seed, grid=tuple(shape), **settings)
+    if len(env.spec.robots) > 1:
+        raise wv.ConfigError(f"Bodies are designed in tasks of one robot; {env.spec.id} has several.")
     layout = DesignLayout(*shape, env.num_obs, env.num_actions, revise, actions)
-    return DesignVecEnv(env, layout, design_steps, beginning, invalid, float(penalty), (0.0, *prices), auto_reset)
-
-
-def _start(start: Any, shape: tuple[int, int]) -> np.ndarray | None:
-    """The cells that a design begins with; None: those of a random body."""
-    if isinstance(start, str):
-        check_choice("start, if it is a name,", start, ("empty", "random"))
-        return None if start == "random" else np.zeros(shape, np.int8)
-    grid = as_grid(start, what="start")
-    if grid.shape != shape or (grid >= NUM_TYPES).any():
-        raise DesignError(f"start must hold cell types 0 to {NUM_TYPES - 1} in the shape {shape}, got {grid.shape}.")
-    return grid
+    return DesignVecEnv(env, layout, design_steps, first, invalid, penalty, (0.0, *prices), seed)
 
 
 class DesignVecEnv:
     """Environments whose episodes begin with the design of a body; made by :func:`design_episodes`.
 
-    Its interface is that of :class:`warpvox.envs.vec_env.VoxelVecEnv`; an episode, its length, return and time limit
-    comprise both stages. Returned tensors are fresh.
+    It steps, resets and spreads episodes as :class:`warpvox.envs.vec_env.VoxelVecEnv` does; an episode, its length,
+    return and time limit comprise both stages. Returned tensors are fresh.
 
     Attributes:
         env: the environments of the control stage. Those that are in the design stage wait at the end of an episode.
@@ -204,6 +190,8 @@ class DesignVecEnv:
         designing: bool ``[num_envs]``, which environments are in the design stage.
         cells: int8 ``[num_envs, rows, columns]``: the cells as designed so far; in the control stage the body.
     """
+
+    auto_reset = True
 
     def __init__(
         self,
@@ -214,25 +202,26 @@ class DesignVecEnv:
         invalid: str,
         penalty: float,
         prices: Sequence[float],
-        auto_reset: bool,
+        seed: int,
     ) -> None:
-        self.env, self.layout, self.design_steps, self.auto_reset = env, layout, design_steps, auto_reset
+        self.env = env
+        self.layout = layout
+        self.design_steps = design_steps
         self.num_envs, self.num_obs, self.num_actions = env.num_envs, layout.num_obs, layout.num_actions
         self.spec, self.rules, self.sim = env.spec, env.rules, env.sim
         self.device, self.dtype = env.device, env.dtype
         self._start, self._invalid, self._penalty = start, invalid, penalty
         self._prices = torch.tensor(prices, dtype=torch.float64, device=self.device)
-        self._starts = RandomStream(env.seed, self.num_envs, "cpu")
-        self._whole = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        self.designing = self._whole
-        self.terminated: torch.Tensor = ~self._whole
-        self.truncated: torch.Tensor = ~self._whole
-        self._length: torch.Tensor = torch.zeros_like(self._whole, dtype=torch.long)
+        self._seed = seed
+        self._episode = np.zeros(self.num_envs, int)  # episodes so far, for random starts
+        self._all = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        self.designing = self._all
+        self._length: torch.Tensor = torch.zeros_like(self._all, dtype=torch.long)
         self._skipped = torch.zeros_like(self._length)
-        self._returns: torch.Tensor = torch.zeros_like(self._whole, dtype=torch.float64)
+        self._returns: torch.Tensor = torch.zeros_like(self._all, dtype=torch.float64)
         self.cells = torch.zeros(self.num_envs, layout.rows, layout.columns, dtype=torch.int8, device=self.device)
         self._task = torch.zeros(self.num_envs, layout.task, dtype=self.dtype, device=self.device)
-        self._begin(self._whole)
+        self._begin(self._all)
 
     @property
     def num_designs(self) -> int:
@@ -260,9 +249,6 @@ class DesignVecEnv:
 
     @episode_length.setter
     def episode_length(self, lengths: torch.Tensor) -> None:
-        lengths = torch.as_tensor(lengths, device=self.device)
-        if tuple(lengths.shape) != (self.num_envs,) or lengths.dtype.is_floating_point:
-            raise ConfigError(f"episode_length must be integers [{self.num_envs}], got {list(lengths.shape)}.")
         most = self.env.max_episode_steps - 1
         lived = (self._length - self.design_steps).clamp(min=0)
         skipped = (lengths - self._length).clamp(min=0).minimum((most - lived).clamp(min=0))
@@ -277,37 +263,41 @@ class DesignVecEnv:
         control = self.env.action_mask[self.env.design_index] & ~self.designing[:, None]
         return torch.cat([control, self.designing[:, None].expand(-1, self.layout.design)], dim=1)
 
-    def reset(
-        self, seed: int | Sequence[int] | None = None, mask: torch.Tensor | np.ndarray | None = None
-    ) -> tuple[torch.Tensor, dict[str, Any]]:
-        """Begin new episodes, with their design stages; arguments and results as of :meth:`VoxelVecEnv.reset`.
+    def reset(self, seed: int | None = None, mask: torch.Tensor | None = None) -> tuple[torch.Tensor, dict[str, Any]]:
+        """Begin new episodes, with their design stages, everywhere or where ``mask`` is True.
 
-        ``seed`` is also that of ``start="random"``.
+        Args:
+            seed: restart the task's random numbers and those of ``start="random"``; None continues them.
+            mask: bool ``[num_envs]``.
+
+        Returns:
+            Observations ``[num_envs, num_obs]`` and an empty dictionary.
         """
-        mask = self._whole if mask is None else check_mask(mask, self._whole)
+        mask = self._all if mask is None else mask
         if seed is not None:
+            self._seed = seed
+            self._episode[mask.cpu().numpy()] = 0
             self.env.reset(seed, mask=mask)
-            self._starts.begin(seed, mask.cpu())
         self._begin(mask)
         return self._observe(self._task), {}
 
     def _begin(self, mask: torch.Tensor) -> None:
         """Begin the design stage of environments; the control stage's episode of theirs is over."""
         # tensors are replaced, not written to: those made in inference mode could not be changed outside of it
+        rows = mask.nonzero()[:, 0].tolist()
         if self._start is None:
             self.cells = self.cells.clone()
-            for number in np.flatnonzero(mask.cpu()).tolist():
-                key, episode = (int(values[number]) for values in (self._starts.keys, self._starts.episode))
-                rng = np.random.default_rng([key % 2**64, episode])
-                body = sample_design((self.layout.rows, self.layout.columns), rng)
-                self.cells[number] = torch.as_tensor(body, device=self.device)
+            for row in rows:
+                rng = np.random.default_rng([self._seed, row, int(self._episode[row])])
+                body = wv.sample_design((self.layout.rows, self.layout.columns), rng)
+                self.cells[row] = torch.as_tensor(body, device=self.device)
         else:
             start = torch.as_tensor(self._start, device=self.device)
             self.cells = torch.where(mask[:, None, None], start, self.cells)
-        self._starts.episode.add_(mask.cpu())
+        self._episode[rows] += 1
         self.designing = self.designing | mask
-        self.terminated, self.truncated = self.terminated & ~mask, self.truncated & ~mask
-        self._length, self._skipped = self._length.masked_fill(mask, 0), self._skipped.masked_fill(mask, 0)
+        self._length = self._length.masked_fill(mask, 0)
+        self._skipped = self._skipped.masked_fill(mask, 0)
         self._returns = self._returns.masked_fill(mask, 0)
         self.env.episodes.truncated.logical_or_(mask)  # the next step does not move them
 
@@ -336,41 +326,46 @@ class DesignVecEnv:
             repair).
 
         Raises:
-            ActionError: wrong shape, no plain numbers; on the CPU also entries that count and are not finite.
+            ActionError: wrong shape, or entries that count and are not finite.
         """
-        counts = self.action_mask
-        actions = checked_actions(actions, (self.num_envs, self.num_actions), self.device, counts)
-        actions = torch.where(counts, actions, AT_REST)
+        actions = torch.as_tensor(actions, device=self.device)
+        if tuple(actions.shape) != (self.num_envs, self.num_actions):
+            raise wv.ActionError(f"actions must be [{self.num_envs}, {self.num_actions}], got {list(actions.shape)}.")
+        actions = torch.where(self.action_mask, actions, AT_REST)
+        if not bool(actions.isfinite().all()):
+            raise wv.ActionError("actions that count must be finite.")
+
+        # Control
         control = self.layout.control
-        designing = self.designing & ~self.terminated
-        going = ~self.designing & ~(self.terminated | self.truncated)
+        designing, acting = self.designing, ~self.designing
         task, reward, terminated, truncated, info = self.env.step(actions[:, :control])
-        reward, terminated, truncated = reward.double() * going, terminated & going, truncated & going
-        self._length = self._length + (designing | going)
+        reward = reward.double() * acting
+        terminated, truncated = terminated & acting, truncated & acting
+        self._length = self._length + 1
+
+        # Design
         self.cells = torch.where(designing[:, None, None], self._revised(actions[:, control:]), self.cells)
         complete = designing & (self._length >= self.design_steps)
         valid, paid, task = self._complete(complete, task)
-        terminated = terminated | (complete & ~valid if self._invalid == "end" else False)
+        if self._invalid == "end":
+            terminated = terminated | (complete & ~valid)
+
+        # Bookkeeping of episodes
         self._returns = self._returns + reward + paid
+        self._task = task
         done = terminated | truncated
         obs = self._observe(task)
-        length, returns = self._length.to(self.dtype), self._returns.to(self.dtype, copy=True)
         info = {
             "final_obs": obs,
-            "episode": {"return": returns, "length": length, "done": done},
-            "unstable": info["unstable"] & going,
-            "diverged": info["diverged"] & going,
-            "reward_terms": {name: values * going for name, values in info["reward_terms"].items()} | {"design": paid},
+            "episode": {"return": self._returns.to(self.dtype), "length": self._length.to(self.dtype), "done": done},
+            "unstable": info["unstable"] & acting,
+            "diverged": info["diverged"] & acting,
+            "reward_terms": {name: values * acting for name, values in info["reward_terms"].items()} | {"design": paid},
             "design": {"done": complete, "valid": valid},
         }
-        self._task = task
-        if self.auto_reset:
-            if bool(done.any()):
-                self._begin(done)
-                obs = torch.where(done[:, None], self._observe(task), obs)
-        else:
-            self.terminated, self.truncated = self.terminated | terminated, self.truncated | truncated
-            terminated, truncated = self.terminated.clone(), self.truncated.clone()
+        if bool(done.any()):
+            self._begin(done)
+            obs = torch.where(done[:, None], self._observe(task), obs)
         return obs, (reward + paid).to(self.dtype), terminated, truncated, info
 
     def _revised(self, actions: torch.Tensor) -> torch.Tensor:
@@ -379,7 +374,7 @@ class DesignVecEnv:
         if layout.actions == "logits":
             types = torch.unflatten(actions, 1, (layout.revised, NUM_TYPES)).argmax(-1)
         else:
-            types = actions.nan_to_num().round().clamp(0, NUM_TYPES - 1)
+            types = actions.round().clamp(0, NUM_TYPES - 1)
         types = types.to(torch.int8)
         if layout.revise == "one":
             place = ((self._length - 1).clamp(min=0) % layout.cells)[:, None]
@@ -397,11 +392,11 @@ class DesignVecEnv:
         if not bool(complete.any()):
             return valid, paid, task
         grids = self.cells[complete].cpu().numpy()
-        fine = are_valid(grids)
-        valid[complete] = torch.as_tensor(fine, device=self.device)
+        repaired = np.stack([repair_design(grid) for grid in grids])
+        unchanged = (repaired == grids).all((1, 2))  # valid bodies stay as they are
+        valid[complete] = torch.as_tensor(unchanged, device=self.device)
         if self._invalid == "repair":
-            grids = np.stack([grid if ok else repair_design(grid) for grid, ok in zip(grids, fine, strict=True)])
-            self.cells[complete] = torch.as_tensor(grids, device=self.device)
+            self.cells[complete] = torch.as_tensor(repaired, device=self.device)
         begins = complete if self._invalid == "repair" else complete & valid
         paid -= self._penalty * (complete & ~valid)
         paid -= self._prices[self.cells.long()].sum((1, 2)) * begins
@@ -424,24 +419,45 @@ class DesignVecEnv:
         """See :meth:`VoxelVecEnv.not_finite`."""
         return self.env.not_finite()
 
-    _STATE = ("cells", "designing", "terminated", "truncated", "_length", "_returns", "_skipped", "_task")
 
-    def state(self) -> dict[str, Any]:
-        """The full state, as tensors with a row for every environment, for :meth:`set_state`."""
-        own = {name.strip("_"): getattr(self, name).clone() for name in self._STATE}
-        bodies = np.stack([np.asarray(self.env.designs[int(number)]) for number in self.env.design_index.cpu()])
-        bodies = torch.as_tensor(bodies, device=self.device)
-        return own | {"env": self.env.state(), "bodies": bodies, "episode": self._starts.episode.clone()}
+class RslRlDesignEnv(RslRlVecEnv):
+    """:class:`RslRlVecEnv` for environments of :func:`design_episodes`.
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Go on from :meth:`state` of environments of the same task, seeds and settings.
+    Outputs of the policy for the control stage are scaled as there; those for the design stage are taken as they are.
+    """
 
-        Raises:
-            SimulationError: the state is that of other environments, or lacks something.
+    env: DesignVecEnv  # stands in for a VoxelVecEnv
+
+    def __init__(self, env: DesignVecEnv, **settings: Any) -> None:
+        super().__init__(env, **settings)  # pyright: ignore[reportArgumentType]
+
+    def goals(self, outputs: torch.Tensor) -> torch.Tensor:
+        control = self.env.layout.control
+        return torch.cat([super().goals(outputs[:, :control]), outputs[:, control:]], dim=1)
+
+    def controller(
+        self, policy: Callable[[TensorDict], torch.Tensor], bodies: Sequence[object]
+    ) -> Callable[[torch.Tensor], torch.Tensor]:
+        """The policy of the control stage, for environments whose bodies are given.
+
+        Args:
+            policy: TensorDict of observations to outputs, as ``runner.get_inference_policy()`` gives.
+            bodies: one for each environment, of the shape that is designed here.
+
+        Returns:
+            A function of the observations ``[num_envs, n]`` of ``make_vec(..., grid=shape)`` with the same ``obs``,
+            which gives actions: for :func:`warpvox.record` and the like.
         """
-        check_fields(state, self.state() | {"env": {}})
-        self.env.set_designs(list(state["bodies"].cpu().numpy()), self._whole)
-        self.env.set_state(state["env"])
-        for name in self._STATE:
-            setattr(self, name, state[name.strip("_")].to(self.device, copy=True))
-        self._starts.episode.copy_(state["episode"])
+        layout = self.env.layout
+        cells = torch.as_tensor(np.stack([wv.check_design(body) for body in bodies]), device=self.device)
+        types = torch.nn.functional.one_hot(cells.long().flatten(1), NUM_TYPES).flatten(1)
+        tail = torch.zeros(len(cells), layout.num_obs - layout.task - types.shape[1], device=self.device)
+        tail[:, -1] = 1  # the design is complete
+
+        @torch.no_grad()
+        def act(obs: torch.Tensor) -> torch.Tensor:
+            joined = torch.cat([obs, types.to(obs), tail.to(obs)], dim=1).to(torch.get_default_dtype())
+            outputs = policy(TensorDict({"policy": joined}, batch_size=[len(joined)]))
+            return self.goals(outputs)[:, : layout.control]
+
+        return act

@@ -1,4 +1,4 @@
-"""Learns to design walkers of 4x4 cells and to control them: python design_walkers.py [iterations] [random]"""
+"""Learn to design walkers of 4x4 cells and to control them: python -m lab.design_in_episode.walkers 60 [random]"""
 
 import contextlib
 import io
@@ -10,8 +10,8 @@ import torch
 from rsl_rl.runners import OnPolicyRunner
 
 import warpvox as wv
-from warpvox.algos.policies.design import design_models
-from warpvox.envs.adapters.design_rsl_rl import RslRlDesignEnv
+from lab.design_in_episode.episodes import RslRlDesignEnv, design_episodes
+from lab.design_in_episode.policy import design_models
 from warpvox.view.render import write_gif
 
 TASK, SHAPE, LIMIT, DESIGN_STEPS = "Walker-v0", (4, 4), 100, 3
@@ -20,15 +20,15 @@ TASK, SHAPE, LIMIT, DESIGN_STEPS = "Walker-v0", (4, 4), 100, 3
 class RandomBodies(RslRlDesignEnv):
     """Bodies stay the random ones that designs begin with; only their control is learnt."""
 
-    def _goals(self, outputs):
-        goals, control = super()._goals(outputs), self.env.layout.control
+    def goals(self, outputs):
+        goals, control = super().goals(outputs), self.env.layout.control
         return torch.cat([goals[:, :control], self.env.cells.flatten(1).to(goals)], dim=1)
 
 
 def make(num_envs=64, random=False):
     start = "random" if random else "empty"
     options = {"start": start, "max_episode_steps": LIMIT, "device": "cpu"}
-    env = wv.design_episodes(TASK, num_envs, SHAPE, DESIGN_STEPS, **options)
+    env = design_episodes(TASK, num_envs, SHAPE, DESIGN_STEPS, **options)
     return RandomBodies(env) if random else RslRlDesignEnv(env)
 
 

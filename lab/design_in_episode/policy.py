@@ -1,7 +1,6 @@
 """A policy for the body inside the episode: a cellular automaton designs it, a network for voxels controls it.
 
-Both are one model of rsl-rl's kind, which stock PPO trains on
-:class:`warpvox.envs.adapters.design_rsl_rl.RslRlDesignEnv`.
+Both are one model of rsl-rl's kind, which stock PPO trains on :class:`lab.design_in_episode.episodes.RslRlDesignEnv`.
 """
 
 from collections.abc import Mapping
@@ -13,14 +12,18 @@ from rsl_rl.modules.distribution import Distribution
 from tensordict import TensorDict
 from torch import nn
 
-from warpvox.algos.policies.layout import VoxelLayout
+from lab.design_in_episode.episodes import NUM_TYPES, DesignLayout, RslRlDesignEnv
+from warpvox.algos.policies.layout import layout_of
 from warpvox.algos.policies.model import VoxelModel
-from warpvox.algos.policies.network import observations
-from warpvox.envs.adapters.design_rsl_rl import RslRlDesignEnv
-from warpvox.envs.adapters.rsl_rl import OBS_GROUP
-from warpvox.envs.design_episodes import NUM_TYPES, DesignLayout
-from warpvox.envs.voxels import NUM_FEATURES
 from warpvox.errors import ConfigError
+
+GROUP = "policy"
+"""Name of the one group of observations."""
+
+
+def joined(model: MLPModel, obs: TensorDict) -> torch.Tensor:
+    """The observations of a model, ``[rows, num_obs]``."""
+    return torch.cat([obs[name] for name in model.obs_groups], dim=-1)
 
 
 def design_models(
@@ -37,13 +40,14 @@ def design_models(
         network, settings: of the control stage, as for ``policy=`` and ``network=`` of ``warpvox train``.
         init_std: deviation of the control stage's exploration at the start.
     """
-    if not env.env.env.voxels or env.env.layout.actions != "types":
+    plain = env.env.env
+    if not plain.voxels or env.env.layout.actions != "types":
         raise ConfigError('These models need design_episodes(..., obs="voxel", actions="types").')
-    control = {"network": network, "settings": dict(settings or {})}
+    control = {"network": network, "settings": dict(settings or {}), "voxels": layout_of(plain).dict()}
     model = {"class_name": DesignModel, "layout": env.env.layout.dict(), "channels": channels, **control}
     noise = {"class_name": "GaussianDistribution", "init_std": init_std, "std_type": "log"}
     return {
-        "obs_groups": {"actor": [OBS_GROUP], "critic": [OBS_GROUP]},
+        "obs_groups": {"actor": [GROUP], "critic": [GROUP]},
         "actor": model | {"distribution_cfg": noise},
         "critic": dict(model),
     }
@@ -91,7 +95,7 @@ class DesignDistribution(Distribution):
     likelihood, entropy, divergence or gradients. :meth:`look` says, before :meth:`update`, which rows are which.
 
     Args:
-        gaussian: the distribution of the control stage (:class:`warpvox.algos.policies.network.VoxelGaussian`).
+        gaussian: the distribution of the control stage (``VoxelModel.distribution``).
     """
 
     def __init__(self, layout: DesignLayout, gaussian: Distribution) -> None:
@@ -159,6 +163,7 @@ class DesignModel(MLPModel):
 
     Args:
         layout: of observations and actions (:class:`DesignLayout`).
+        voxels: layout of the control stage's observations (:func:`warpvox.algos.policies.layout.layout_of`).
         network, settings, channels: see :func:`design_models`.
     """
 
@@ -169,6 +174,7 @@ class DesignModel(MLPModel):
         obs_set: str,
         output_dim: int,
         layout: Mapping[str, Any],
+        voxels: Mapping[str, Any],
         network: str = "grid",
         settings: Mapping[str, Any] | None = None,
         channels: int = 32,
@@ -179,14 +185,13 @@ class DesignModel(MLPModel):
         self.obs_groups, self.obs_dim = self._get_obs_dim(obs, obs_groups, obs_set)
         self.layout, self.obs_normalization = DesignLayout(**layout), obs_normalization
         plan = self.layout
-        voxels = VoxelLayout(plan.rows, plan.columns, plan.task - plan.cells * NUM_FEATURES, plan.control)
         actor = distribution_cfg is not None
         self.control = VoxelModel(
-            self._task(observations(self, obs)),
-            {obs_set: [OBS_GROUP]},
+            self._task(joined(self, obs)),
+            {obs_set: [GROUP]},
             obs_set,
             plan.control if actor else 1,
-            voxels.dict(),
+            voxels,
             network,
             settings,
             obs_normalization,
@@ -199,12 +204,12 @@ class DesignModel(MLPModel):
 
     def _task(self, obs: torch.Tensor) -> TensorDict:
         """The observations of the control stage, as its model takes them."""
-        return TensorDict({OBS_GROUP: obs[:, : self.layout.task]}, batch_size=[len(obs)])
+        return TensorDict({GROUP: obs[:, : self.layout.task]}, batch_size=[len(obs)])
 
     def forward(
         self, obs: TensorDict, masks: object = None, hidden_state: object = None, stochastic_output: bool = False
     ) -> torch.Tensor:
-        flat = observations(self, obs)
+        flat = joined(self, obs)
         out = self._outputs(flat)
         if self.distribution is None:
             return out
@@ -226,7 +231,7 @@ class DesignModel(MLPModel):
         return torch.cat([control, logits.index_put((rows,), design.flatten(1))], dim=1)
 
     def update_normalization(self, obs: TensorDict) -> None:
-        flat = observations(self, obs)
+        flat = joined(self, obs)
         moving = flat[~self.layout.designing(flat)]
         if len(moving):
             self.control.update_normalization(self._task(moving))
