@@ -136,7 +136,7 @@ class SubEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return copy.deepcopy(self.vec.designs[int(self.vec.design_index[self.number])])
 
     @property
-    def spec(self) -> EnvSpec | None:
+    def spec(self) -> EnvSpec | None:  # pyright: ignore[reportIncompatibleVariableOverride] # as gymnasium's wrappers
         """The specification of the batch with the time limit of this environment; None if no id has made it."""
         spec = copy.copy(getattr(self.batch, "spec", None))
         if spec is not None:

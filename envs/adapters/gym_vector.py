@@ -1,7 +1,7 @@
 """Many environments as gymnasium has them: ``gymnasium.make_vec("warpvox/Walker-v0", num_envs=8, body=...)``."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -181,11 +181,11 @@ class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
         Raises:
             ConfigError (a ValueError): a list of another length.
         """
-        if not isinstance(values, list | tuple):
-            values = [values] * self.num_envs
-        if len(values) != self.num_envs:
-            raise ConfigError(f"{name} needs a value for each of {self.num_envs} environments, got {len(values)}.")
-        for env, value in zip(self.envs, values, strict=True):
+        one_each = isinstance(values, list | tuple)
+        each = cast(Sequence[Any], values) if one_each else [values] * self.num_envs
+        if len(each) != self.num_envs:
+            raise ConfigError(f"{name} needs a value for each of {self.num_envs} environments, got {len(each)}.")
+        for env, value in zip(self.envs, each, strict=True):
             setattr(env, name, value)
 
     def __repr__(self) -> str:

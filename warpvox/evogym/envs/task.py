@@ -116,7 +116,7 @@ class TimeLimit(wrappers.TimeLimit):
     def __init__(self, env: Env) -> None:
         steps = sys.maxsize  # made with max_episode_steps=-1
         if isinstance(env, wrappers.TimeLimit):
-            steps = env._max_episode_steps
+            steps = env.get_wrapper_attr("_max_episode_steps")
             env = env.env
         super().__init__(env, steps)
 
@@ -135,9 +135,11 @@ class TimeLimit(wrappers.TimeLimit):
     @property
     def spec(self) -> EnvSpec | None:
         """The environment's, with this limit and this wrapper: ``gymnasium.make(env.spec)`` makes another."""
-        if self._cached_spec is None and super().spec is not None:
-            self._cached_spec.additional_wrappers += (self.wrapper_spec(),)
-        return self._cached_spec
+        fresh = self._cached_spec is None
+        spec = super().spec
+        if fresh and spec is not None:
+            spec.additional_wrappers += (self.wrapper_spec(),)
+        return spec
 
 
 def task_env(name: str, task: str, *bases: type, **constants: float) -> type:
