@@ -72,7 +72,7 @@ def test_no_cluster_and_no_ray_are_clear_errors(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_what_is_left_of_a_batch_is_not_reported_of_the_next() -> None:
-    worker, body = ray_executor._Worker(ToyEvaluator), ToySearch().ask()[0].body
+    worker, body = ray_executor._Worker(ToyEvaluator, Path.cwd()), ToySearch().ask()[0].body
     for number in 0, 1:
         worker.evaluate([Candidate(number, body)], {}, None)
     assert worker.events() == [{"id": 1}]
