@@ -50,7 +50,7 @@ class ObservationLayout:
         self.always = starts[-1]
 
     def _robot_of(self, term: Observation, value: torch.Tensor, state: Snapshot) -> str:
-        """Of which robot a term has a column for every action ("": of none): smaller bodies have fewer."""
+        """Name of the robot for whose every action a term has a column; "": of none. Smaller bodies have fewer."""
         if value.shape[1:] != (self._sim.num_actions,):
             return ""
         own = Snapshot(self._sim, state.memory_values, copies=True)
