@@ -50,7 +50,7 @@ class ObservationLayout:
         self.always = starts[-1]
 
     def _robot_of(self, term: Observation, value: torch.Tensor, state: Snapshot) -> str:
-        """Of which robot a term has a column for every action ("": of none): smaller bodies have fewer."""
+        """Name of the robot for whose every action a term has a column; "": of none. Smaller bodies have fewer."""
         if value.shape[1:] != (self._sim.num_actions,):
             return ""
         own = Snapshot(self._sim, state.memory_values, copies=True)
@@ -71,7 +71,7 @@ class ObservationLayout:
         ]
         counts = np.stack([mask.numpy().sum(1) for mask in real], axis=1)  # [designs, terms]
         full = torch.cat(real, dim=1)
-        totals = torch.from_numpy(counts.sum(1))
+        totals = torch.as_tensor(counts.sum(1))
         # Where bodies may be exchanged, there is room for the largest.
         self.num_obs = int(totals.max()) if sim.grid is None else full.shape[1]
         self.mask = (torch.arange(self.num_obs) < totals[:, None]).to(sim.device)

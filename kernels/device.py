@@ -192,7 +192,7 @@ def _layout(dtype: Any) -> tuple[np.dtype, tuple[int, ...], int]:
 
 
 def _keep(block: np.ndarray, pointer: int, size: int) -> None:
-    """What Warp calls to free an array whose memory is part of ``block``, which goes with the last of its arrays."""
+    """Do nothing when Warp frees an array in ``block``: the memory goes with the last of its arrays."""
 
 
 def allocate(kinds: Mapping[str, tuple[tuple[int, ...], Any]], device: str) -> Mapping[str, wp.array]:

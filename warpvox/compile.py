@@ -66,7 +66,7 @@ class Body:
         return int(self.source.grid[cell])
 
     def table(self, make: Callable[[Body], T]) -> T:
-        """What ``make`` gives for this mesh, whatever its place in a world; made once for equal objects."""
+        """Return what ``make`` gives for this mesh, whatever its place in a world; made once for equal objects."""
         if make not in self.tables:
             self.tables[make] = make(self)
         return self.tables[make]
