@@ -7,6 +7,7 @@ import os
 import sqlite3
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -281,3 +282,70 @@ def test_designs_leave_in_the_formats_of_evogym_and_come_back(filled: Archive, t
     assert (folder / "generation_0" / "output.txt").read_text() == "2\t\t2.0\n1\t\t1.0\n0\t\t0.0\n"
     back = {str(body.tolist()) for body in map(load_design, folder.rglob(f"*.{name}"))}
     assert back == {str(record.candidate.body.tolist()) for record in done}
+
+
+ENDLESS_ROWS = "WITH RECURSIVE c(x) AS (SELECT 0 UNION ALL SELECT x + 1 FROM c) SELECT x AS generation FROM c"
+FOREIGN = {
+    **{f"view of {name}": f"DROP TABLE {name}; CREATE VIEW {name} AS {ENDLESS_ROWS}"
+       for name in ("experiment", "candidates", "parents", "curves")},
+    "another view": f"DROP VIEW generations; CREATE VIEW generations AS {ENDLESS_ROWS}",
+    "one view more": f"CREATE VIEW more AS {ENDLESS_ROWS}",
+    "one table more": "CREATE TABLE more (x)",
+    "one index more": "CREATE INDEX more ON candidates(origin)",
+    "one index less": "DROP INDEX candidates_by_body",
+    "trigger": "CREATE TRIGGER more AFTER UPDATE ON candidates BEGIN UPDATE candidates SET steps = 1; END",
+    "column": "ALTER TABLE candidates ADD COLUMN more",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_an_archive_has_our_tables_and_nothing_else(filled: Archive, name: str) -> None:
+    filled.close()
+    db = sqlite3.connect(filled.path)
+    db.executescript(FOREIGN[name])
+    db.close()
+    for way in (Archive.read, Archive.open):
+        with pytest.raises(RunError, match="table or view"):
+            way(filled.path)
+
+
+def test_every_command_refuses_a_foreign_view(filled: Archive, warpvox: Callable, tmp_path: Path) -> None:
+    filled.close()
+    folder = tmp_path / "run"
+    folder.mkdir()
+    db = sqlite3.connect(filled.path)
+    db.executescript(FOREIGN["another view"])
+    db.close()
+    filled.path.rename(folder / "archive.sqlite")
+    (folder / "config.yaml").write_text("command: codesign\ntask: Walker-v0\n")
+    for words in (
+        ["play", f"run={folder}"],
+        ["evaluate", f"runs=[{folder}]"],
+        ["codesign", f"report={folder}"],
+        ["codesign", f"report=[{folder}]"],
+        ["codesign", f"resume={folder}"],
+        ["zoo", f"add={folder}"],
+        ["train", f"design={folder}"],
+        ["train", f"designs={folder}"],
+    ):
+        done = warpvox(*words, code=None)
+        assert "table or view" in " ".join((done.out + done.err).split()), words
+
+
+def test_an_interrupt_ends_a_query(filled: Archive) -> None:
+    code = f"""
+import signal, sqlite3, threading
+from pathlib import Path
+from warpvox.algos.codesign.archive import Archive
+path = Path({str(filled.path)!r})
+with Archive.read(path) as archive:
+    archive.generations()
+    other = sqlite3.connect(path)
+    other.executescript({FOREIGN["another view"]!r})
+    other.close()
+    threading.Timer(0.5, signal.raise_signal, [signal.SIGINT]).start()
+    archive.generations()
+"""
+    filled.close()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stderr.strip().endswith("KeyboardInterrupt"), done.stderr
