@@ -9,6 +9,7 @@ import torch
 from torch import nn
 
 from warpvox.algos.checkpoints.expected import AnyTensor, check_like
+from warpvox.algos.generators import Generators
 from warpvox.algos.policies.cpg import TYPE, CpgNetwork
 from warpvox.algos.policies.layout import MOVING
 from warpvox.algos.policies.model import VoxelModel
@@ -91,6 +92,7 @@ class Ascent(PPO):
     """
 
     actor: VoxelModel
+    generators: Generators
 
     def __init__(self, *args: Any, **settings: Any) -> None:
         super().__init__(*args, **settings)
@@ -231,7 +233,7 @@ class AscentRunner(Runner):
         super().set_state(content)
         if "env" not in content:
             return
-        own = content.get("ascent")
+        own: Any = content.get("ascent")
         check_like(own, {"learner": self.alg.learner.state_dict(), "steps": int, "targets": dict}, "ascent")
         bodies, weights, _ = self.alg.look(self.env.get_observations())
         shapes = {"bodies": bodies.shape[1:], "targets": weights.shape[1:]}

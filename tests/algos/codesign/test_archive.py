@@ -19,6 +19,7 @@ from warpvox.algos.codesign.archive import APPLICATION, BACKUP, VERSION, Archive
 from warpvox.algos.codesign.archive_export import COLUMNS, FORMATS, write_csv, write_parquet
 from warpvox.design import full_connections, load_design, sample_design
 from warpvox.errors import RunError, StorageError
+from warpvox.runs import END
 
 SETTINGS = {"task": "Walker-v0", "search": {"name": "ga"}}
 ENDLESS = "import sys, time; from pathlib import Path; from warpvox.algos.codesign.archive import Archive\n"
@@ -317,7 +318,7 @@ def test_every_command_refuses_a_foreign_view(filled: Archive, warpvox: Callable
     db.executescript(FOREIGN["another view"])
     db.close()
     filled.path.rename(folder / "archive.sqlite")
-    (folder / "config.yaml").write_text("command: codesign\ntask: Walker-v0\n")
+    (folder / "config.yaml").write_text(f"command: codesign\ntask: Walker-v0\n{END}")
     for words in (
         ["play", f"run={folder}"],
         ["evaluate", f"runs=[{folder}]"],

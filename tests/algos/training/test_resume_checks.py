@@ -24,7 +24,7 @@ KINDS = {
     "mlp": {"normalize_reward": True},
     "recurrent": {"minibatches": 1, "rnn": {"rnn_hidden_dim": 4}, "extra": {"rnd_cfg": RND["rnd_cfg"] | SIZES}},
 }
-MUTATIONS = 25
+MUTATIONS = 15
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
