@@ -66,7 +66,7 @@ class PPO(RslRlPPO):
         super().__init__(*args, schedule="adaptive" if schedule == "adaptive" else "fixed", **settings)
         self.generators = generators
         if generators is not None:
-            self.get_policy().distribution.generator = generators.on(self.device)
+            cast(Any, self.get_policy().distribution).generator = generators.on(self.device)
         self.decays, self.adam_eps = schedule == "linear", adam_eps
         self.initial_learning_rate, self.total_iterations, self.updates = self.learning_rate, total_iterations, 0
         self._configure_adam()
@@ -168,7 +168,7 @@ class PPO(RslRlPPO):
         Raises:
             RunError: it does not fit these networks; nothing has changed.
         """
-        wanted = dict.fromkeys(("actor", "critic", "optimizer", "rnd"), True) if load_cfg is None else load_cfg
+        wanted: Mapping[str, bool] = load_cfg or dict.fromkeys(("actor", "critic", "optimizer", "rnd"), True)
         networks: dict[str, Any] = {"actor": self._raw_actor, "critic": self._raw_critic}
         optimizers: dict[str, Any] = {"optimizer": self.optimizer}
         if self.rnd:

@@ -168,7 +168,7 @@ QUANTIZED = torch.quantize_per_tensor(torch.ones(3), 0.1, 0, torch.qint8)
 )
 def test_a_checkpoint_of_another_kind_is_refused(changes: dict, tmp_path: Path) -> None:
     torch.save(GOOD | changes, tmp_path / "a.pt")
-    with pytest.raises(RunError, match="policy of another kind"):
+    with pytest.raises(RunError, match=r"policy of another kind|not a readable checkpoint \(a tensor"):
         load_controller(tmp_path / "a.pt")
     with pytest.raises(RunError):
         wv.load_policy(tmp_path / "a.pt")

@@ -8,6 +8,7 @@ import sqlite3
 import struct
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from warpvox.algos.codesign.archive import APPLICATION, BACKUP, FILE, VERSION, A
 from warpvox.algos.codesign.archive_export import COLUMNS, FORMATS, write_csv, write_parquet
 from warpvox.design import full_connections, load_design, sample_design
 from warpvox.errors import RunError, StorageError
+from warpvox.runs import END
 
 SETTINGS = {"task": "Walker-v0", "search": {"name": "ga"}}
 ENDLESS = "import sys, time; from pathlib import Path; from warpvox.algos.codesign.archive import Archive\n"
@@ -311,3 +313,70 @@ def test_no_journal_has_a_file_elsewhere_deleted(name: str, tmp_path: Path) -> N
     with pytest.raises((RunError, StorageError), match="journal"):
         Archive.open(path)
     assert victim.read_text() == "mine"
+
+
+ENDLESS_ROWS = "WITH RECURSIVE c(x) AS (SELECT 0 UNION ALL SELECT x + 1 FROM c) SELECT x AS generation FROM c"
+FOREIGN = {
+    **{f"view of {name}": f"DROP TABLE {name}; CREATE VIEW {name} AS {ENDLESS_ROWS}"
+       for name in ("experiment", "candidates", "parents", "curves")},
+    "another view": f"DROP VIEW generations; CREATE VIEW generations AS {ENDLESS_ROWS}",
+    "one view more": f"CREATE VIEW more AS {ENDLESS_ROWS}",
+    "one table more": "CREATE TABLE more (x)",
+    "one index more": "CREATE INDEX more ON candidates(origin)",
+    "one index less": "DROP INDEX candidates_by_body",
+    "trigger": "CREATE TRIGGER more AFTER UPDATE ON candidates BEGIN UPDATE candidates SET steps = 1; END",
+    "column": "ALTER TABLE candidates ADD COLUMN more",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_an_archive_has_our_tables_and_nothing_else(filled: Archive, name: str) -> None:
+    filled.close()
+    db = sqlite3.connect(filled.path)
+    db.executescript(FOREIGN[name])
+    db.close()
+    for way in (Archive.read, Archive.open):
+        with pytest.raises(RunError, match="table or view"):
+            way(filled.path)
+
+
+def test_every_command_refuses_a_foreign_view(filled: Archive, warpvox: Callable, tmp_path: Path) -> None:
+    filled.close()
+    folder = tmp_path / "run"
+    folder.mkdir()
+    db = sqlite3.connect(filled.path)
+    db.executescript(FOREIGN["another view"])
+    db.close()
+    filled.path.rename(folder / "archive.sqlite")
+    (folder / "config.yaml").write_text(f"command: codesign\ntask: Walker-v0\n{END}")
+    for words in (
+        ["play", f"run={folder}"],
+        ["evaluate", f"runs=[{folder}]"],
+        ["codesign", f"report={folder}"],
+        ["codesign", f"report=[{folder}]"],
+        ["codesign", f"resume={folder}"],
+        ["zoo", f"add={folder}"],
+        ["train", f"design={folder}"],
+        ["train", f"designs={folder}"],
+    ):
+        done = warpvox(*words, code=None)
+        assert "table or view" in " ".join((done.out + done.err).split()), words
+
+
+def test_an_interrupt_ends_a_query(filled: Archive) -> None:
+    code = f"""
+import signal, sqlite3, threading
+from pathlib import Path
+from warpvox.algos.codesign.archive import Archive
+path = Path({str(filled.path)!r})
+with Archive.read(path) as archive:
+    archive.generations()
+    other = sqlite3.connect(path)
+    other.executescript({FOREIGN["another view"]!r})
+    other.close()
+    threading.Timer(0.5, signal.raise_signal, [signal.SIGINT]).start()
+    archive.generations()
+"""
+    filled.close()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stderr.strip().endswith("KeyboardInterrupt"), done.stderr

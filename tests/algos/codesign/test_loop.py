@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from codesign_toys import GENERATIONS, POPULATION, SEED, ToyEvaluator, ToySearch, make_loop
 
 from warpvox.algos.candidate import Candidate, Listener, Outcome, Parent
@@ -199,6 +200,47 @@ def test_wrong_answers_of_search_and_evaluator_are_refused(tmp_path: Path) -> No
     ):
         with pytest.raises(RunError, match=phrase):
             make_loop(tmp_path / name, **change).run()
+
+
+@pytest.mark.parametrize(
+    ("given", "phrase"),
+    [
+        (lambda count: (Outcome(1.0) for _ in range(count)), "list of outcomes"),
+        (lambda count: None, "list of outcomes"),
+        (lambda count: [1.0] * count, "list of outcomes"),
+        (lambda count: [Outcome("1")] * count, "a fitness"),
+        (lambda count: [Outcome(None)] * count, "a fitness"),
+        (lambda count: [Outcome(math.nan)] * count, "a fitness"),
+        (lambda count: [Outcome(math.inf)] * count, "a fitness"),
+        (lambda count: [Outcome(1.0, steps=10**30)] * count, "steps"),
+        (lambda count: [Outcome(1.0, steps=-5)] * count, "steps"),
+        (lambda count: [Outcome(1.0, steps=None)] * count, "steps"),
+        (lambda count: [Outcome(1.0, curve=None)] * count, "a curve"),
+        (lambda count: [Outcome(1.0, curve=[(1, 2, 3)])] * count, "a point of its curve"),
+        (lambda count: [Outcome(1.0, curve=[("a", 1.0)])] * count, "a point of its curve"),
+        (lambda count: [Outcome(1.0, curve=[(1, math.nan)])] * count, "a point of its curve"),
+        (lambda count: [Outcome(1.0, policy=[1])] * count, "a policy"),
+    ],
+)
+def test_outcomes_that_cannot_be_stored_are_refused(tmp_path: Path, given: Any, phrase: str) -> None:
+    class Wrong(ToyEvaluator):
+        def evaluate(self, candidates: Sequence[Candidate], *_: Any) -> Any:
+            return given(len(candidates))
+
+    with pytest.raises(RunError, match=phrase):
+        make_loop(tmp_path, executor=LocalExecutor(Wrong())).run()
+
+
+def test_numbers_of_numpy_and_torch_are_numbers(tmp_path: Path) -> None:
+    class Numbers(ToyEvaluator):
+        def evaluate(self, candidates: Sequence[Candidate], *_: Any) -> Any:
+            curve = [(np.int64(3), torch.tensor(0.25))]
+            return tuple(Outcome(np.float32(0.5), curve, np.int64(3), stopped=np.True_) for _ in candidates)
+
+    loop = make_loop(tmp_path, executor=LocalExecutor(Numbers()))
+    loop.run()
+    found = loop.archive.records()[0]
+    assert (found.fitness, found.curve, found.steps, found.stopped) == (0.5, [(3, 0.25)], 3, True)
 
 
 def test_the_listener_hears_of_everything_once(tmp_path: Path) -> None:
