@@ -170,7 +170,7 @@ def design_episodes(
     fast = {} if options.get("sim") else {"arithmetic": "fast"}  # exact arithmetic cannot exchange bodies
     settings: dict[str, Any] = {"obs": "voxel"} | fast | options
     largest = np.full(shape, wv.Cell.H_ACT, np.int8)
-    env = wv.make_vec(task, [largest], num_envs, auto_reset=False, seed=seed, grid=tuple(shape), **settings)
+    env = wv.make_vec(task, [largest], num_envs, auto_reset=False, seed=seed, grid=(shape[0], shape[1]), **settings)
     if len(env.spec.robots) > 1:
         raise wv.ConfigError(f"Bodies are designed in tasks of one robot; {env.spec.id} has several.")
     layout = DesignLayout(*shape, env.num_obs, env.num_actions, revise, actions)

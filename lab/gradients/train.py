@@ -47,7 +47,7 @@ def train(given: argparse.Namespace) -> list[float]:
     """Train; the best policy is in ``given.out`` afterwards. Returns the mean return of each evaluation."""
     torch.manual_seed(given.seed)
     rng = np.random.default_rng(given.seed)
-    shape = tuple(given.shape)
+    shape: tuple[int, int] = (given.shape[0], given.shape[1])
 
     # Bodies, environments, policy
     if given.designs:
