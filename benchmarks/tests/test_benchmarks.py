@@ -138,7 +138,7 @@ def test_learning_ends_with_its_time(run: Callable) -> None:
 def test_learning_ends_with_its_goal(run: Callable) -> None:
     _, tables, rows = run("learning", "--ppo", "parallel", "--seeds", "1", "--goal", "-100")
     assert "1 of 1" in tables
-    assert rows["ppo=parallel, seed 0"][1] == 10 * 512 * 24
+    assert rows["ppo=parallel, seed 0"][1] == 10 * 512 * 16
 
 
 def test_gpu_goes_on_after_a_failure(run: Callable) -> None:
