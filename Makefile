@@ -7,9 +7,10 @@
 #   make packaging   install the wheel into clean environments of all Pythons that are found
 #   make lowest      run the tests with the oldest versions that pyproject.toml allows
 #   make slow        run the tests that take long
-#   make lab         run the tests of the research that is built on warpvox: lab/
 #   make coverage    run the default tests and say which lines they reach: build/report/coverage/index.html
+#   make lab         run the tests of what is built on warpvox by its public names: lab/ and benchmarks/
 #   make bench       measure beside EvoGym and compare with the figures of the documentation
+#   make reference   make a Python with EvoGym 2.0.0 in build/reference (needs python3.10)
 #   make audit       ask the advisory database about the pinned versions (pip-audit)
 #   make lock        make constraints.txt and locks/ anew (UPGRADE=1: with the newest versions)
 #   make ptxas       fetch NVIDIA's assembler into build/ptxas, for tests of CUDA kernels (Linux, x86-64; 52 MB)
@@ -40,16 +41,17 @@ UV := $(TOOLS)/bin/uv
 PTXAS := $(if $(filter Linux-x86_64,$(shell uname -s)-$(shell uname -m)),build/ptxas/.installed)
 TOOL := $(UV) tool run --python $(TOOLS)/bin/python
 REPORT := build/report
+REFERENCE := build/reference/bin/python
 COVERAGE := build/coverage
 COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10 --universal \
   --no-annotate --custom-compile-command "make lock" pyproject.toml
 HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test ptxas fast slow lab parity coverage bench lint types format licences packaging lowest audit lock release docs tables charts notebooks pictures results zoo_picture clean distclean
+.PHONY: help install demo test ptxas fast slow parity coverage lab bench reference lint types format licences packaging lowest audit lock release docs tables charts notebooks pictures results zoo_picture clean distclean
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n '2,23s/^# *//p' Makefile
+	@sed -n '2,24s/^# *//p' Makefile
 
 install: $(STAMP)
 
@@ -80,12 +82,12 @@ fast: $(STAMP)
 parity: $(STAMP)
 	$(PYTEST) -m parity
 
+# Not in the wheel, and by public names only (tests/test_architecture.py).
+lab: $(STAMP)
+	$(PYTEST) lab benchmarks
+
 slow: $(STAMP) $(PTXAS)
 	$(PYTEST) -m "slow and not gpu and not packaging"
-
-# What is built on the package and lies beside it.
-lab: $(STAMP)
-	$(PYTEST) lab
 
 # Beside .venv, whose lock is that of the tests. What Warp compiles is not Python's to run: pyproject.toml leaves it out.
 coverage: $(STAMP) $(COVERAGE)/.installed
@@ -97,11 +99,19 @@ $(COVERAGE)/.installed: | $(STAMP)
 	@touch $@
 
 # Ratios are compared, not rates: machines differ, and so does one machine from minute to minute.
-bench: $(STAMP)
-	$(BIN)/warpvox bench suite=peer peer=make output_dir=$(REPORT)
-	$(BIN)/warpvox bench suite=tasks output_dir=$(REPORT)
-	$(BIN)/warpvox bench suite=learning threads=2 output_dir=$(REPORT)
+bench: $(STAMP) $(REFERENCE)
+	$(BIN)/python benchmarks/peer.py
+	$(BIN)/python benchmarks/tasks.py
+	$(BIN)/python benchmarks/learning.py --threads 2
 	$(BIN)/python docs/compare_figures.py $(REPORT)
+
+# Where tests and benchmarks look for EvoGym; its release was built against NumPy 1.
+reference: $(REFERENCE)
+
+$(REFERENCE):
+	rm -rf build/reference
+	python3.10 -m venv build/reference
+	$@ -m pip install --quiet --disable-pip-version-check evogym==2.0.0 'numpy<2' || { rm -rf build/reference; exit 1; }
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

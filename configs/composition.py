@@ -17,7 +17,6 @@ from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from warpvox.algos.settings import DesignTraining
 from warpvox.configs.schema import PRESET, PRESET_OF, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean, listing
 
@@ -100,13 +99,6 @@ def register(command: str) -> None:
 def shape_of(task: str) -> list[int]:
     """Rows and columns of the bodies that a search on a task proposes: ``${paper_shape:${task}}`` in YAML files."""
     return list(SHAPES.get(task, SHAPE))
-
-
-def training_preset(name: str, ppo: dict[str, Any] | None = None, **changes: Any) -> DesignTraining:
-    """The settings ``training=<name>`` of a design search, with other ``training.*`` and ``training.ppo.*``."""
-    with hydras_errors():
-        preset = composed("codesign", [f"training={quoted(name)}"]).training
-        return cast(Any, OmegaConf.to_object)(OmegaConf.merge(preset, {**changes, "ppo": ppo or {}}))
 
 
 def settings_named(command: str, **names: str) -> dict[str, Any]:

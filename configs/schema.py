@@ -19,7 +19,6 @@ COMMANDS = {
     "export": "show",
     "codesign": "codesign",
     "suite": "codesign",
-    "bench": "bench",
     "curves": "show",
     "evaluate": "show",
     "design": "tools",

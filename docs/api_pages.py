@@ -71,6 +71,14 @@ def public_modules() -> dict[str, tuple[str, ...]]:
     return found
 
 
+def documented_names() -> set[str]:
+    """All names of these pages by their modules, ``warpvox.world.World``, and public ones also as ``warpvox.World``."""
+    names = {f"warpvox.{name}" for beside in BESIDE.values() for name in beside}
+    for module, public in public_modules().items():
+        names |= {f"warpvox.{name}" for name in public} | {f"warpvox.{module}.{name}" for name in public}
+    return names
+
+
 @cache
 def pages() -> dict[str, str]:
     """Place in the site -> Markdown."""

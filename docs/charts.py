@@ -84,9 +84,7 @@ def charts(page: str) -> dict[str, str]:
     ratios = sorted(((row["task"], number(row["ratio"])) for row in table("tasks")), key=lambda pair: -pair[1])
     bodies = [(number(row["voxels"]), row) for row in table("scaling")]
     batch = [(number(row["environments"]), row) for row in table("scaling", 1)]
-    shares = [row for row in table("kernels") if row["share"]]
-    stages = [(row["stage"].partition(":")[0], number(row["time"]), row["share"]) for row in shares]
-    rates = ("step only", "with inference", "with training")
+    rates = ("step only", "with training")
     return {
         "speed_tasks.svg": bars("Times EvoGym's speed, one core", [(n, v, f"{v:.0f}") for n, v in ratios]),
         "speed_bodies.svg": lines(
@@ -103,7 +101,6 @@ def charts(page: str) -> dict[str, str]:
             "environments",
             {name: [(x, number(row[name])) for x, row in batch] for name in rates},
         ),
-        "speed_stages.svg": bars("Where a control step's time goes, Walker-v0", stages),
     }
 
 

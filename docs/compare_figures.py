@@ -1,4 +1,4 @@
-"""Compares tables of ``warpvox bench`` with those of ``docs/figures.md``: ``python docs/compare_figures.py FOLDER``.
+"""Compares tables of ``benchmarks/`` with those of ``docs/figures.md``: ``python docs/compare_figures.py FOLDER``.
 
 Not part of the library; ``make bench`` runs it. Exit code 1 if a ratio to EvoGym has fallen by more than a third, or a
 walker needs more than half as many control steps again to learn.

@@ -22,7 +22,7 @@ settings.load_profile("repeatable")
 
 FIRST = (
     # While one process compiles kernels, the other one runs what needs none.
-    *("test_gpu_check", "test_config", "test_suites", "test_protocol"),
+    *("test_config", "test_device", "test_protocol"),
     # Those that take longest, so that no process waits for another at the end.
     *("test_ray_executor", "test_faults", "test_recordings", "test_cuda_build", "test_pages"),
     *("test_population_evaluator", "test_evaluations", "test_codesign", "test_trust", "test_commands"),
@@ -112,8 +112,6 @@ def warpvox(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.Captu
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")
-    # a reference that someone has made on this machine is none of the tests' business
-    monkeypatch.setattr("warpvox.bench.reference.reference_folder", lambda: tmp_path / "no_reference")
     threads = torch.get_num_threads()
 
     def call(*words: str, code: int | None = 0, fails: str | tuple[str, ...] | None = None) -> Outcome:

@@ -6,10 +6,14 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
+import api_pages
+
 ROOT = Path(__file__).resolve().parents[1]
 LINKED = ("kernels", "envs", "algos", "configs")
 
 CORE = ("errors", "system", "types", "examples", "io", "design", "world", "contact_order", "compile")
+REGISTERING = {"warpvox.envs", "warpvox.evogym.envs"}
+"""Modules that are imported to register environments (docs/libraries.md, docs/evogym.md)."""
 HEAVY = {"torch", "warp", "hydra", "omegaconf", "rsl_rl", "gymnasium", "matplotlib", "pxr"}
 
 
@@ -21,7 +25,8 @@ def module_name(path: Path) -> str:
 
 
 SOURCES = {module_name(path): path for folder in ("warpvox", *LINKED) for path in sorted((ROOT / folder).rglob("*.py"))}
-ALL_FILES = [*SOURCES.values(), *sorted((ROOT / "tests").rglob("*.py"))]
+BESIDE = [path for folder in ("lab", "benchmarks") for path in sorted((ROOT / folder).rglob("*.py"))]
+ALL_FILES = [*SOURCES.values(), *BESIDE, *sorted((ROOT / "tests").rglob("*.py"))]
 
 
 def drawn_layers() -> list[list[str]]:
@@ -107,6 +112,25 @@ def test_linked_folders_are_imported_by_their_full_name() -> None:
         if target.split(".")[0] in LINKED
     ]
     assert not wrong, "\n".join(wrong)
+
+
+def test_what_lies_beside_the_house_uses_its_public_names_only() -> None:
+    """Those of ``warpvox/__init__.pyi``, of the pages of the Python interface, and the drop-in."""
+    documented = api_pages.documented_names() | REGISTERING | {"warpvox", "warpvox.__version__"}
+    wrong = []
+    for path in BESIDE:
+        for node in ast.walk(parse(path)):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.module != "warpvox.evogym":
+                names = [f"{node.module}.{alias.name}" for alias in node.names]
+            elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "wv":
+                names = [f"warpvox.{node.attr}"]
+            for name in names:
+                if name.split(".")[0] == "warpvox" and name not in documented:
+                    wrong.append(f"{place(path, node.lineno)} uses {name}")
+    assert not wrong, "\n".join([*wrong, "what is missing is an extension point: document it (docs/api_pages.py)"])
 
 
 def users(library: set[str], modules: Iterable[str], **options: bool) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
@@ -37,6 +37,7 @@ def train(
     *,
     folder: str | Path | None = "auto",
     progress: bool = True,
+    listeners: Sequence[Callable[[Mapping[str, float]], object]] = (),
     resume: str | Path | None = None,
     sim: SimOptions | None = None,
     **settings: Any,
@@ -52,6 +53,8 @@ def train(
         design: a body: an array, a name, a file, or ``{robot: body}``; many bodies for one policy are ``designs``.
         folder: of the run; ``auto``: a new one in ``output_dir``; None: nothing is written.
         progress: show messages and a live line.
+        listeners: functions that are called after each iteration with its row of ``metrics.csv``; what one raises ends
+            the training.
         resume: a run to go on with: ``latest``, its folder, a checkpoint in it; settings are what changes.
         sim: how environments are computed; also by name, ``device="cpu"``, which goes before what ``sim`` says.
         settings: fields of :class:`warpvox.Training`; ``ppo`` may be the name of a set, ``ppo="evogym"``, of which a
@@ -108,8 +111,9 @@ def train(
         check_services(config, source.config, given)
         config = with_code(config, typed(config, given), source.config, source.folder)
     job = Job(config, named, source)
-    write, place = place is not None, None if str(place) == "auto" else place
-    job.train(listener() if progress else Listener(), write=write, place=place)
+    write = place is not None
+    place = None if str(place) == "auto" else place
+    job.train(listener() if progress else Listener(), listeners, write=write, place=place)
     return TrainedRun.of(job)
 
 

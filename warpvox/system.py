@@ -124,11 +124,6 @@ def unquoted(argument: str) -> str:
     return argument[1:-1] if WINDOWS and len(argument) > 1 and argument[0] == argument[-1] == "'" else argument
 
 
-def python_of(environment: Path) -> Path:
-    """The interpreter of a virtual environment."""
-    return environment / ("Scripts/python.exe" if WINDOWS else "bin/python")
-
-
 def usable_cores() -> int:
     """Cores that this process may use: its affinity's, but no more than its control groups (containers) allow for."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
@@ -105,10 +105,18 @@ class Job:
         """Raise an error where a name in the settings stands for nothing."""
         resolved(self.settings)
 
-    def train(self, listener: Listener, *, write: bool = True, place: Path | None = None) -> None:
+    def train(
+        self,
+        listener: Listener,
+        others: Sequence[Callable[[Mapping[str, float]], object]] = (),
+        *,
+        write: bool = True,
+        place: Path | None = None,
+    ) -> None:
         """Make the run. Nothing is written before everything has been checked.
 
         Args:
+            others: functions that are called with the row of each iteration, after ``listener``.
             write: whether there is a folder.
             place: of a new run; None: it lies in ``output_dir`` and is named by the time.
 
@@ -123,7 +131,7 @@ class Job:
         if not write and self.judge is not None:
             self.runner.evaluator = partial(self._keep_best, self.judge)
         with self._folder(place, listener) if write else nullcontext():
-            self._learn(listener)
+            self._learn(listener, others)
 
     def _prepare(self, listener: Listener) -> None:
         with listener.console.status("loading"):
@@ -209,7 +217,7 @@ class Job:
                 keep_code(settings, folder, listener.console)
             yield
 
-    def _learn(self, listener: Listener) -> None:
+    def _learn(self, listener: Listener, others: Sequence[Callable[[Mapping[str, float]], object]]) -> None:
         """Learn, and sum up however it ends."""
         runner, began, before, status = self.runner, time.perf_counter(), self.runner.steps, "failed"
 
@@ -224,6 +232,8 @@ class Job:
             if tracker is not None:
                 tracker.log(tagged(row) | runner.logger.means, int(row["iteration"]))
             listener(row)
+            for other in others:
+                other(row)
 
         runner.report, count = report, runner.env.num_envs
         fewer = f"(num_envs={max(1, count // 2)} instead of {count})"

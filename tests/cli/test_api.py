@@ -52,6 +52,20 @@ def test_it_trains_as_the_command_does(train: Callable[..., Path], capfd: pytest
     assert (resumed.folder, resumed.summary["iterations"]) == (run.folder, 3)
 
 
+def test_listeners_hear_of_every_iteration_and_may_end_the_training() -> None:
+    rows: list = []
+    run = wv.train(**KEYS, ppo=PPO, folder=None, progress=False, listeners=[rows.append, lambda row: None])
+    assert rows == list(run.rows)
+
+    def stop(row: dict) -> None:
+        raise LookupError("enough")
+
+    rows.clear()
+    with pytest.raises(LookupError, match="enough"):
+        wv.train(**KEYS, ppo=PPO, folder=None, progress=False, listeners=[rows.append, stop])
+    assert [row["iteration"] for row in rows] == [1]
+
+
 @pytest.mark.parametrize("in_use", [False, True])
 def test_random_numbers_of_gpus_are_as_before(in_use: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     states = []  # what GPUs are set to, the seed for that of one not in use

@@ -74,8 +74,6 @@ MISTAKES = {
     "export rollout=nothing.npz": "no such file",
     "export format=pdf": "usd, gif, mp4, html",
     "demo resume=latest": "There is no run in",
-    "bench num_envs=1 design=mini": "evogym==2.0.0",
-    "bench num_envs=1 design=mini peer=nowhere": "no file",
     "codesign search=gaa": "search must be one of",
     "codesign search=${seed}": "search must be one of",
     f"train pretrained={'x' * 300}": "x" * 80,  # too long for a name, by which Python 3.14 finds nothing

@@ -20,6 +20,7 @@ import pytest
 import torch
 import warp as wp
 from learning import stock_ppo
+from population_cases import training_preset
 from simulated_cuda import SimulatedCuda, Stream
 from tiny import tiny
 
@@ -32,7 +33,6 @@ from warpvox.algos.training.ppo import PPO
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.batch.options import SimOptions
 from warpvox.cli.config import load
-from warpvox.configs.composition import training_preset
 from warpvox.design import example_design
 from warpvox.devices import names
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv

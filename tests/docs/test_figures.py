@@ -19,7 +19,7 @@ def text_of(page: str) -> str:
 
 
 def tables(suite: str) -> str:
-    """The tables that ``warpvox bench`` has put into the page of figures."""
+    """The tables of a benchmark in the page of figures."""
     return text_of("docs/figures.md").split(f"<!-- bench {suite} -->")[1].split("<!-- end -->")[0]
 
 
@@ -27,6 +27,12 @@ def cells(text: str, first: str) -> list[str]:
     """Cells of the row that begins with ``first``, without the ranges in brackets."""
     (line,) = re.findall(rf"^\| {re.escape(first)} \| (.+) \|$", text, re.MULTILINE)
     return [re.sub(r" \(.*", "", cell) for cell in line.split(" | ")]
+
+
+def row_of(benchmark: str, first: str) -> dict[str, str]:
+    """The first row of a benchmark's tables that begins with ``first``, by its columns."""
+    rows = [row for table in compare_figures.tables(tables(benchmark)) for row in table]
+    return next(row for row in rows if next(iter(row.values())) == first)
 
 
 def phrases() -> Iterator[tuple[str, str]]:
@@ -53,13 +59,14 @@ def phrases() -> Iterator[tuple[str, str]]:
     )
     rate = cells(tables("peer"), "warpvox, one gymnasium environment")[0]
     yield "docs/performance.md", f"{rate} control steps a second ({float(single):.0f} times EvoGym's)"
-    share, seconds = re.search(r"step at (\d+)% of the speed .* built in (\S+) s;", tables("mixed")).groups()
+    share, seconds = re.search(r"step at (\d+)% of the speed .* built in (\S+) s;", tables("scaling")).groups()
     for page in ("README.md", "docs/performance.md"):
         yield page, f"built in {seconds} s and runs at {share} % of the speed of 512 copies"
-    _, seconds, _, _, steps, _ = cells(tables("learning"), "ppo=parallel, 512 environments")
+    learned = row_of("learning", "ppo=parallel, 512 environments")
+    seconds, steps = learned["seconds"], learned["control steps"]
     for page in ("README.md", "docs/performance.md"):
         yield page, f"a return of 10 after {steps} control steps, in {float(seconds):.0f} s on two cores"
-    largest = int(cells(tables("gpu").partition("with training")[0], "65,536")[1].replace(",", ""))
+    largest = int(row_of("gpu", "65,536")["step only"].replace(",", ""))
     evogym = int(cells(tables("peer"), "evogym 2.0.0, Python 3.10.13")[0])
     for page in ("README.md", "docs/performance.md", "CHANGELOG.md"):
         yield page, f"{largest / 1e6:.1f} million control steps a second"
@@ -105,8 +112,8 @@ def test_the_table_of_readme_is_a_part_of_the_tables() -> None:
     assert len(rows) > 3
     *batches, (task, *single) = rows
     for name, *shown in batches:
-        ours, *_, reference, ratio = cells(tables("tasks"), name)
-        assert shown == [ours, reference, f"{float(ratio):.0f}"]
+        row = row_of("tasks", name)
+        assert shown == [row["step only"], row["reference"], f"{float(row['ratio']):.0f}"]
     ours, *_, ratio = cells(tables("peer"), "warpvox, one gymnasium environment")
     reference, *_ = cells(tables("peer"), "evogym 2.0.0, Python 3.10.13")
     assert (task, *single) == ("Walker-v0", ours, reference, f"{float(ratio):.0f}")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 LINKED = ("kernels", "envs", "algos", "configs")
 """Top-level folders that are subpackages of warpvox, by links in its folder."""
-FOLDERS = ("warpvox", *LINKED, "lab", "tests")
+FOLDERS = ("warpvox", *LINKED, "benchmarks", "lab", "tests")
 
 
 def copy_sources(repository: Path, place: Path) -> Path:

@@ -1,6 +1,7 @@
 """What the tests of evaluations share: settings that are quick, bodies and an environment factory."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -8,11 +9,17 @@ from warpvox.algos.candidate import Candidate
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.settings import DesignTraining
 from warpvox.batch.options import SimOptions
-from warpvox.configs.composition import training_preset
+from warpvox.configs.composition import settings_named
 from warpvox.design import sample_design
 from warpvox.envs.registry import get_task
 
 LIMIT = 16  # control steps of an episode
+
+
+def training_preset(name: str, ppo: dict[str, Any] | None = None, **changes: Any) -> DesignTraining:
+    """The settings ``training=<name>`` of a design search, with other ``training.ppo.*`` and ``training.*``."""
+    preset = settings_named("codesign", training=name).get("training", DesignTraining())
+    return replace(preset, ppo=replace(preset.ppo, **(ppo or {})), **changes)
 
 
 def small(preset: str = "fast", **changes: object) -> DesignTraining:

@@ -35,12 +35,11 @@ COMMANDS = {
     "curves": "draw the learning curves of runs as one picture",
     "design": "paint a body or a world in the browser, save it, try it out",
     "demo": "train a walker in a minute or two and export it: warpvox train preset=demo",
-    "bench": "measure speed, beside the reference",
     "zoo": "list the trained robots that come with warpvox, show one, add some",
     "tasks": "list the tasks, or show one in detail",
     "info": "versions, devices, kernel cache",
 }
-WORKING = ("train", "codesign", "suite", "play", "export", "demo", "bench")
+WORKING = ("train", "codesign", "suite", "play", "export", "demo")
 """Commands that make files: they continue when the reader of their output has gone, and say so."""
 DONE, BAD_INPUT, INTERRUPTED, SIGNALLED = 0, 2, 130, 128
 

@@ -9,10 +9,11 @@ from warpvox.algos.report.learning_curves import Group
 from warpvox.algos.report.members import SHOWN, differing, telling
 from warpvox.cli.config import load
 from warpvox.cli.help import as_typed, flat_values
-from warpvox.configs.bench import PPO
 from warpvox.design import example_design, example_designs
 from warpvox.runs import Run
 
+PPO = ("parallel", "evogym")
+"""Sets of settings: names of configs/ppo."""
 NOT_SETTINGS = (
     "seed", "name", "output_dir", "resume", "config", "export", "threads", "torch_threads", "lanes", "save_interval",
     "nan_guard", "logger", "memory_check", "preset",

@@ -9,14 +9,13 @@ from typing import Any
 import pytest
 import torch
 from codesign_toys import Killed
-from population_cases import candidates, factory, small
+from population_cases import candidates, factory, small, training_preset
 
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.checkpoints.files import Controller, PolicySpec, build_actor
 from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
 from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
 from warpvox.algos.evaluate import evaluate
-from warpvox.configs.composition import training_preset
 from warpvox.errors import RunError
 from warpvox.keys import MISSING
 

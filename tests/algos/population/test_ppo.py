@@ -2,12 +2,11 @@
 
 import pytest
 import torch
-from population_cases import bodies, factory
+from population_cases import bodies, factory, training_preset
 
 from warpvox.algos.population.training import PopulationTraining
 from warpvox.algos.settings import DesignTraining
 from warpvox.algos.training.runner import Runner, Schedule, adapt
-from warpvox.configs.composition import training_preset
 
 SEEDS = [11, 22, 33, 44]
 UPDATES = 5

@@ -1,0 +1,127 @@
+"""Checks and measures a CUDA device in one call, within a time.
+
+    python benchmarks/gpu.py
+
+A GPU is often lent for minutes, and a call may be cut off. So what matters most comes first: whether results are right,
+then figures, then what takes long. Each row is saved when it is there; a part that fails is written down and the others
+go on; what the time does not suffice for is left out, and said. With `--device cpu` the same program runs in a small
+size.
+"""
+
+import argparse
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+
+import torch
+from common import ROOT, Batch, Report, options, training_rates
+from learning import learn
+from scaling import mix_bodies, scale_bodies, scale_envs
+from tasks import measure_tasks
+
+import warpvox as wv
+
+FIRST_CHECKS = "tests/envs/test_device.py", "tests/kernels/test_sanitizer.py"
+LARGE = {
+    "envs": [16384, 65536, 4096, 1024, 256, 64],
+    "num_envs": 1024,
+    "sizes": [5, 15, 25, 35],
+    "designs": 25,
+    "training": wv.DesignTraining(envs=512, iterations=20, eval_interval=20, ppo=wv.Ppo(steps=16)),
+}
+SMALL = {
+    "envs": [8, 1],
+    "num_envs": 8,
+    "sizes": [3],
+    "designs": 2,
+    "training": wv.DesignTraining(envs=8, iterations=1, eval_interval=1, ppo=wv.Ppo(steps=16)),
+}
+"""How much is done on CUDA, and on the CPU: environments, sides of bodies, designs that are trained side by side."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Returns the exit code: 1 if a part has failed."""
+    parser = options(__doc__)
+    parser.set_defaults(device="cuda", reference="")
+    parser.add_argument("--tasks", nargs="*", default=wv.task_ids(), metavar="TASK", help="task ids")
+    parser.add_argument("--goal", type=float, default=10.0, help="return that learning is to reach")
+    parser.add_argument("--seconds", type=float, default=400.0, help="no row begins after so many")
+    parser.add_argument("--parts", nargs="*", metavar="PART", help="parts to do; by default all")
+    args = parser.parse_args(argv)
+    size = SMALL if args.device == "cpu" else LARGE
+    args = argparse.Namespace(**vars(args) | size, bodies=1, simulated=0.4)
+    many = argparse.Namespace(**vars(args) | {"num_envs": size["envs"][0], "no_training": True})
+    report = Report("gpu", args)
+    report.end = time.perf_counter() + args.seconds
+
+    parts: dict[str, Callable[[], object]] = {
+        "checks": lambda: check(args, report, FIRST_CHECKS),
+        "environments": lambda: scale_envs(args, report),
+        "profile": lambda: profile(args, report),
+        "designs": lambda: train_designs(args, report),
+        "learning": lambda: learn(args, report, "parallel", args.seed, seconds=60.0),
+        "different bodies": lambda: mix_bodies(args, report),
+        "tasks": lambda: measure_tasks(many, report),
+        "large bodies": lambda: scale_bodies(args, report),
+        "all checks": lambda: check(args, report, ["tests", *(f"--ignore={path}" for path in FIRST_CHECKS)]),
+    }
+    if args.device == "cpu":
+        del parts["all checks"]  # those need a GPU
+    failed = []
+    for name in report.in_time(args.parts or parts):
+        print(f"\n{name} ({report.end - time.perf_counter():.0f} s left)", flush=True)
+        try:
+            parts[name]()
+        except Exception as error:  # whatever it is, the other parts are worth having
+            failed.append(name)
+            traceback.print_exc()
+            report.note(f"FAILED, {name}: {type(error).__name__}: {error}")
+    if report.left_out:
+        report.note(f"Left out, for the {args.seconds:g} s were over: {', '.join(report.left_out)}.")
+    return bool(failed)
+
+
+def check(args: argparse.Namespace, report: Report, tests: Sequence[str]) -> None:
+    """Run the tests marked `gpu` of these files (without a GPU those that need none); output goes into a file."""
+    where = report.folder / f"{'all_' if 'tests' in tests else ''}checks.txt"
+    marked = "not gpu and not slow and not packaging" if args.device == "cpu" else "gpu"
+    command = [sys.executable, "-m", "pytest", "-v", "-m", marked, "-p", "no:cacheprovider", "-n", "4", *tests]
+    with where.open("w", encoding="utf-8") as file:
+        limit = max(1.0, report.end - time.perf_counter())
+        done = subprocess.run(command, cwd=ROOT, stdout=file, stderr=subprocess.STDOUT, timeout=limit)
+    last = where.read_text(encoding="utf-8").strip().splitlines()[-1].strip("= ")
+    assert done.returncode == 0, f"{last}; see {where}"
+    report.note(f"Tests of {', '.join(tests)}: {last}.")
+
+
+def profile(args: argparse.Namespace, report: Report) -> None:
+    """A training under torch's profiler: `profile.txt`."""
+    batch = Batch(args, [wv.load_design(args.design)])
+    with torch.profiler.profile() as found:
+        training_rates(args, batch)
+    order = "self_cpu_time_total" if args.device == "cpu" else "self_device_time_total"
+    table = found.key_averages().table(sort_by=order, row_limit=40, max_name_column_width=80)
+    (report.folder / "profile.txt").write_text(table)
+
+
+def train_designs(args: argparse.Namespace, report: Report) -> None:
+    """Control steps per second of designs that are trained side by side, from the beginning of a search to its end."""
+    search = wv.RandomDesigns(population=args.designs, max_evaluations=args.designs)
+    began = time.perf_counter()
+    found = wv.codesign(
+        args.task, search=search, training=args.training, device=args.device, folder=None, progress=False
+    )
+    seconds = time.perf_counter() - began
+    steps = args.designs * args.training.envs * args.training.ppo.steps * args.training.iterations
+    assert len(found.designs) == args.designs, "a design has no result"
+    report.row("designs", args.designs, args.training.envs, steps / seconds)
+    report.note(
+        f"{args.designs} designs of {args.training.envs} environments side by side: {steps / seconds:,.0f} steps/s with"
+        f" training, {args.training.iterations} iterations, preparation and evaluation included."
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
