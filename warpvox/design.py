@@ -13,10 +13,21 @@ from typing import TypeAlias
 
 import numpy as np
 
-from warpvox.checks import check_shape
-from warpvox.errors import DesignError, did_you_mean, listing
+from warpvox.checks import check_shape, design_of
+from warpvox.errors import DesignError, RunError, did_you_mean, listing
 from warpvox.examples import EXAMPLES
-from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json, read_npy, read_text
+from warpvox.io.reading import (
+    CONFIG,
+    SUMMARY,
+    ArrayFile,
+    Missing,
+    Unreadable,
+    parse_json,
+    read_config,
+    read_facts,
+    read_npy,
+    read_text,
+)
 from warpvox.io.writing import atomic_path, write_text
 from warpvox.types import Cell
 from warpvox.view.palette import CELL_NAMES
@@ -87,6 +98,7 @@ def as_grid(
     Args:
         limit: cells at most.
     """
+    cells = design_of(cells)
     if isinstance(cells, list | tuple):
         _check_rows(cells, what, error)
     try:
@@ -273,14 +285,17 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
     """Return the valid body that ``spec`` stands for.
 
     ``spec`` is one of: the name of an example (``walker``); ``random`` or ``random:ROWSxCOLUMNS`` (drawn with
-    ``seed``); ``zoo:TASK``, the body of a stored robot; a path ending in .json, .npz or .npy; the text of a nested
-    list (``[[3,3],[4,4]]``); a nested list or an array.
+    ``seed``); ``zoo:TASK``, the body of a stored robot; a path ending in .json, .npz or .npy; the folder of a run or of
+    a design search (its best body), or a checkpoint in one; the text of a nested list (``[[3,3],[4,4]]``); a nested
+    list or an array; or what has a body as ``design``: a robot of :func:`warpvox.zoo`, a policy, a result of
+    :func:`warpvox.train` or :func:`warpvox.codesign` or one of its designs.
 
     Raises:
         DesignError: nothing of the kind, an unreadable file, or a body that is not valid.
     """
+    spec = design_of(spec)
     if isinstance(spec, os.PathLike):
-        return _read_file(Path(spec))
+        return _read_run(Path(spec)) if _is_run(Path(spec)) else _read_file(Path(spec))
     if not isinstance(spec, str):
         return check_design(spec)
     text = spec.strip()
@@ -294,10 +309,12 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
         return sample_design(_parse_size(text), seed)
     if text in EXAMPLES:
         return example_design(text)
+    if _is_run(Path(text)):
+        return _read_run(Path(text))
     raise DesignError(
         f"Unknown design '{_shorten(text)}'.{did_you_mean(text, [*EXAMPLES, 'random'])} Expected an example"
-        f" ({listing(EXAMPLES)}), random, random:5x7, zoo:TASK, a file ({', '.join(_FILE_SUFFIXES)}) or a nested list"
-        " such as [[3,3],[4,4]]."
+        f" ({listing(EXAMPLES)}), random, random:5x7, zoo:TASK, a file ({', '.join(_FILE_SUFFIXES)}), the folder of a"
+        " run or a nested list such as [[3,3],[4,4]]."
     )
 
 
@@ -306,8 +323,9 @@ def zoo_tasks() -> list[str]:
     return sorted(path.stem for path in ZOO_FOLDER.glob("[!.]*.npz"))
 
 
-def zoo_file(text: str, error: type[Exception]) -> Path:
+def zoo_file(name: str | os.PathLike[str], error: type[Exception]) -> Path:
     """The file of the zoo's robot for a task, or the ``.npz`` that is named; an ``error`` lists the tasks there are."""
+    text = os.fspath(name)
     if text.lower().endswith(".npz"):
         return Path(text).expanduser()
     known = zoo_tasks()
@@ -340,6 +358,37 @@ def save_design(path: str | os.PathLike[str], body: object) -> Path:
     else:
         raise DesignError(f"Cannot save a design as '{target.name}': use one of {', '.join(_FILE_SUFFIXES)}.")
     return target
+
+
+def _run_folder(path: Path) -> Path:
+    """The folder of a run that is named by itself or by a checkpoint in it."""
+    path = path.expanduser()
+    return path.parent if path.suffix == ".pt" else path
+
+
+def _is_run(path: Path) -> bool:
+    try:
+        return (_run_folder(path) / CONFIG).is_file()
+    except OSError:  # a text that is too long for the name of a file
+        return False
+
+
+def _read_run(path: Path) -> Design:
+    """The body of a training, or the best one of a design search."""
+    folder = _run_folder(path)
+    try:
+        config = read_config(folder)
+    except RunError as error:
+        raise DesignError(str(error)) from None
+    of_search = "search" in config
+    body = (read_facts(folder / SUMMARY) if of_search else config).get("design")
+    many = config.get("designs")
+    if isinstance(many, dict) and many.get("bodies") is not None:
+        raise DesignError(f"The run {path} has many bodies: give one of them.")
+    if not isinstance(body, list):
+        what = "has evaluated no design yet" if of_search else "says no single body"
+        raise DesignError(f"The run {path} {what}.")
+    return check_design(body)
 
 
 def _read_file(path: Path) -> Design:
