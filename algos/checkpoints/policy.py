@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from itertools import chain
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -24,10 +24,13 @@ from warpvox.algos.checkpoints.files import (
     spec_of,
     with_code,
 )
+from warpvox.checks import is_number
+from warpvox.design import Design, load_design
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
-from warpvox.errors import ConfigError, RunError, first_line
+from warpvox.errors import ConfigError, DesignError, RunError, first_line
 from warpvox.io.reading import Unreadable, parse_json
+from warpvox.robots.network import HIGH, LOW
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
 
 FORMAT, VERSION = "warpvox policy", 2
@@ -51,6 +54,8 @@ class Policy(nn.Module):
         metadata: for instance ``task``, ``rules``, ``obs`` and ``design`` of the run.
     """
 
+    __jit_unused_properties__: ClassVar = ["design"]  # which TorchScript would compile, too
+
     mean: torch.Tensor
     deviation: torch.Tensor
 
@@ -60,6 +65,9 @@ class Policy(nn.Module):
         self.num_obs, self.num_actions = spec.num_obs, spec.num_actions
         self.center, self.scale = ACTION_CENTER, float(spec.action_scale)
         self.low, self.high = ACTION_LOW, ACTION_HIGH
+        step = self.metadata.get("action_step")
+        self.step = float(step) if is_number(step) else 0.0
+        self.lowest, self.highest = LOW, HIGH
         self._build()
         self.eval().requires_grad_(False)
 
@@ -83,12 +91,31 @@ class Policy(nn.Module):
         return self.act(obs) if isinstance(obs, np.ndarray) else super().__call__(obs, *more)
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
-        """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""
-        return (self.center + self.scale * self.outputs(obs).float()).clamp(self.low, self.high)
+        """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32.
+
+        In float64 the policy of a stored robot gives float64: the very actions of the robot.
+        """
+        outputs = self.outputs(obs)
+        if self.step > 0.0 and outputs.dtype == torch.float64:
+            steps = torch.round((self.center + self.scale * outputs) / self.step)
+            return (steps * self.step).clamp(self.lowest, self.highest)
+        return (self.center + self.scale * outputs.float()).clamp(self.low, self.high)
 
     def outputs(self, obs: torch.Tensor) -> torch.Tensor:
         """The network's outputs ``[..., num_actions]`` for observations ``[..., num_obs]``."""
         return self.mlp((obs.to(self.mean.dtype) - self.mean) / (self.deviation + self.eps))
+
+    @property
+    def design(self) -> Design | dict[str, Design]:
+        """The body that it was trained for, or bodies by the names of robots. DesignError: none is known, or many."""
+        body = self.metadata.get("design")
+        if self.metadata.get("connections") is not None:
+            raise DesignError("This policy is for a robot that lacks connections, which a design has.")
+        if isinstance(body, Mapping):
+            return {str(name): load_design(cells) for name, cells in body.items()}
+        if body is None:
+            raise DesignError("This policy does not say which body it is for: give the body itself.")
+        return load_design(body)
 
     def in_float64(self) -> "Policy":
         """A copy whose network runs in float64, as runs are played: actions do not depend on what is in a batch.
