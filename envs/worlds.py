@@ -4,11 +4,11 @@ Cells are written ``.`` empty, ``R`` rigid, ``S`` soft, ``H`` and ``V`` actuator
 list of runs: ``"20. 10F"`` is twenty empty cells and ten fixed ones, a run of one cell needs no number.
 """
 
-import os
 import re
 from collections.abc import Sequence
 from itertools import zip_longest
 from math import inf
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -130,9 +130,9 @@ def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[De
     """
     if designs is None:
         designs = ["walker"]
-    designs = design_of(designs)
+    designs = str(designs) if isinstance(designs, Path) else design_of(designs)
     array = getattr(designs, "ndim", 1) in (0, 2) or (is_list(designs) and len(designs) and all(map(_is_row, designs)))
-    single = array or isinstance(designs, str | os.PathLike) or is_mapping(designs)
+    single = array or isinstance(designs, str) or is_mapping(designs)
     if not single and not is_list(designs):
         raise DesignError(f"designs must be a list of bodies, got {type(designs).__name__}.")
     bodies: list[object] = [designs] if single else [design_of(body) for body in designs]
