@@ -54,7 +54,7 @@ class Policy(nn.Module):
         metadata: for instance ``task``, ``rules``, ``obs`` and ``design`` of the run.
     """
 
-    __jit_unused_properties__: ClassVar = ["design"]  # which TorchScript would compile, too
+    __jit_ignored_attributes__: ClassVar = ["design"]  # which TorchScript would read and compile
 
     mean: torch.Tensor
     deviation: torch.Tensor
