@@ -28,7 +28,7 @@ from warpvox.checks import is_number
 from warpvox.design import Design, load_design
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
-from warpvox.errors import ConfigError, DesignError, RunError, first_line
+from warpvox.errors import ConfigError, RunError, first_line
 from warpvox.io.reading import Unreadable, parse_json
 from warpvox.robots.network import HIGH, LOW
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
@@ -54,7 +54,9 @@ class Policy(nn.Module):
         metadata: for instance ``task``, ``rules``, ``obs`` and ``design`` of the run.
     """
 
-    __jit_ignored_attributes__: ClassVar = ["design"]  # which TorchScript would read and compile
+    # TorchScript would compile the one, and read the other
+    __jit_unused_properties__: ClassVar = ["design"]
+    __jit_ignored_attributes__: ClassVar = ["design"]
 
     mean: torch.Tensor
     deviation: torch.Tensor
@@ -106,15 +108,16 @@ class Policy(nn.Module):
         return self.mlp((obs.to(self.mean.dtype) - self.mean) / (self.deviation + self.eps))
 
     @property
-    def design(self) -> Design | dict[str, Design]:
-        """The body that it was trained for, or bodies by the names of robots. DesignError: none is known, or many."""
+    def design(self) -> Design | dict[str, Design] | None:
+        """The body that it was trained for, or bodies by the names of robots; None: no single one is known.
+
+        It never raises, as TorchScript reads all properties.
+        """
         body = self.metadata.get("design")
-        if self.metadata.get("connections") is not None:
-            raise DesignError("This policy is for a robot that lacks connections, which a design has.")
+        if body is None or self.metadata.get("connections") is not None:
+            return None
         if isinstance(body, Mapping):
             return {str(name): load_design(cells) for name, cells in body.items()}
-        if body is None:
-            raise DesignError("This policy does not say which body it is for: give the body itself.")
         return load_design(body)
 
     def in_float64(self) -> "Policy":

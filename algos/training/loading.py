@@ -26,7 +26,7 @@ from warpvox.devices.names import resolve_device
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import ConfigError
+from warpvox.errors import ConfigError, DesignError
 from warpvox.robots.entry import Robot
 from warpvox.robots.replay import SEEDS, known_task, robot_env, torch_policy
 from warpvox.runs import CONFIG, Run, find_run, run_of_robot
@@ -139,7 +139,10 @@ class TrainedRun:
     @property
     def design(self) -> Design | dict[str, Design]:
         """The body, or bodies by the names of robots. DesignError: the policy is for many."""
-        return self.policy.design
+        body = self.policy.design
+        if body is None:
+            raise DesignError("This run does not say which body it is for: give the body itself.")
+        return body
 
     @property
     def policy_source(self) -> Path | Policy:
