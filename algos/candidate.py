@@ -26,6 +26,16 @@ Report = Callable[[dict[str, Any]], None] | None
 lists by candidate: ``best`` deterministic return so far (NaN: none yet), whether it is still in ``training``."""
 
 
+def best_so_far(curve: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
+    """The best return by each point (control steps, return) of a candidate's curve: it never falls."""
+    best = -math.inf
+    points = []
+    for steps, value in curve:
+        best = max(best, value)
+        points.append((steps, best))
+    return points
+
+
 def candidate_seed(seed: int, number: int) -> int:
     """The seed of the training of candidate ``number`` in an experiment with ``seed``.
 
@@ -61,7 +71,8 @@ class Outcome:
     """The result of a candidate's evaluation.
 
     ``fitness`` is the best deterministic return (paper section C.1), -inf if learning diverged before the first
-    evaluation; ``curve`` the evaluations behind it as (control steps, return); ``steps`` the control steps spent;
+    evaluation; ``curve`` the returns behind it as (control steps, return): of each evaluation of a training; with gaits
+    the best so far, also during a training that follows them; ``steps`` the control steps spent;
     ``policy`` the state of a stock rsl-rl actor, on the CPU; ``stopped``: training ended early, by successive halving
     or because learning diverged; ``spec``: what the policy is built by, see
     :func:`warpvox.algos.checkpoints.files.spec_dict`; None: by the settings of the training.

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.algos.candidate import Listener
+from warpvox.algos.codesign.archive import finalists_first
 from warpvox.algos.training.playing import load_result
 from warpvox.errors import RunError
 from warpvox.io.reading import parse_yaml
@@ -76,7 +77,11 @@ class TrackedSearch(Listener):
         if fresh:
             archive = self._results.archive
             rows = archive.generations()
-            figures = {"best": archive.best()[0].fitness, "mean": rows[generation]["mean"]}
+            figures = {"mean": rows[generation]["mean"]}
+            if archive.finalists() and finalists_first(archive.settings):  # not to be compared with those before
+                figures["best_finalist"] = archive.best()[0].fitness
+            else:
+                figures["best"] = archive.best()[0].fitness
             figures |= {"evaluations": archive.trained(), "steps": sum(row["steps"] or 0 for row in rows)}
             tagged = {f"Search/{name}": value for name, value in figures.items()}
             self._tracker.log(tagged, generation, self._results.draw(generation))

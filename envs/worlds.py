@@ -8,11 +8,12 @@ import re
 from collections.abc import Sequence
 from itertools import zip_longest
 from math import inf
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from warpvox.checks import is_list, is_mapping
+from warpvox.checks import design_of, is_list, is_mapping
 from warpvox.design import Design, load_design
 from warpvox.envs.spec import ROBOT, TaskSpec
 from warpvox.errors import ConfigError, DesignError, WorldError, did_you_mean, listing
@@ -129,11 +130,12 @@ def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[De
     """
     if designs is None:
         designs = ["walker"]
+    designs = str(designs) if isinstance(designs, Path) else design_of(designs)
     array = getattr(designs, "ndim", 1) in (0, 2) or (is_list(designs) and len(designs) and all(map(_is_row, designs)))
     single = array or isinstance(designs, str) or is_mapping(designs)
     if not single and not is_list(designs):
         raise DesignError(f"designs must be a list of bodies, got {type(designs).__name__}.")
-    bodies: list[object] = [designs] if single else list(designs)
+    bodies: list[object] = [designs] if single else [design_of(body) for body in designs]
     if not bodies:
         raise DesignError("The list of designs is empty: at least one body is needed.")
     loaded: list[Design | dict[str, Design]] = []

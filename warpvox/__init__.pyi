@@ -19,7 +19,7 @@ from .algos.search.settings import (
 from .algos.settings import DesignTraining as DesignTraining, Ppo as Ppo
 from .algos.training.loading import TrainedRun as TrainedRun, load_policy as load_policy
 from .algos.training.settings import Training as Training
-from .api import evaluate as evaluate, train as train
+from .api import evaluate as evaluate, record as record, train as train
 from .batch.options import SimOptions as SimOptions
 from .code import Code as Code
 from .design import (
@@ -56,7 +56,6 @@ from .robots.entry import zoo as zoo
 from .simulation import Simulation as Simulation
 from .types import Cell as Cell, Physics as Physics
 from .view.body_picture import draw_bodies as draw_bodies
-from .view.rollout import record as record
 from .world import World as World, WorldObject as WorldObject
 
 __version__: str

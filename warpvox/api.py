@@ -1,4 +1,4 @@
-"""Training and evaluation of policies."""
+"""Training, evaluation and recording of policies."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from warpvox.algos.training.settings import Training
     from warpvox.batch.options import SimOptions
     from warpvox.envs.spec import TaskSpec
+    from warpvox.runs import Run
+    from warpvox.view.rollout import Rollout
 
 
 class PlayKeywords(TypedDict, total=False):
@@ -160,9 +162,10 @@ def evaluate(
     """Mean returns of policies over whole episodes, with confidence intervals.
 
     Args:
-        policies: one or several: what :func:`warpvox.train` or :func:`warpvox.codesign` has returned (its best design),
-            names of runs (folders, checkpoints, ``latest``, patterns, ``zoo:Walker-v0``), or functions of
-            observations, such as torch modules; what :func:`warpvox.load_policy` gives is run in float64, as runs are.
+        policies: one or several: names of runs (folders, checkpoints, ``latest``, patterns, ``zoo:Walker-v0``), what
+            :func:`warpvox.zoo`, :func:`warpvox.train` or :func:`warpvox.codesign` has returned (its best design, or one
+            of its designs), or functions of observations, such as torch modules; what :func:`warpvox.load_policy`
+            gives is run in float64, as runs are.
         task: of functions, unless they are policies that know theirs; for a run with a task of your own, this task.
         design: of functions; for runs over many bodies those to evaluate on; None: those held out. Beside functions,
             runs of one body leave it aside, as they do ``task``.
@@ -183,19 +186,21 @@ def evaluate(
         RunError: no such run. ConfigError: a function without a task, an unknown option or value. WarpvoxError: as
             :func:`warpvox.make_vec`.
     """
-    from warpvox.algos.codesign.results import Found
-    from warpvox.algos.protocols import parts_of
+    from warpvox.algos.protocols import NOMINAL, parts_of
     from warpvox.algos.settings import physics_of
     from warpvox.algos.training.bodies import load_bodies
-    from warpvox.algos.training.loading import TrainedRun, is_alone, load_policy
+    from warpvox.algos.training.loading import find_policy
     from warpvox.algos.training.playing import Playing, check_episodes, disturbed
     from warpvox.algos.training.policy_table import EvaluatedPolicy, PolicyTable, evaluate_run
     from warpvox.algos.training.settings import Training
+    from warpvox.batch.options import SimOptions
     from warpvox.code import Code, is_code
     from warpvox.configs.show import EvaluateConfig
+    from warpvox.devices.names import resolve_device
     from warpvox.devices.startup import own_torch
+    from warpvox.envs.registry import get_task
     from warpvox.envs.vec_env import make_vec
-    from warpvox.runs import find_runs
+    from warpvox.runs import Run, find_runs, matches
     from warpvox.trust import STORED
 
     check_known(options, evaluate, Playing, without=("num_envs",))
@@ -205,32 +210,42 @@ def evaluate(
     ones = policies if isinstance(policies, Sequence) and not isinstance(policies, str) else [policies]
     if not ones:
         raise ConfigError("There are no policies: policies=[] names none.")
-    beside = any(map(callable, ones))  # task and design are theirs
     own = Code(task) if is_code(task) else task
     network = Code(policy) if is_code(policy) else policy
     how = Playing(episodes, checkpoint, stochastic, seed, task=own, policy=network, protocol=protocol, **options)
     rows = []
     with own_torch(1):
-        for number, one in enumerate(ones):
-            if isinstance(one, TrainedRun | Found):
-                one = one.folder or one.policy
-            if isinstance(one, str | Path) and is_alone(Path(one).expanduser()):
-                one = load_policy(one, policy=network)
-            if isinstance(one, str | Path):
+        # What is named: runs and stored robots, or functions
+        found: list[list[Run] | Callable[[Any], Any]] = []
+        for one in ones:
+            if isinstance(one, str) and matches(one) is not None:
+                found.append(find_runs([one], str(output_dir)))
+            else:
+                policy_found = find_policy(one, output_dir, network)
+                found.append([policy_found] if isinstance(policy_found, Run) else policy_found)
+        beside = any(map(callable, found))  # task and design are theirs
+
+        for number, one in enumerate(found):
+            # Runs and stored robots
+            if isinstance(one, list):
                 if isinstance(own, str) and not (beside or isinstance(own, Code) or own == STORED):
                     raise ConfigError(f"task={own!r} goes with functions, or is the code of a run's own task.")
-                for run in find_runs([str(one)], str(output_dir)):
+                for run in one:
                     rows.extend(evaluate_run(run, how, None if beside and not run.is_many else design, level))
                 continue
+
+            # Functions of observations
             about: Mapping[str, Any] = getattr(one, "metadata", {})
             where, body = own or about.get("task"), about.get("design") if design is None else design
-            if not callable(one) or where is None or body is None:
+            if where is None or body is None:
                 what = "a run, or a function of observations with task=... and design=..."
-                raise ConfigError(f"Policy {number} must be {what}; got {one!r:.80}.")
+                raise ConfigError(f"Policy {number} must be {what}; got {ones[number]!r:.80}.")
             names = ("rules", "physics", "dtype", "arithmetic")
             known = Training.of({key: about[key] for key in names if about.get(key) is not None})
             known = dataclasses.replace(known, arithmetic=None) if options.get("dtype") else known
             sim = {"dtype": known.dtype, "arithmetic": known.arithmetic, "physics": physics_of(known)}
+            if resolve_device(options.get("device") or SimOptions.device, episodes) == "cpu":
+                sim["lanes"] = about.get("lanes")
             sim |= {key: value for key, value in options.items() if value is not None}
             bodies, spec = load_bodies(body, seed), getattr(one, "spec", None)
             if layout := (getattr(spec, "voxels", None) or {}).get("layout"):
@@ -243,9 +258,56 @@ def evaluate(
                 if stochastic:
                     raise ConfigError(f"stochastic=True samples actions of runs; policy {number} acts without chance.")
                 one = one.in_float64()
-            count = episodes * len(parts)
             check_episodes(episodes, len(bodies))  # before make_vec counts environments
-            env = make_vec(where, bodies, count, seed=seed, auto_reset=False, **given)
+            count, seeds = episodes, seed
+            if about.get("seed_each"):  # as stored robots are evaluated
+                count = 1 if parts == (NOMINAL,) and not get_task(where).is_random else episodes
+                seeds = list(range(seed, seed + count)) * len(parts)
+            if design is None and about.get("connections") is not None:
+                given["connections"] = [about["connections"]]
+            env = make_vec(where, bodies, count * len(parts), seed=seeds, auto_reset=False, **given)
             name = getattr(one, "__name__", f"policy {number}")
             rows.extend(EvaluatedPolicy.each(name, env, disturbed(one, env, parts, seed), level, parts, stochastic))
     return PolicyTable(rows)
+
+
+def record(
+    env: Any,
+    policy: Any = "sine",
+    num_steps: int | None = None,
+    *,
+    metadata: Mapping[str, Any] | None = None,
+) -> Rollout:
+    """Reset ``env``, let ``policy`` act for one episode everywhere and return what happened.
+
+    An environment whose episode ends stays as it ended until the recording is over, whatever ``env.auto_reset`` says
+    (an environment that resets itself is left reset).
+
+    Args:
+        env: what :func:`warpvox.make_vec` makes.
+        policy: ``function(obs)`` giving actions ``[num_envs, num_actions]`` in [0.6, 1.6]; whatever
+            :func:`warpvox.load_policy` takes, which is run in float64; or ``sine``, ``random`` or ``zero``, which
+            follow ``env.seed``.
+        num_steps: at most so many control steps; None: until all episodes have ended.
+        metadata: JSON values to keep with the rollout, for instance the configuration of a run.
+
+    Raises:
+        ConfigError: an unknown agent, a number of steps below 1, environments of another kind (gymnasium's), or a
+            policy for other observations. RunError: no such run. ActionError: what the policy gives is refused.
+    """
+    from warpvox.runs import ZOO
+    from warpvox.view.rollout import AGENTS, record
+
+    if not isinstance(policy, str):
+        is_agent = False
+    elif policy in AGENTS:
+        is_agent = True
+    else:  # another name is a misspelt agent
+        is_agent = not (policy == "latest" or policy.startswith(ZOO) or Path(policy).expanduser().exists())
+    if is_agent:
+        return record(env, policy, num_steps, metadata=metadata)
+
+    from warpvox.algos.training.loading import load_policy
+
+    act = load_policy(policy, device=str(getattr(env, "device", "cpu")))
+    return record(env, act, num_steps, metadata=metadata)

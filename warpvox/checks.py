@@ -39,6 +39,11 @@ def is_mapping(value: object) -> TypeGuard[Mapping[str, Any]]:
     return isinstance(value, Mapping)
 
 
+def design_of(thing: Any) -> Any:
+    """The body of what has one as ``design``, such as a robot of the zoo, a run or a policy; else ``thing`` itself."""
+    return getattr(thing, "design", thing)
+
+
 def check_choice(name: str, value: object, choices: Iterable[object], error: type[WarpvoxError] = ConfigError) -> None:
     """Raise ``error`` if ``value`` is none of ``choices``; True is not 1."""
     options = list(choices)

@@ -13,10 +13,22 @@ from typing import TypeAlias
 
 import numpy as np
 
-from warpvox.checks import check_shape
-from warpvox.errors import DesignError, WorldError, did_you_mean, listing
+from warpvox.checks import check_shape, design_of
+from warpvox.errors import DesignError, RunError, WorldError, did_you_mean, listing
 from warpvox.examples import EXAMPLES
-from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json, read_bytes, read_npy, read_text
+from warpvox.io.reading import (
+    CONFIG,
+    SUMMARY,
+    ArrayFile,
+    Missing,
+    Unreadable,
+    parse_json,
+    read_bytes,
+    read_config,
+    read_facts,
+    read_npy,
+    read_text,
+)
 from warpvox.io.world_files import LARGEST_GRID, read_objects
 from warpvox.io.writing import atomic_path, check_suffix, write_text
 from warpvox.types import ACTUATORS, MATERIALS, Cell
@@ -46,7 +58,7 @@ _SIGNATURES = {b"{": ".json", b"[": ".json", b"PK\x03\x04": ".npz", b"\x93NUMPY"
 """How files begin that have another suffix; all others are read as text."""
 _EXPECTED = (
     f"a design is a file ({', '.join(DESIGN_SUFFIXES)}), a text with a row of cell types on each line as numpy.savetxt"
-    " writes it, or a folder with body.npy"
+    " writes it, a folder with body.npy, or the folder of a run"
 )
 
 
@@ -93,6 +105,7 @@ def as_grid(
     Args:
         limit: cells at most.
     """
+    cells = design_of(cells)
     if isinstance(cells, list | tuple):
         _check_rows(cells, what, error)
     try:
@@ -281,12 +294,16 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
 
     ``spec`` is one of: the name of an example (``walker``); ``random`` or ``random:ROWSxCOLUMNS`` (drawn with
     ``seed``); ``zoo:TASK``, the body of a stored robot; the path of a file (.json, .npz, .npy, or a text as
-    :func:`numpy.savetxt` writes it) or of a folder with ``body.npy`` or a single design file; the text of a nested list
-    (``[[3,3],[4,4]]``); a nested list or an array. A name comes before a file of the same name.
+    :func:`numpy.savetxt` writes it) or of a folder with ``body.npy`` or a single design file; the folder of a run or of
+    a design search (its best body), or a checkpoint in one; the text of a nested list (``[[3,3],[4,4]]``); a nested
+    list or an array; or what has a body as ``design``: a robot of :func:`warpvox.zoo`, a policy, a result of
+    :func:`warpvox.train` or :func:`warpvox.codesign` or one of its designs. A name comes before a file of the same
+    name.
 
     Raises:
         DesignError: nothing of the kind, an unreadable file, or a body that is not valid.
     """
+    spec = design_of(spec)
     if isinstance(spec, os.PathLike):
         return _read_path(Path(spec))
     if not isinstance(spec, str):
@@ -332,10 +349,11 @@ def zoo_tasks() -> list[str]:
     return sorted(path.stem for path in ZOO_FOLDER.glob("[!.]*.npz"))
 
 
-def zoo_file(text: str, error: type[Exception]) -> Path:
+def zoo_file(name: str | os.PathLike[str], error: type[Exception]) -> Path:
     """The file of the zoo's robot for a task, or the ``.npz`` that is named; an ``error`` lists the tasks there are."""
-    if not isinstance(text, str):
-        raise error(f"A robot of the zoo is named by its task, got {text!r:.80}.")
+    if not isinstance(name, str | os.PathLike):
+        raise error(f"A robot of the zoo is named by its task, got {name!r:.80}.")
+    text = os.fspath(name)
     if text.lower().endswith(".npz"):
         return Path(text).expanduser()
     known = zoo_tasks()
@@ -369,8 +387,34 @@ def save_design(path: str | os.PathLike[str], body: object) -> Path:
     return target
 
 
+def _run_folder(path: Path) -> Path:
+    """The folder of a run that is named by itself or by a checkpoint in it."""
+    path = path.expanduser()
+    return path.parent if path.suffix == ".pt" else path
+
+
+def _read_run(path: Path) -> Design:
+    """The body of a training, or the best one of a design search."""
+    folder = _run_folder(path)
+    try:
+        config = read_config(folder)
+    except RunError as error:
+        raise DesignError(str(error)) from None
+    of_search = "search" in config
+    body = (read_facts(folder / SUMMARY) if of_search else config).get("design")
+    many = config.get("designs")
+    if isinstance(many, dict) and many.get("bodies") is not None:
+        raise DesignError(f"The run {path} has many bodies: give one of them.")
+    if not isinstance(body, list):
+        what = "has evaluated no design yet" if of_search else "says no single body"
+        raise DesignError(f"The run {path} {what}.")
+    return check_design(body)
+
+
 def _read_path(path: Path) -> Design:
-    """Read the design of a file or a folder."""
+    """Read the design of a file, a folder or a run."""
+    if os.path.isfile(_run_folder(path) / CONFIG):  # False of any path, however long
+        return _read_run(path)
     try:
         body, connections = _read_folder(path) if os.path.isdir(path) else _read_file(path)
     except Missing:

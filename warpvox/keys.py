@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast, get_args, get_origin, get_type_hint
 
 import numpy as np
 
-from warpvox.checks import check_choice, check_known
+from warpvox.checks import check_choice, check_known, design_of
 from warpvox.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -199,10 +199,11 @@ def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
 
 
 def plain(value: Any, name: str) -> Any:
-    """``value`` as lists, mappings, texts and numbers, in place of arrays, tuples and paths.
+    """``value`` as lists, mappings, texts and numbers, in place of arrays, tuples, paths and what has a body.
 
     ConfigError: it is or holds anything else.
     """
+    value = design_of(value)
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):

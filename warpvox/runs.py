@@ -21,16 +21,13 @@ from warpvox import __version__
 from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, archives_in, repair_hint
 from warpvox.checks import is_number
 from warpvox.errors import ConfigError, RunError, StorageError, listing
-from warpvox.io.reading import Unreadable, parse_yaml, read_facts, read_text
+from warpvox.io.reading import CONFIG, END, SUMMARY, read_config, read_facts
 from warpvox.io.writing import MARK, check_encodable, check_writable, claimed, complaint, sweep, to_json, write_text
 from warpvox.robots.entry import Robot, zoo
 from warpvox.robots.gait import Gait
 from warpvox.system import is_device_name, processor_name
 
-CONFIG, SUMMARY = "config.yaml", "summary.json"
 NUMBERS = ("evaluations", "steps", "elapsed_seconds", "best_fitness", "pretraining_steps")  # of a summary
-LARGEST_CONFIG = 100_000
-"""Bytes that the configuration may have: reading as much takes seconds."""
 ZOO = "zoo:"
 """How the name of a stored robot begins where a run or a design is expected."""
 BEST = "model_best.pt"
@@ -50,8 +47,6 @@ STAMP, STAMP_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 NOT_IN_NAMES = re.compile(r"[^\w.+-]+")
 LONGEST_NAME, LONGEST_BYTES = 100, 150
 """Limits of what a name adds to that of a folder: date and values of a sweep need room, and 255 bytes are the end."""
-END = "...\n"
-"""The last line of a run's configuration, YAML's own mark of an end: what lacks it has been cut short."""
 PATIENCE = 20.0
 """Seconds that git may take, on the disk of a network for instance."""
 
@@ -109,10 +104,7 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
         resume: ``latest`` may be a run that was stopped before it had a checkpoint to play.
     """
     if text.startswith(ZOO) and not resume:
-        robot = zoo(text.removeprefix(ZOO))
-        policy = "gait" if isinstance(robot.policy, Gait) else "mlp"
-        known = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "obs": robot.obs}
-        return Run(Path(text), known | {"policy": policy}, robot=robot)
+        return run_of_robot(zoo(text.removeprefix(ZOO)))
     path = _latest(Path(output_dir), commands, resume) if text == "latest" else Path(text).expanduser()
     if not path.exists():
         raise RunError(f"There is no run at {path}: expected latest, the folder of a run or a checkpoint in it.")
@@ -124,6 +116,13 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
             raise RunError(f"The design search {folder} has no design with a policy yet.")
         path = folder = (folder / str(best[0].policy)).parent
     return Run(folder, _config_of(folder, "train"), path if path.is_file() else None)
+
+
+def run_of_robot(robot: Robot) -> Run:
+    """The run that stands for a stored robot."""
+    policy = "gait" if isinstance(robot.policy, Gait) else "mlp"
+    known = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "obs": robot.obs}
+    return Run(Path(robot.source or f"{ZOO}{robot.task}"), known | {"policy": policy}, robot=robot)
 
 
 def _folder_of(path: Path) -> Path:
@@ -146,7 +145,7 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
         if (paths := matches(text)) is not None:
             homes = ((path, path.parent if path.match("model_*.pt") else path) for path in paths)
             runs, keys = ((path, home) for path, home in homes if (home / CONFIG).is_file()), NEEDED["train"][1]
-            names = [str(path) for path, home in runs if keys <= _read(home).keys() or (home / ARCHIVE).is_file()]
+            names = [str(path) for path, home in runs if keys <= read_config(home).keys() or (home / ARCHIVE).is_file()]
             if not names:
                 raise RunError(f"No run of `warpvox train` or `warpvox codesign` matches {text}.")
         found |= {(run.folder.resolve(), run.checkpoint): run for run in (find_run(one, output_dir) for one in names)}
@@ -217,25 +216,10 @@ def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
 def _config_of(folder: Path, command: str) -> dict[str, Any]:
     if not (folder / CONFIG).is_file():
         raise RunError(f"{folder} is not a run: it has no {CONFIG}. Runs are made by `warpvox {command}`.")
-    content, (what, keys) = _read(folder), NEEDED[command]
+    content, (what, keys) = read_config(folder), NEEDED[command]
     if not keys <= content.keys():
         raise RunError(f"{folder} is not {what}: its {CONFIG} is that of another run.")
     return content
-
-
-def _read(folder: Path) -> dict[str, Any]:
-    config = folder / CONFIG
-    try:
-        text = read_text(config, LARGEST_CONFIG)
-        content = parse_yaml(text)
-    except Unreadable as error:
-        raise RunError(f"{config} cannot be read as YAML ({error}): is {folder} a run?") from None
-    if not isinstance(content, dict | None):
-        return {}
-    # missing keys would be taken for the defaults, and the run for another one
-    if text.splitlines()[-1:] != [END.strip()]:
-        raise RunError(f"{config} has been cut short: it lacks its last line, {END.strip()}. Restore it from a copy.")
-    return content or {}
 
 
 def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:

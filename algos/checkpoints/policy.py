@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from itertools import chain
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -25,11 +25,14 @@ from warpvox.algos.checkpoints.files import (
     with_code,
 )
 from warpvox.algos.generators import Generators
+from warpvox.checks import is_number
+from warpvox.design import Design, load_design
 from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.envs.voxels import FEATURES, NUM_FEATURES
 from warpvox.errors import ConfigError, RunError, first_line
 from warpvox.io.reading import Unreadable, parse_json
+from warpvox.robots.network import HIGH, LOW
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
 
 FORMAT, VERSION = "warpvox policy", 2
@@ -53,6 +56,10 @@ class Policy(nn.Module):
         metadata: for instance ``task``, ``rules``, ``obs`` and ``design`` of the run.
     """
 
+    # TorchScript would compile the one, and read the other
+    __jit_unused_properties__: ClassVar = ["design"]
+    __jit_ignored_attributes__: ClassVar = ["design"]
+
     mean: torch.Tensor
     deviation: torch.Tensor
 
@@ -62,6 +69,9 @@ class Policy(nn.Module):
         self.num_obs, self.num_actions = spec.num_obs, spec.num_actions
         self.center, self.scale = ACTION_CENTER, float(spec.action_scale)
         self.low, self.high = ACTION_LOW, ACTION_HIGH
+        step = self.metadata.get("action_step")
+        self.step = float(step) if is_number(step) else 0.0
+        self.lowest, self.highest = LOW, HIGH
         self._build()
         self.eval().requires_grad_(False)
 
@@ -85,12 +95,32 @@ class Policy(nn.Module):
         return self.act(obs) if isinstance(obs, np.ndarray) else super().__call__(obs, *more)
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
-        """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32."""
-        return (self.center + self.scale * self.outputs(obs).float()).clamp(self.low, self.high)
+        """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32.
+
+        In float64 the policy of a stored robot gives float64: the very actions of the robot.
+        """
+        outputs = self.outputs(obs)
+        if self.step > 0.0 and outputs.dtype == torch.float64:
+            steps = torch.round((self.center + self.scale * outputs) / self.step)
+            return (steps * self.step).clamp(self.lowest, self.highest)
+        return (self.center + self.scale * outputs.float()).clamp(self.low, self.high)
 
     def outputs(self, obs: torch.Tensor) -> torch.Tensor:
         """The network's outputs ``[..., num_actions]`` for observations ``[..., num_obs]``."""
         return self.mlp((obs.to(self.mean.dtype) - self.mean) / (self.deviation + self.eps))
+
+    @property
+    def design(self) -> Design | dict[str, Design] | None:
+        """The body that it was trained for, or bodies by the names of robots; None: no single one is known.
+
+        It never raises, as TorchScript reads all properties.
+        """
+        body = self.metadata.get("design")
+        if body is None or self.metadata.get("connections") is not None:
+            return None
+        if isinstance(body, Mapping):
+            return {str(name): load_design(cells) for name, cells in body.items()}
+        return load_design(body)
 
     def in_float64(self) -> "Policy":
         """A copy whose network runs in float64, as runs are played: actions do not depend on what is in a batch.

@@ -20,7 +20,7 @@ import sqlite3
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path, PurePath
 from typing import Any
@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome, candidate_seed
-from warpvox.design import as_grid
+from warpvox.design import Design, as_grid
 from warpvox.errors import RunError, StorageError
 from warpvox.io.reading import parse_json
 from warpvox.io.writing import atomic_path
@@ -53,6 +53,8 @@ KINDS = {
     "stopped": int, "reused": int, "policy": str, "policy_sha256": str, "seconds": float,
 }  # fmt: skip
 """Columns of a candidate that are read, and what they hold; those from ``fitness`` on may be missing."""
+COMPARABLE = ("gaits",)
+"""Evaluations with finalists whose other designs have policies of their own, too: both are ranked by their fitness."""
 DIVERGED = 2
 """In the column ``stopped``: there was no evaluation, and the fitness is the worst of all others until then."""
 
@@ -65,7 +67,7 @@ class Record:
     evaluation this is; ``policy`` is a path relative to the archive's folder; ``seconds`` the wall time
     since the batch that ended before its own: that of its batch, unless several are evaluated at a time.
     ``diverged``: its learning gave no evaluation; when its generation is whole, its fitness is set to the worst of all
-    others so far (:meth:`Archive.rank_diverged`).
+    others so far (:meth:`Archive.rank_diverged`). ``folder`` is that of the archive.
     """
 
     candidate: Candidate
@@ -79,6 +81,19 @@ class Record:
     seconds: float | None = None
     curve: list[tuple[int, float]] = field(default_factory=list)
     diverged: bool = False
+    folder: Path | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def design(self) -> Design:
+        """The body."""
+        return self.candidate.body
+
+    @property
+    def policy_source(self) -> Path:
+        """The folder of its policy, a small run. RunError: none was kept."""
+        if self.folder is None or self.policy is None:
+            raise RunError(f"Design {self.id} has no policy that was kept.")
+        return (self.folder / self.policy).parent
 
     @property
     def finished(self) -> bool:
@@ -310,6 +325,11 @@ class Archive(AbstractContextManager["Archive"]):
         """Designs that were trained: evaluations that are not those of an equal body."""
         return self._number("SELECT COUNT(*) FROM candidates WHERE stopped IS NOT NULL AND reused IS NULL")
 
+    def finalists(self) -> int:
+        """Finalists that were evaluated; :meth:`trained` counts them, too."""
+        query = f"SELECT COUNT(*) FROM candidates WHERE stopped IS NOT NULL AND origin = '{FINALIST}'"
+        return self._number(query)
+
     def generations(self) -> list[dict[str, Any]]:
         """A row a generation: generation, designs, evaluated, best, mean, worst, steps."""
         with self._reading():
@@ -326,21 +346,39 @@ class Archive(AbstractContextManager["Archive"]):
             raise RunError(f"{self.path} has no candidate {number}; there are {self.count()}, from 0.")
         return found[0]
 
-    def best(self, count: int = 1, until: int | None = None) -> list[Record]:
-        """The designs of highest fitness (up to and including a generation), equal bodies once, ties to the earlier.
+    def best(self, count: int = 1, until: int | None = None, *, with_parents: bool = False) -> list[Record]:
+        """The designs of highest fitness (up to and including a generation), equal bodies once, ties to finalists.
 
         Finalists come before designs that were compared by a common policy, whatever fitness these have. Those whose
         learning diverged before there was an evaluation are not among them.
+
+        Args:
+            with_parents: also the designs that finalists come from, which have the same bodies.
         """
+        first = finalists_first(self.settings)
+        order = "last DESC, fitness DESC, id" if first else "fitness DESC, last DESC, id"
+        group = "body, last" if with_parents else "body"
         where, values = ("AND generation <= ?", (until,)) if until is not None else ("", ())
         query = f"""WHERE id IN (
             SELECT id FROM (
-                SELECT id, fitness, last, ROW_NUMBER() OVER (PARTITION BY body ORDER BY last DESC, fitness DESC, id)
-                AS place FROM (SELECT *, origin = '{FINALIST}' AS last FROM candidates)
+                SELECT id, fitness, last, ROW_NUMBER() OVER (PARTITION BY {group} ORDER BY {order}) AS place
+                FROM (SELECT *, origin = '{FINALIST}' AS last FROM candidates)
                 WHERE fitness IS NOT NULL AND stopped < {DIVERGED} {where})
-            WHERE place = 1 ORDER BY last DESC, fitness DESC, id LIMIT ?)"""
+            WHERE place = 1 ORDER BY {order} LIMIT ?)"""
         found = self._records(query, *values, count)
-        return sorted(found, key=lambda one: (one.candidate.origin != FINALIST, -(one.fitness or 0.0), one.id))
+
+        def rank(one: Record) -> tuple[bool, float, bool, int]:
+            last = one.candidate.origin == FINALIST
+            return first and not last, -(one.fitness or 0.0), not last, one.id
+
+        return sorted(found, key=rank)
+
+    def winners(self, count: int, until: int | None = None) -> list[Record]:
+        """The best designs; finalists alone, once there are some, where all others were only compared."""
+        best = self.best(count, until)
+        if not finalists_first(self.settings):
+            return best
+        return [record for record in best if record.candidate.origin == FINALIST] or best
 
     def lineage(self, number: int) -> list[Record]:
         """A candidate and all that it descends from, by id."""
@@ -363,7 +401,8 @@ class Archive(AbstractContextManager["Archive"]):
             query = f"SELECT {', '.join(KINDS)} FROM candidates {where} ORDER BY id"
             rows = self._db.execute(query, values).fetchall()
         with self._reading():
-            return [_record(dict(row), parents[row["id"]], curves[row["id"]]) for row in rows]
+            found = [_record(dict(row), parents[row["id"]], curves[row["id"]]) for row in rows]
+        return [replace(record, folder=self.path.parent) for record in found]
 
     def digest(self) -> str:
         """SHA-256 of everything but dates and durations: equal for equal experiments."""
@@ -398,6 +437,12 @@ def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, 
     known = {name: row[name] for name in KINDS if name in Record.__dataclass_fields__}
     known |= {"stopped": None if stopped is None else bool(stopped), "diverged": stopped == DIVERGED}
     return Record(candidate, **known, curve=curve)
+
+
+def finalists_first(settings: Mapping[str, Any]) -> bool:
+    """Whether finalists rank before all other designs of a search, whose fitness is that of a common policy."""
+    how = settings.get("evaluation")
+    return not (isinstance(how, Mapping) and how.get("name") in COMPARABLE)
 
 
 def repair_hint(path: Path) -> str:

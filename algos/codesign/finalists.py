@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Outcome, Parents, Report, Search
+from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Outcome, Parents, Report, Search, best_so_far
 
 
 class Finalists:
@@ -89,7 +89,8 @@ class BestOf:
 
 
 def _better(moved: Outcome, trained: Outcome) -> Outcome:
-    """The better outcome, with the control steps of both."""
+    """The better outcome, with the control steps of both; its curve is the best return so far of either."""
     best = moved if moved.fitness >= trained.fitness else trained
     later = [(moved.steps + steps, value) for steps, value in trained.curve]
-    return dataclasses.replace(best, curve=moved.curve + later, steps=moved.steps + trained.steps)
+    curve = best_so_far([*moved.curve, *later])
+    return dataclasses.replace(best, curve=curve, steps=moved.steps + trained.steps)

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from warpvox.algos.candidate import FINALIST, Candidate, Listener
 from warpvox.algos.codesign.archive import Record
-from warpvox.algos.codesign.results import fresh_text
+from warpvox.algos.codesign.results import evaluated_text, fresh_text
 from warpvox.algos.codesign.run import SearchRun
 from warpvox.algos.report import FILE as REPORT
 from warpvox.errors import RunError, counted
@@ -56,7 +56,7 @@ class SearchProgress(Listener):
     def _say_where(self) -> None:
         run, settings = self.run, self.run.results.settings
         where = f"{run.workers} workers of Ray" if run.workers else settings.device
-        done = f", {self._start} of {run.total} designs done" if run.resumed else ""
+        done = f", {self._counts()} done" if run.resumed else ""
         echo(self.console, f"{run.results.search} on {settings.task}, rules {settings.rules}, on {where}{done}")
         folder, budget = run.results.folder, settings.search.max_evaluations
         echo(self.console, f"run folder: {shown(folder)}")
@@ -75,7 +75,7 @@ class SearchProgress(Listener):
             return
         folder, best, status = self.run.results.folder, summary["best_design"], summary["status"]
         words, under_way = (f"{status}, state saved", self.under_way) if status == "interrupted" else (status, "")
-        designs = counted(summary["evaluations"], "designs")
+        designs = evaluated_text(summary)
         text = f"{words} after {designs} and {summary['steps']:,} control steps{under_way}"
         if best is not None:
             text += f"; best fitness {summary['best_fitness']:.3f} (design {best})"
@@ -121,12 +121,21 @@ class SearchProgress(Listener):
             return
         self._resumed = False
         row, count = self.archive.generations()[generation], sum(r.diverged for r in self.archive.records(generation))
-        text = f"generation {generation} done: {self.archive.trained()}/{self.run.total} designs"
-        text += f"  best {row['best']:.3f}  mean {row['mean']:.3f}  best so far {self.archive.best()[0].fitness:.3f}"
+        text = f"generation {generation} done: {self._counts()}  best {row['best']:.3f}  mean {row['mean']:.3f}"
+        if not self._last:  # finalists may be compared in another way than all before them
+            text += f"  best so far {self.archive.best()[0].fitness:.3f}"
         echo(self.console, f"{text}{f'  {count} diverged' if count else ''}  {self._figures()}")
         if self._live is None:
             self.console.print(self._bodies())
         self._show()
+
+    def _counts(self) -> str:
+        """How many designs, and of the finalists, are evaluated; the latter once the search has come to them."""
+        finalists = self.archive.finalists()
+        text = f"{self.archive.trained() - finalists}/{self.run.total - self.run.finalists} designs"
+        if self._last or finalists:
+            text += f", {finalists}/{self.run.finalists} finalists"
+        return text
 
     @property
     def done(self) -> float:
@@ -188,7 +197,7 @@ class SearchProgress(Listener):
             return
         best = self.archive.best()
         fitness = cast(float, best[0].fitness) if best else math.nan
-        figures = f"{self.archive.trained()}/{self.run.total}  best {figure(fitness)}  "
+        figures = f"{self._counts()}  best {figure(fitness)}  "
         rows = [row for row in self.archive.generations() if row["evaluated"]]
         figures += f"mean {figure(rows[-1]['mean'] if rows else math.nan)}  {self._figures()}"
         description = f"generation {self._generation}"
@@ -197,7 +206,7 @@ class SearchProgress(Listener):
         self._live.update(Group(*parts, *([Text(), self._bodies()] if best else [])))
 
     def _bodies(self) -> Text:
-        best = self.run.results.best()
+        best = self.archive.winners(self.run.results.settings.top)
         captions = [f"{record.fitness:.3f} #{record.id}" for record in best]
         return body_rows([record.candidate.body for record in best], captions, self.console)
 

@@ -23,6 +23,7 @@ from warpvox.algos.report.charts import picture
 from warpvox.algos.report.members import fresh_interval, read_members
 from warpvox.algos.training.playing import Playing, load_result, own_code
 from warpvox.algos.training.policy_table import evaluate_run
+from warpvox.design import Design
 from warpvox.envs.registry import get_task
 from warpvox.errors import WarpvoxError, counted
 from warpvox.io.console import duration
@@ -70,15 +71,10 @@ class Results(Listener):
         if fresh:
             self.write("running")
 
-    def best(self, until: int | None = None) -> list[Record]:
-        """The best designs (up to and including a generation); finalists alone, once there are some."""
-        best = self.archive.best(self.settings.top, until)
-        return [record for record in best if record.candidate.origin == FINALIST] or best
-
     def draw(self, generation: int, keep: bool = True) -> Path:
         """The best designs up to and including a generation as PNG; ``keep``: one that is there already stays."""
         path = self.folder / "generations" / f"{generation:03}.png"
-        best = self.best(generation)
+        best = self.archive.winners(self.settings.top, generation)
         if not best or (keep and path.is_file()):
             return path
         captions = [(f"{one.fitness:.3f}", f"#{one.id}  generation {one.candidate.generation}") for one in best]
@@ -116,6 +112,7 @@ class Results(Listener):
         known = [record.fitness for record in screened if record.fitness is not None]
         return {
             "evaluation": self.settings.evaluation.name,
+            "finalists": self.archive.finalists(),
             "screened_fitness": max(known, default=None),
             "screening_steps": sum(record.steps or 0 for record in screened),
             "pretraining_steps": self.pretraining,
@@ -145,7 +142,7 @@ class Results(Listener):
         Designs without a policy, or whose policy is gone or damaged, are left out. ``settings`` have the code that the
         user has named.
         """
-        for one in self.best():
+        for one in self.archive.winners(self.settings.top):
             policy = self.folder / str(one.policy)
             file = policy.with_name(FILM)
             if file.is_file() or not policy.is_file():
@@ -185,6 +182,13 @@ def fresh_text(facts: Mapping[str, Any]) -> str:
     return f"{fresh_interval(facts)} in {facts['episodes']} episodes"
 
 
+def evaluated_text(summary: Mapping[str, Any]) -> str:
+    """How many designs a search has evaluated, in words; its finalists are counted by themselves."""
+    finalists = summary.get("finalists", 0)
+    text = counted(summary["evaluations"] - finalists, "designs")
+    return f"{text} and {counted(finalists, 'finalists')}" if finalists else text
+
+
 SHOWN = 5
 """Designs that a notebook shows."""
 
@@ -206,14 +210,27 @@ class Found:
 
     @cached_property
     def designs(self) -> list[Record]:
-        """All designs with a result, the best first: body, fitness, learning curve, ancestors."""
+        """All designs with a result, the best first: body, fitness, learning curve, ancestors.
+
+        Equal bodies come once, but for a finalist and the design that it comes from.
+        """
         with Archive.read(self.folder / ARCHIVE) as archive:
-            return archive.best(max(1, archive.count()))
+            return archive.best(max(1, archive.count()), with_parents=True)
 
     @property
     def best(self) -> Record:
         """The best design."""
         return self.designs[0]
+
+    @property
+    def design(self) -> Design:
+        """The body of the best design."""
+        return self.best.design
+
+    @property
+    def policy_source(self) -> Path:
+        """The folder, which stands for the policy of the best design."""
+        return self.folder
 
     @property
     def policy(self) -> Policy:
@@ -224,11 +241,16 @@ class Found:
         """The policy of a design, by its id."""
         from warpvox.algos.training.loading import load_policy
 
-        return load_policy(self.folder / "designs" / str(design), device=device)
+        with Archive.read(self.folder / ARCHIVE) as archive:
+            return load_policy(archive.record(design), device=device)
 
     @property
     def curve(self) -> dict[str, np.ndarray]:
-        """``evaluations`` and ``steps`` spent, int64, and the ``best`` return by then, float64; ``[n]`` each."""
+        """``evaluations`` and ``steps`` spent, int64, and the ``best`` return by then, float64; ``[n]`` each.
+
+        The best return never falls, and ends at that of :attr:`best`. Finalists are evaluations, too; where the other
+        designs were only compared by a common policy, the curve begins with the finalists, once there are some.
+        """
         (member,) = read_members([self.folder])
         return {name: getattr(member, name) for name in ("evaluations", "steps", "best")}
 
@@ -240,13 +262,14 @@ class Found:
     def __repr__(self) -> str:
         best = f"best {self.summary['best_fitness']:.3f}" if self.summary["best_fitness"] is not None else "no result"
         where = repr(str(self.folder)) if self.kept is None else "in a temporary folder"
-        return f"Found({self.settings.task}, {counted(self.summary['evaluations'], 'designs')}, {best}, {where})"
+        return f"Found({self.settings.task}, {evaluated_text(self.summary)}, {best}, {where})"
 
     def _repr_html_(self) -> str:
         """The best bodies with their returns, and the curve, for notebooks."""
+        with Archive.read(self.folder / ARCHIVE) as archive:
+            best = archive.best(SHOWN)
         cells = "".join(
-            f"<td>{body_svg(record.candidate.body, 16)}<br>{record.fitness:.3f} #{record.id}</td>"
-            for record in self.designs[:SHOWN]
+            f"<td>{body_svg(record.candidate.body, 16)}<br>{record.fitness:.3f} #{record.id}</td>" for record in best
         )
         curve = self.curve
         points = list(zip(curve["evaluations"].tolist(), curve["best"].tolist(), strict=True))

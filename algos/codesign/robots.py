@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.training.bodies import has_designs, read_bodies
@@ -44,7 +43,7 @@ def _robots(text: str, settings: Codesign) -> list[Robot]:
     if text.startswith(ZOO):
         return [zoo(text.removeprefix(ZOO))]
     folder = Path(text).expanduser()
-    if folder.is_dir() and not has_designs(folder):
+    if folder.suffix == ".pt" or (folder.is_dir() and not has_designs(folder)):
         robot = next(robots_of(folder, 1), None)
         if robot is None:
             raise ConfigError(f"start={text}: this search has no design with a policy yet.")
@@ -106,8 +105,7 @@ def _of_search(folder: Path, choose: Callable[[Archive], list[Record]]) -> Itera
 
 def trained(archive: Archive) -> list[Record]:
     """The designs with a policy of their own, the best first; finalists alone, where others were only compared."""
-    records = [record for record in archive.best(max(1, archive.count())) if record.policy is not None]
-    return [record for record in records if record.candidate.origin == FINALIST] or records
+    return [record for record in archive.winners(max(1, archive.count())) if record.policy is not None]
 
 
 def _of_run(path: Path) -> Iterator[Robot]:

@@ -5,8 +5,12 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation, Specialist
@@ -15,12 +19,12 @@ from warpvox.algos.search.settings import ALGORITHMS, GA, SearchSettings
 from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, physics_of, sim_of
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY, RULE_SETS, TASK, TORCH_THREADS, arithmetic_key
 from warpvox.checks import check_choice
+from warpvox.errors import ConfigError, RunError
 from warpvox.keys import Settings, key, plain
+from warpvox.robots.entry import Robot, zoo
 from warpvox.types import RULES
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from warpvox.algos.env_factory import EnvFactory
 
 CHANGEABLE = (
@@ -103,6 +107,10 @@ class Codesign(Settings):
         if isinstance(self.evaluation, str | Mapping):
             self.evaluation = _chosen("evaluation", "name", self.evaluation, EVALUATIONS)
         self.physics = PhysicsConfig.of(self.physics)
+        if isinstance(self.start, list | tuple):
+            self.start = [_start_name(one) for one in self.start]
+        else:
+            self.start = [_start_name(self.start)]
         super().__post_init__()
         self.network = plain(self.network, "network")
 
@@ -120,6 +128,30 @@ class Codesign(Settings):
         """
         physics = PhysicsConfig.of(physics_of(self))
         return dataclasses.replace(self, evaluation=self.evaluation.resolved(self, folder), physics=physics)
+
+
+def _start_name(robot: Any) -> str:
+    """The name, in a configuration, of a robot that a search begins with: one of the zoo, a run, a design or a body.
+
+    ConfigError: a robot that is in no file, or nothing of the kind.
+    """
+    if isinstance(robot, str | os.PathLike):
+        return os.fspath(robot)
+    if isinstance(robot, Robot):
+        if not robot.source or zoo(robot.source.removeprefix("zoo:")).sha256 != robot.sha256:
+            raise ConfigError(
+                "start: this robot is in no file that the search can name. Write it, warpvox.robots.save_robot(path,"
+                " robot), and give start=['zoo:PATH']."
+            )
+        return robot.source
+    with suppress(RunError):  # of a design whose policy was not kept there is the body
+        place = getattr(robot, "policy_source", None)
+        if isinstance(place, Path):
+            return str(place)
+    cells = plain(robot, "start")
+    if not isinstance(cells, list):
+        raise ConfigError(f"start must be a list of robots, runs, designs or bodies, got {robot!r:.80}.")
+    return json.dumps(cells)
 
 
 def _chosen(group: str, name: str, values: str | Mapping[str, Any], kinds: Mapping[str, type]) -> Any:

@@ -9,9 +9,10 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from warpvox.algos.candidate import FINALIST
+from warpvox.algos.candidate import FINALIST, best_so_far
 from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.report.charts import Series, chart, sparkline
+from warpvox.algos.report.members import SearchResult, fitness_of
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.errors import RunError
 from warpvox.io.console import in_html, shell_argument
@@ -36,13 +37,14 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
     done = [record for record in records if record.fitness is not None]
     best = archive.best(BEST)
     line = [record for record in archive.lineage(best[0].id) if record.fitness is not None] if best else []
-    learning = [Series(f"#{one.id}", one.curve, "line", k) for k, one in enumerate(best[:CURVES], 1)]
+    search = SearchResult(folder, "", archive.settings, records, best[0] if best else None, {})
+    learning = [Series(f"#{one.id}", best_so_far(one.curve), "step", k) for k, one in enumerate(best[:CURVES], 1)]
     title = " · ".join(str(facts[name]) for name in ("task", "search") if name in facts)
     slots = {
         "facts": fact_list(_figures(done, best) | dict(facts)),
-        "progress": _progress(archive, done),
+        "progress": _progress(search, archive),
         "best": "".join(_card(one, folder) for one in best) or NOTHING,
-        "curves": chart(learning, "control steps", "return"),
+        "curves": chart(learning, "control steps", "best return so far"),
         "tree": family_tree(line) if line else '<p class="faint">Nothing to show yet.</p>',
         "rows": "".join(_row(record) for record in records),
         "settings": html.escape(json.dumps(archive.settings, indent=2)),
@@ -54,31 +56,31 @@ def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
     if not done:
         return {"evaluations": "0"}
     trained = [record for record in done if record.reused is None]
+    finalists = sum(record.candidate.origin == FINALIST for record in trained)
     diverged = sum(record.diverged for record in trained)
     reused = f" (+{len(done) - len(trained)} reused)" if len(trained) < len(done) else ""
     return {
         "best fitness": f"{best[0].fitness:.3f}" if best else "-",
-        "evaluations": f"{len(trained)}{reused}",
+        "evaluations": f"{len(trained) - finalists}{reused}{f', and {finalists} finalists' if finalists else ''}",
         "control steps": f"{sum(record.steps or 0 for record in done):,}",
     } | ({"diverged": str(diverged)} if diverged else {})
 
 
-def _progress(archive: Archive, done: Sequence[Record]) -> str:
-    """Fitness over evaluations: every design, the best so far, the mean of each generation; finalists by themselves."""
-    trained = [(record, record.fitness) for record in done if record.reused is None and record.fitness is not None]
-    dots, best, notes, finals = [], [], [], []
-    for number, (record, fitness) in enumerate(trained, start=1):
-        if record.candidate.origin == FINALIST:
-            finals.append((number, fitness))
-            continue
-        dots.append((number, fitness))
-        best.append((number, max(fitness, best[-1][1] if best else fitness)))
-        fate = "diverged, counts as " if record.diverged else ""
-        notes.append(f"design {record.id}, generation {record.candidate.generation}: {fate}{fitness:.3f}")
+def _progress(search: SearchResult, archive: Archive) -> str:
+    """Fitness over evaluations: every design, finalists by themselves, the best so far, the mean of each generation."""
+    trained = [record for record in search.records if record.reused is None and record.fitness is not None]
+    dots, notes, finals = [], [], []
     ends: dict[int, int] = {}
-    for number, (record, _) in enumerate(trained[: len(dots)], start=1):
+    for number, record in enumerate(trained, start=1):
+        if record.candidate.origin == FINALIST:
+            finals.append((number, fitness_of(record)))
+            continue
+        dots.append((number, fitness_of(record)))
         ends[record.candidate.generation] = number
+        fate = "diverged, counts as " if record.diverged else ""
+        notes.append(f"design {record.id}, generation {record.candidate.generation}: {fate}{record.fitness:.3f}")
     means = [(ends[row["generation"]], row["mean"]) for row in archive.generations() if row["generation"] in ends]
+    best = list(zip(search.evaluations.tolist(), search.best.tolist(), strict=True))
     series = [
         Series("designs", dots, "dots", 3, notes),
         Series("mean of the generation", means, "line", 2),
@@ -93,7 +95,7 @@ def _card(record: Record, folder: Path) -> str:
     item = record.candidate
     parents = ", ".join(f"#{parent}" for parent in item.parents)
     lines = f"#{record.id} · generation {item.generation}", f"{item.origin}{f' of {parents}' if parents else ''}"
-    more, film = sparkline([value for _, value in record.curve]), ""
+    more, film = sparkline([value for _, value in best_so_far(record.curve)]), ""
     place = (folder / str(record.policy)).parent
     if record.policy is not None and (place / CONFIG).is_file():
         try:
@@ -125,7 +127,7 @@ def _row(record: Record) -> str:
         (None, in_html(item.origin)),
         (None, ", ".join(f"#{parent}" for parent in item.parents)),
         (record.steps or 0, "" if record.steps is None else f"{record.steps:,}"),
-        (None, sparkline([value for _, value in record.curve], 72, 20)),
+        (None, sparkline([value for _, value in best_so_far(record.curve)], 72, 20)),
         (None, state),
     )
     return row(cells)

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.algos.candidate import FINALIST
-from warpvox.algos.codesign.archive import FILE, Archive, Record
-from warpvox.algos.codesign.evaluations import EVALUATIONS
+from warpvox.algos.codesign.archive import FILE, Archive, Record, finalists_first
 from warpvox.algos.search.bodies import diversity
 from warpvox.algos.statistics import Interval
 from warpvox.keys import flat
@@ -27,7 +26,10 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class SearchResult:
-    """One design search.
+    """One design search, and its curve: ``evaluations`` and ``steps`` spent, and the ``best`` return by then.
+
+    The curve never falls, and ends at the fitness of the best design. Finalists are evaluations, too. Where the other
+    designs were only compared by a common policy, it begins with the finalists, once there are some.
 
     Attributes:
         search: its name among others: that of the algorithm, with the settings that differ, or a suite's own.
@@ -54,8 +56,7 @@ class SearchResult:
     @cached_property
     def _screened(self) -> list[Record]:
         """Designs that a common policy has compared, where finalists were trained; no curve shows their fitness."""
-        how = self.settings.get("evaluation")
-        if isinstance(how, dict) and getattr(EVALUATIONS.get(how.get("name", "")), "comparable", True):
+        if not finalists_first(self.settings):
             return []
         done = [record for record in self.records if record.fitness is not None and record.reused is None]
         screened = [record for record in done if record.candidate.origin != FINALIST]

@@ -58,8 +58,8 @@ def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) 
     """Bodies that a key names.
 
     Args:
-        spec: ``random:64`` or ``random:64:5x7`` (drawn with ``seed``), a folder of designs, the folder of a
-            design search (its bodies, the best first), or whatever the key ``design`` takes.
+        spec: ``random:64`` or ``random:64:5x7`` (drawn with ``seed``), a folder of designs, the folder of a design
+            search (all its bodies, the best first), or whatever the key ``design`` takes.
     """
     if isinstance(spec, str):
         found = RANDOM.fullmatch(spec.strip())
@@ -89,6 +89,8 @@ def _of_folder(folder: Path, key: str) -> list[Design]:
         if not best:
             raise DesignError(f"{key}: the search in {folder} has evaluated no body yet.")
         return best
+    if (folder / CONFIG).is_file():
+        return [load_design(folder)]
     paths = design_paths(folder)
     if not paths:
         suffixes = ", ".join(DESIGN_SUFFIXES)
@@ -119,9 +121,14 @@ class TrainingBodies:
 
     def lanes(self, settings: Training, device: str) -> int | None:
         """The lanes that a training on them uses: evaluations with as many need no kernels of their own."""
-        if device != "cpu" or settings.lanes is not None or settings.is_many:
-            return settings.lanes if device == "cpu" else None
-        return lanes_for(settings.num_envs // len(self.trained))
+        return lanes_of(settings, len(self.trained)) if device == "cpu" else None
+
+
+def lanes_of(settings: Training, bodies: int) -> int | None:
+    """The lanes that a training on so many ``bodies`` uses on the CPU; None: they are chosen by the environments."""
+    if settings.lanes is not None or settings.is_many:
+        return settings.lanes
+    return lanes_for(settings.num_envs // bodies)
 
 
 def training_bodies(settings: Training) -> TrainingBodies:

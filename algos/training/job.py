@@ -19,7 +19,14 @@ from warpvox.algos.generators import Generators
 from warpvox.algos.policies.registry import MLP, check_network, check_policy, voxels_of
 from warpvox.algos.protocols import episodes_of
 from warpvox.algos.settings import physics_of, sim_of
-from warpvox.algos.training.bodies import Bodies, TrainingBodies, load_bodies, read_bodies, training_bodies
+from warpvox.algos.training.bodies import (
+    Bodies,
+    TrainingBodies,
+    lanes_of,
+    load_bodies,
+    read_bodies,
+    training_bodies,
+)
 from warpvox.algos.training.distributed import ProcessGroup, join_process_group
 from warpvox.algos.training.held_out import HeldOut
 from warpvox.algos.training.metrics import SERVICES, check_logger, tagged
@@ -276,6 +283,7 @@ class Job:
         """The policy with the best evaluation, of a training that writes nothing."""
         policy = self.best or policy_of(self.runner.controller)
         known = {name: getattr(self.settings, name) for name in ("obs", "dtype", "arithmetic")}
+        known["lanes"] = lanes_of(self.settings, len(load_bodies(self.settings.design, self.settings.seed)))
         policy.metadata |= self.runner.trained_on | known | {"physics": dataclasses.asdict(self.settings.physics)}
         return policy.to("cpu")
 

@@ -3,37 +3,82 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+import torch
 
 from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.checkpoints.policy import Policy, policy_of
 from warpvox.algos.protocols import NOMINAL, parts_of
+from warpvox.algos.training.bodies import lanes_of, load_bodies
 from warpvox.algos.training.metrics import COLUMNS, read_metrics
 from warpvox.algos.training.playing import SHOWN, Playing, disturbed, load_trained
+from warpvox.algos.training.settings import Training
 from warpvox.checks import check_path
 from warpvox.code import Code, is_code
+from warpvox.design import Design
 from warpvox.devices.names import resolve_device
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import ConfigError
+from warpvox.errors import ConfigError, DesignError
 from warpvox.robots.entry import Robot
 from warpvox.robots.replay import SEEDS, known_task, robot_env, torch_policy
-from warpvox.runs import CONFIG, Run, find_run
+from warpvox.runs import CONFIG, Run, find_run, run_of_robot
 from warpvox.trust import STORED, allowed
 
 if TYPE_CHECKING:
     from warpvox.algos.training.job import Job
 
 
+def find_policy(
+    source: Any, output_dir: str | Path = "outputs", network: str | None = None, device: str = "cpu"
+) -> Run | Callable[[Any], Any]:
+    """The run (or stored robot) that has what a user calls a policy, or that function of observations.
+
+    Args:
+        source: ``latest``, the folder of a run or of a design search (its best design), a checkpoint, an exported file,
+            ``zoo:TASK``; what :func:`warpvox.zoo`, :func:`warpvox.train`, :func:`warpvox.codesign` or
+            :func:`warpvox.load_policy` returns, or a design of a search; a function of observations, such as a torch
+            module, or an object with such a method ``act``.
+        output_dir: where ``latest`` is looked for.
+        network: of a file that lies in no run's folder, where the code of its network is.
+        device: of the policy of such a file.
+
+    Raises:
+        RunError: no such run or file, or it holds no policy. ConfigError: nothing of the kind.
+    """
+    source = getattr(source, "policy_source", source)  # of the results of a training or search
+    if isinstance(source, Robot):
+        return run_of_robot(source)
+    if isinstance(source, str | os.PathLike):
+        path = check_path("The run or file of a policy", source)
+        if str(source) != "latest" and path.is_file():
+            exported = read_exported(path, network)
+            if exported is not None:
+                return exported.to(device)
+            if not (path.parent / CONFIG).is_file():
+                return policy_of(load_controller(path, device, network))
+        return find_run(str(source), str(output_dir))
+    # a torch module that has no forward can be called, but fails
+    has_forward = not isinstance(source, torch.nn.Module) or type(source).forward is not torch.nn.Module.forward
+    act = source if callable(source) and has_forward else getattr(source, "act", None)
+    if not callable(act) or isinstance(source, type):
+        raise ConfigError(
+            "A policy must be a run (its folder, a checkpoint, latest, zoo:TASK, or what train, codesign, zoo and"
+            f" load_policy return) or a function of observations; got {source!r:.80}."
+        )
+    return act
+
+
 def load_policy(
-    source: str | Path = "latest",
+    source: Any = "latest",
     *,
     checkpoint: str = "best",
     output_dir: str | Path = "outputs",
@@ -47,10 +92,12 @@ def load_policy(
 
     Args:
         source: ``latest``, the folder of a run or of a design search (its best design), a checkpoint file, a file
-            that ``warpvox export format=[onnx,jit]`` has written, or a robot of the zoo, ``zoo:Walker-v0``.
+            that ``warpvox export format=[onnx,jit]`` has written, or a robot of the zoo, ``zoo:Walker-v0``; also what
+            :func:`warpvox.zoo`, :func:`warpvox.train` or :func:`warpvox.codesign` returns, or one of its designs. A
+            policy or another function of observations is returned as it is.
         checkpoint: of a run: ``best``, ``last`` or an iteration.
         output_dir: where ``latest`` is looked for.
-        device: where the module shall be.
+        device: where the module shall be; of a function, it is of no effect.
         policy: of a run or file with a network of your own, where its code is: ``FILE.py:Class``, ``module:Class``,
             or, of a run, ``stored`` for the copy in its folder. It is imported only if it is named here.
 
@@ -60,26 +107,19 @@ def load_policy(
     if not isinstance(policy, str | None):
         raise ConfigError(f"policy must name code, FILE.py:Class, got {policy!r:.80}.")
     network = None if policy is None else policy if policy == STORED else Code(policy)
-    device, path = resolve_device(device), check_path("The run or file of a policy", source)
-    if str(source) != "latest" and path.is_file():
-        exported = read_exported(path, network)
-        if exported is not None:
-            return exported.to(device)
-        if is_alone(path):
-            return policy_of(load_controller(path, device, network))
-    run = find_run(str(source), str(output_dir))
+    device = resolve_device(device)
+    run = find_policy(source, output_dir, network, device)
+    if not isinstance(run, Run):
+        return cast(Any, run)
     if run.robot is not None:
         return torch_policy(run.robot, device)
     names = ("task", "rules", "obs", "design", "physics", "dtype", "arithmetic")
     known = {name: run.config.get(name) for name in names} | ({"design": None} if run.is_many else {})
+    trained = Training.of(run.config, run.folder / CONFIG)
+    known["lanes"] = lanes_of(trained, len(load_bodies(trained.design, trained.seed)))
     file = run.find_checkpoint(str(checkpoint))
     network = allowed("policy", run.config.get("policy"), network, run.folder)
     return policy_of(load_controller(file, device, network), known | {"source": str(file)})
-
-
-def is_alone(path: Path) -> bool:
-    """True for a file of a policy that lies in no folder of a run."""
-    return path.is_file() and not (path.parent / CONFIG).is_file()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,6 +137,19 @@ class TrainedRun:
     summary: Mapping[str, Any]
     rows: Sequence[Mapping[str, float]] = dataclasses.field(repr=False)
     policy: Policy = dataclasses.field(repr=False)
+
+    @property
+    def design(self) -> Design | dict[str, Design]:
+        """The body, or bodies by the names of robots. DesignError: the policy is for many."""
+        body = self.policy.design
+        if body is None:
+            raise DesignError("This run does not say which body it is for: give the body itself.")
+        return body
+
+    @property
+    def policy_source(self) -> Path | Policy:
+        """The folder, or the policy itself where nothing was written."""
+        return self.folder or self.policy
 
     @classmethod
     def of(cls, job: Job) -> TrainedRun:

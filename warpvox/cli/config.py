@@ -13,9 +13,9 @@ from warpvox.cli.overrides import key_and_value, read_overrides
 from warpvox.configs.composition import composed, hydras_errors, quoted
 from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean
-from warpvox.io.reading import Unreadable, parse_yaml, read_text
+from warpvox.io.reading import LARGEST_CONFIG, Unreadable, parse_yaml, read_text
 from warpvox.keys import check_value, check_values, converted
-from warpvox.runs import CONFIG, LARGEST_CONFIG
+from warpvox.runs import CONFIG
 from warpvox.trust import check_services, typed, with_code
 
 ALIASES = {"env": "task", "lr": "learning_rate", "n_envs": "num_envs", "num_envs": "envs", "batch_size": "minibatches"}

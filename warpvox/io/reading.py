@@ -24,8 +24,14 @@ from typing import IO, Any
 import numpy as np
 import yaml
 
-from warpvox.errors import did_you_mean, listing
+from warpvox.errors import RunError, did_you_mean, listing
 
+CONFIG, SUMMARY = "config.yaml", "summary.json"
+"""Files in the folder of a run: its settings, and what came of it."""
+LARGEST_CONFIG = 100_000
+"""Bytes that the configuration may have: reading as much takes seconds."""
+END = "...\n"
+"""The last line of a run's configuration, YAML's own mark of an end: what lacks it has been cut short."""
 DEEPEST = 32
 """Levels of lists and mappings that a YAML text may have."""
 _HALF = re.compile(r"\\u[dD][89a-fA-F]")
@@ -130,6 +136,22 @@ def read_facts(path: str | os.PathLike[str], limit: int = 1 << 24) -> dict[str, 
     except (Unreadable, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
+
+
+def read_config(folder: Path) -> dict[str, Any]:
+    """The settings in a run's ``config.yaml``; empty if it holds none by name. RunError: it is damaged."""
+    config = folder / CONFIG
+    try:
+        text = read_text(config, LARGEST_CONFIG)
+        content = parse_yaml(text)
+    except Unreadable as error:
+        raise RunError(f"{config} cannot be read as YAML ({error}): is {folder} a run?") from None
+    if not isinstance(content, dict | None):
+        return {}
+    # missing keys would be taken for the defaults, and the run for another one
+    if text.splitlines()[-1:] != [END.strip()]:
+        raise RunError(f"{config} has been cut short: it lacks its last line, {END.strip()}. Restore it from a copy.")
+    return content or {}
 
 
 def read_npy(path: str | os.PathLike[str], limit: int) -> np.ndarray:

@@ -12,7 +12,7 @@ import html
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from warpvox.checks import is_number
 from warpvox.design import Design, check_design, full_connections, zoo_file, zoo_tasks as zoo_tasks
-from warpvox.errors import RunError
+from warpvox.errors import DesignError, RunError
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path, check_suffix
 from warpvox.robots.gait import ARRAYS, Gait
@@ -51,6 +51,7 @@ class Robot:
             episode), ``noise`` (``return`` and ``returns`` of 32 episodes under noise), ``control_steps`` and
             ``wall_s`` (of the search or training that it comes from), ``command``, ``config``, ``date``, ``version``,
             ``commit``; of one from elsewhere at least ``return``.
+        source: what names it where a run or a body is expected, ``zoo:TASK`` or ``zoo:FILE``; empty: it is in no file.
         sha256: of all arrays.
     """
 
@@ -59,6 +60,7 @@ class Robot:
     connections: np.ndarray
     policy: Network | Gait | None
     about: Mapping[str, Any] = field(default_factory=dict)
+    source: str = ""
 
     def __repr__(self) -> str:
         rows, columns = self.body.shape
@@ -112,6 +114,16 @@ class Robot:
         return {tuple(pair) for pair in pairs.tolist()} == {tuple(pair) for pair in full.tolist()}
 
     @property
+    def design(self) -> Design:
+        """The body alone, as a design; DesignError: it lacks connections, which a design has."""
+        if not self.fully_connected:
+            raise DesignError(
+                "This robot lacks connections of neighbouring cells, which a design has: body=robot.body and"
+                " connections=robot.connections."
+            )
+        return self.body
+
+    @property
     def sha256(self) -> str:
         """Digest of body, connections and policy."""
         total = hashlib.sha256(json.dumps([self.task, _network(self.policy)], sort_keys=True).encode())
@@ -120,7 +132,7 @@ class Robot:
         return total.hexdigest()
 
 
-def zoo(task: str) -> Robot:
+def zoo(task: str | os.PathLike[str]) -> Robot:
     """The robot of the zoo for a task: ``zoo("Thrower-v0").policy(obs)`` gives its actions.
 
     Args:
@@ -129,7 +141,7 @@ def zoo(task: str) -> Robot:
     Raises:
         RunError: the zoo has none for it; the message lists those that there are. Or a file that cannot be read.
     """
-    return read_robot(zoo_file(task, RunError))
+    return replace(read_robot(zoo_file(task, RunError)), source=f"zoo:{task}")
 
 
 def check_facts(about: Mapping[str, Any]) -> None:

@@ -16,7 +16,7 @@ from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError, RunError
 from warpvox.robots.entry import Robot
 from warpvox.robots.gait import Gait
-from warpvox.robots.network import Network
+from warpvox.robots.network import STEP, Network
 from warpvox.types import ACTION_CENTER, Cell
 
 BY_CELL = ("amplitude", "phase", "rest")
@@ -80,14 +80,21 @@ def known_task(robot: Robot) -> str:
 
 
 def torch_policy(robot: Robot, device: str = "cpu") -> Policy:
-    """The policy of ``robot`` as a torch module, float32 and without the rounding of its actions."""
+    """The policy of ``robot`` as a torch module.
+
+    In float32 its actions are not rounded; in float64 they are those of the robot. Its ``metadata`` say how the robot
+    is evaluated: exactly, with a seed for each episode (``seed_each``).
+    """
     network = robot.own_policy
-    about = {"task": robot.task, "rules": "evogym", "obs": robot.obs, "design": robot.body.tolist(), "dtype": "float64"}
+    about: dict[str, Any] = {"task": robot.task, "rules": "evogym", "obs": robot.obs, "design": robot.body.tolist()}
+    about |= {"dtype": "float64", "seed_each": True}
+    if not robot.fully_connected:
+        about["connections"] = robot.connections.tolist()
     if isinstance(network, Gait):
         return _gait_module(robot, network, about).to(device)
     hidden = [len(bias) for bias in network.biases[:-1]]
     spec = PolicySpec(network.num_obs, network.num_actions, hidden, network.activation, False, network.scale)
-    policy = make_policy(spec, about)
+    policy = make_policy(spec, about | {"action_step": STEP})
     state = {"mean": network.mean, "deviation": network.deviation}
     for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         last = layer == len(network.weights) - 1

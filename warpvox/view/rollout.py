@@ -227,22 +227,7 @@ def record(
     *,
     metadata: Mapping[str, Any] | None = None,
 ) -> Rollout:
-    """Reset ``env``, let ``policy`` act for one episode everywhere and return what happened.
-
-    An environment whose episode ends stays as it ended until the recording is over, whatever
-    ``env.auto_reset`` says (an environment that resets itself is left reset).
-
-    Args:
-        env: what :func:`warpvox.make_vec` makes.
-        policy: ``function(obs)`` giving actions ``[num_envs, num_actions]`` in [0.6, 1.6], or one of
-            :data:`AGENTS`, which follow ``env.seed``. What :func:`warpvox.load_policy` gives is run in float64.
-        num_steps: at most so many control steps; None: until all episodes have ended.
-        metadata: JSON values to keep with the rollout, for instance the configuration of a run.
-
-    Raises:
-        ConfigError: an unknown agent, a number of steps below 1, or environments of another kind (gymnasium's).
-        ActionError: what the policy gives is refused.
-    """
+    """Record an episode as :func:`warpvox.record` does, of a function of observations or one of :data:`AGENTS`."""
     import torch
 
     if not hasattr(env, "sim") or not hasattr(env, "max_episode_steps"):

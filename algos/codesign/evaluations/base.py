@@ -54,8 +54,6 @@ class Evaluation(Settings):
     prefix = "evaluation."
     finalists = 0
     """Number of best designs that are evaluated once more at the end of a search (origin ``finalist``)."""
-    comparable = True
-    """Whether the returns of designs compare with those of finalists: each is that of a policy of its own."""
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
         """The evaluator, made in the process that evaluates; ``known`` is what :meth:`begins_with` has returned."""

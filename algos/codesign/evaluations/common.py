@@ -37,7 +37,6 @@ STEPS = "pretraining_steps"
 class CommonPolicy(Screened):
     """Settings of a policy that controls all designs."""
 
-    comparable = False
     fewer = "search.population"
     """The key that sets how many designs the policy learns on at once."""
 
