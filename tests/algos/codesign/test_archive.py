@@ -318,7 +318,7 @@ def test_every_command_refuses_a_foreign_view(filled: Archive, warpvox: Callable
     db.executescript(FOREIGN["another view"])
     db.close()
     filled.path.rename(folder / "archive.sqlite")
-    (folder / "config.yaml").write_text(f"command: codesign\ntask: Walker-v0\n{END}")
+    (folder / "config.yaml").write_text(f"task: Walker-v0\nsearch: {{name: ga}}\ntraining: {{}}\n{END}")
     for words in (
         ["play", f"run={folder}"],
         ["evaluate", f"runs=[{folder}]"],
