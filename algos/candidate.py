@@ -92,7 +92,7 @@ class Outcome:
 
 
 def checked_outcomes(found: Any, count: int) -> list[Outcome]:
-    """What an evaluator has returned for ``count`` candidates, as plain numbers.
+    """The outcomes that an evaluator has returned for ``count`` candidates, as plain numbers.
 
     Raises:
         RunError: it is no list of so many outcomes, or one holds what cannot be stored.

@@ -55,7 +55,7 @@ class Generators(TorchFunctionMode):
 
     @property
     def seed(self) -> int:
-        """What the generators began with."""
+        """The seed that the generators began with."""
         return self.on("cpu").initial_seed()
 
     def state(self) -> dict[str, torch.Tensor]:

@@ -76,7 +76,7 @@ def _misfit(name: str, wanted: object, found: object) -> RunError:
 
 
 def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> dict[str, Any]:
-    """What ``optimizer.load_state_dict`` takes: the moments and learning rates of a file, all else as configured.
+    """The argument of ``optimizer.load_state_dict``: moments and learning rates of a file, all else as configured.
 
     torch does not compare moments with the parameters, and goes on in them beyond their ends.
 
@@ -118,7 +118,7 @@ def _moments(optimizer: torch.optim.Optimizer) -> dict[str, Any]:
 
 
 def _of(moment: Any, parameter: torch.Tensor) -> Any:
-    """What stands for a moment of two numbers in the state of another parameter."""
+    """Stand-in for a moment of two numbers in the state of another parameter."""
     if not isinstance(moment, torch.Tensor):
         return None if moment is None else type(moment)
     return AnyTensor(moment.dtype, tuple(parameter.shape if moment.shape == (2,) else moment.shape))

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from warpvox.checks import check_choice, check_integer, is_integer
+from warpvox.devices.startup import ambient
 from warpvox.errors import ActionError, ConfigError, RolloutError, counted
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path, check_suffix
@@ -249,7 +250,7 @@ def record(
     try:
         if hasattr(act, "reset"):  # it remembers episodes
             act.reset()
-        with torch.no_grad():
+        with ambient(), torch.no_grad():
             columns = _run(env, act, limit, gather)
     finally:
         env.auto_reset = resets_itself

@@ -348,7 +348,7 @@ def test_every_command_refuses_a_foreign_view(filled: Archive, warpvox: Callable
     db.executescript(FOREIGN["another view"])
     db.close()
     filled.path.rename(folder / "archive.sqlite")
-    (folder / "config.yaml").write_text(f"command: codesign\ntask: Walker-v0\n{END}")
+    (folder / "config.yaml").write_text(f"task: Walker-v0\nsearch: {{}}\ntraining: {{}}\n{END}")
     for words in (
         ["play", f"run={folder}"],
         ["evaluate", f"runs=[{folder}]"],
@@ -356,8 +356,6 @@ def test_every_command_refuses_a_foreign_view(filled: Archive, warpvox: Callable
         ["codesign", f"report=[{folder}]"],
         ["codesign", f"resume={folder}"],
         ["zoo", f"add={folder}"],
-        ["train", f"design={folder}"],
-        ["train", f"designs={folder}"],
     ):
         done = warpvox(*words, code=None)
         assert "table or view" in " ".join((done.out + done.err).split()), words

@@ -117,7 +117,7 @@ def test_settings_of_the_caller_change_nothing(tmp_path: Path) -> None:
 
     def everything() -> list[Any]:
         policy = wv.load_policy(tmp_path / "run")
-        return [trained(0), policy.state_dict()["mlp.0.weight"].tolist(), recorded()]
+        return [trained(0), policy.state_dict()["mlp.0.weight"].tolist()]
 
     usual = everything()
     for name, setting in AMBIENT.items():
