@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from warpvox.errors import TaskError, did_you_mean, listing
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-    from warpvox.envs.spec import Memory
 
 Quantity = tuple[Any, ...]
 """A method of the simulation and its arguments."""
@@ -59,11 +57,16 @@ class Snapshot:
         """One of :attr:`quantities`, itself: not to be written to."""
         return self._values[quantity]
 
-    def update(self, memories: Iterable[Memory]) -> dict[str, Tensor]:
-        """Update the episode state, one memory after the other; return all of it."""
-        self.memory_values = values = dict(self.memory_values)
-        for memory in memories:
-            values[memory.name] = memory.advance(self)
+    def update(self, updates: Mapping[str, Callable[[Snapshot], Tensor]]) -> dict[str, Tensor]:
+        """Update the episode state, one memory after the other; return all of it.
+
+        Args:
+            updates: by the name of a memory what gives its new value.
+        """
+        values = dict(self.memory_values)
+        self.memory_values = values
+        for name, update in updates.items():
+            values[name] = update(self)
         return values
 
     def com(self, name: str) -> Tensor:

@@ -145,6 +145,7 @@ class VoxelVecEnv:
         if obs.startswith("timed"):
             spec = replace(spec, observations=(*spec.observations, Observation(ElapsedSteps(self.episodes))))
         self.spec, self.rules, self.sim, self.seed, self.auto_reset = spec, rules, sim, seed, auto_reset
+        self._updates = {memory.name: memory.advance for memory in spec.memory}
         self._has_code, self._limit = spec.has_code, spec.max_episode_steps
         self.designs, self.num_envs, self.device, self.dtype = designs, sim.num_envs, sim.device, sim.dtype
         block = sim.num_envs // len(designs)
@@ -416,7 +417,7 @@ class VoxelVecEnv:
         before = self._snapshot(episodes.before)
         after = self._snapshot()
         obs = self.layout.observe(after)
-        memory = after.update(self.spec.memory)
+        memory = after.update(self._updates)
 
         # Rewards and terminations
         reward_terms, terminated = self.evaluate_terms(before, after, unstable, active)
@@ -476,7 +477,7 @@ class VoxelVecEnv:
 
     def retimed(self, obs: torch.Tensor) -> torch.Tensor:
         """The last observation ``[num_envs, num_obs]``, with ``obs="timed"`` after episode lengths were assigned."""
-        if not is_timed(self):
+        if not is_timed(self.obs_columns[0]):
             return obs
         column = torch.tensor([columns[TIME].start for columns in self.obs_columns], device=obs.device)
         return obs.scatter(1, column[self.design_index][:, None], self.episode_length[:, None].to(obs.dtype))

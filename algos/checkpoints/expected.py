@@ -102,7 +102,7 @@ def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> 
         place = f"{name}.state.{number!s:.20}"
         if type(number) is not int or not 0 <= number < len(parameters):
             raise RunError(f"Its {place!r} belongs to none of the {len(parameters)} parameters.")
-        check_like(entry, {key: _of(value, parameters[number]) for key, value in moments.items()}, place)
+        check_like(entry, {key: _of(entry, key, value, parameters[number]) for key, value in moments.items()}, place)
     return {"state": dict(found["state"]), "param_groups": groups}
 
 
@@ -117,11 +117,16 @@ def _moments(optimizer: torch.optim.Optimizer) -> dict[str, Any]:
     return dict(trial.state[tried])
 
 
-def _of(moment: Any, parameter: torch.Tensor) -> Any:
-    """Stand-in for a moment of two numbers in the state of another parameter."""
+def _of(entry: Any, key: str, moment: Any, parameter: torch.Tensor) -> Any:
+    """Stand-in for the moment ``key`` in the ``entry`` of a parameter, from that of a parameter of two numbers."""
     if not isinstance(moment, torch.Tensor):
         return None if moment is None else type(moment)
-    return AnyTensor(moment.dtype, tuple(parameter.shape if moment.shape == (2,) else moment.shape))
+    if moment.shape == (2,):
+        return AnyTensor(parameter.dtype, tuple(parameter.shape))
+    # torch counts steps in its default precision, which may have been another one
+    given = entry.get(key) if isinstance(entry, Mapping) else None
+    counts = isinstance(given, torch.Tensor) and given.dtype in (torch.float32, torch.float64)
+    return AnyTensor(given.dtype if counts else moment.dtype, tuple(moment.shape))
 
 
 def check_plain(content: Any) -> None:

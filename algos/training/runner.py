@@ -232,7 +232,8 @@ class Runner(OnPolicyRunner):
 
         Code of the user's may draw from torch's global generators: the same numbers again if the run is resumed.
         """
-        return own_torch(self.torch_threads, (self.generators.seed + self.current_learning_iteration) % 2**63)
+        seed = (self.generators.seed + self.current_learning_iteration) % 2**63
+        return own_torch(self.torch_threads, seed, self.env.network_dtype)
 
     def _begin(self, init_at_random_ep_len: bool) -> None:
         """Prepare the environments, the folder and the networks of other processes."""

@@ -60,6 +60,7 @@ class RslRlVecEnv(VecEnv):
         if not env.auto_reset:
             raise ConfigError("Training needs environments that reset themselves: make_vec(auto_reset=True).")
         self.env = env
+        self.network_dtype = torch.get_default_dtype()  # that of the networks which are made now
         self.num_envs, self.num_actions = env.num_envs, env.num_actions
         self.max_episode_length = env.max_episode_steps
         self.device = env.device
@@ -96,7 +97,7 @@ class RslRlVecEnv(VecEnv):
         self._shortened = torch.ones_like(self._shortened)
 
     def get_observations(self) -> TensorDict:
-        """The current observations, group ``policy``: ``[num_envs, num_obs]`` in torch's default precision."""
+        """The current observations, group ``policy``: ``[num_envs, num_obs]`` in the precision of networks."""
         return self._group(self._obs)
 
     def set_designs(self, designs: Sequence[object], mask: torch.Tensor) -> None:
@@ -130,7 +131,7 @@ class RslRlVecEnv(VecEnv):
         if self.bootstrap_time_limit:
             extras["time_outs"] = truncated & ~terminated
             extras["final_obs"] = self._group(info["final_obs"])
-        reward = reward.to(torch.get_default_dtype())
+        reward = reward.to(self.network_dtype)
         if self.reward_norm is not None:
             reward = self.reward_norm(reward, done)
         return self._group(obs), reward * self.reward_scale, done, extras
@@ -140,7 +141,7 @@ class RslRlVecEnv(VecEnv):
         return ACTION_CENTER + self.action_scale * outputs
 
     def _group(self, obs: torch.Tensor) -> TensorDict:
-        group = {OBS_GROUP: obs.to(torch.get_default_dtype(), copy=True)}
+        group = {OBS_GROUP: obs.to(self.network_dtype, copy=True)}
         return TensorDict(group, batch_size=[self.num_envs], device=self.device)
 
     def _clear_episodes(self) -> None:

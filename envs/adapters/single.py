@@ -175,7 +175,7 @@ class SingleStepper:
         self._actions = sim.action_buffer.numpy()[0]
         self._status = sim.array("status").numpy().reshape(-1)
         self._slot = int(sim.slot[0])
-        self._updates = [memory for memory in env.spec.memory if memory.update is not None]
+        self._updates = {memory.name: memory.advance for memory in env.spec.memory if memory.update is not None}
         episodes = self._episodes = env.episodes
         self._memory = {name: value.numpy() for name, value in episodes.memory.items()}
         self._length, self._return = episodes.length.numpy(), episodes.returns.numpy()
@@ -212,8 +212,8 @@ class SingleStepper:
         self._episodes.drawn = False
         if self._updates:
             memory_values = after.update(self._updates)
-            for memory in self._updates:
-                self._memory[memory.name][...] = memory_values[memory.name]
+            for name in self._updates:
+                self._memory[name][...] = memory_values[name]
         status = self._status.item(self._slot)  # a number of Python's: those of numpy are slow
         stopped, diverged = bool(status & STOPPED), bool(status & DIVERGED)
         terms, ended = self._terms.judge(before, after, stopped)

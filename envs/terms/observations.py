@@ -15,11 +15,12 @@ from warpvox.envs.terms.goals import LONGEST, goal_x
 from warpvox.types import SIGHT, VOXEL
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from torch import Tensor
 
     from warpvox.envs.episodes import Episodes
     from warpvox.envs.snapshot import Snapshot
-    from warpvox.envs.vec_env import VoxelVecEnv
 
 SCAN_RANGE = SIGHT * VOXEL  # how far robots see up and down, in simulator units
 
@@ -163,6 +164,6 @@ class ElapsedSteps:
         return self._length[:, None]
 
 
-def is_timed(env: VoxelVecEnv) -> bool:
-    """True if observations end with the time."""
-    return NAME in env.obs_columns[0]
+def is_timed(columns: Mapping[str, slice]) -> bool:
+    """True if observations with these ``columns``, by the names of terms, end with the time."""
+    return NAME in columns

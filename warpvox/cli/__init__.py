@@ -99,7 +99,7 @@ def _dispatch(arguments: list[str]) -> int:
     if command in ("-sc", "--shell-completion"):
         from warpvox.cli.sweep import complete
 
-        complete(rest)
+        complete(rest, COMMANDS)
         return DONE
     if command not in COMMANDS:
         hint = did_you_mean(command, COMMANDS)

@@ -9,7 +9,7 @@ import re
 import sys
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -22,7 +22,6 @@ from hydra.core.override_parser.types import Override
 from rich.console import Console
 from rich.table import Table
 
-from warpvox.cli import COMMANDS as NAMES
 from warpvox.cli.config import load_start
 from warpvox.cli.help import options_of, preset_key
 from warpvox.cli.overrides import key_and_value
@@ -191,11 +190,16 @@ def run_hydra(
         sys.argv = words
 
 
-def complete(words: Sequence[str]) -> None:
-    """``warpvox -sc install=SHELL``: print code that makes a shell complete our commands, which calls ``query``."""
+def complete(words: Sequence[str], names: Collection[str]) -> None:
+    """``warpvox -sc install=SHELL``: print code that makes a shell complete our commands, which calls ``query``.
+
+    Args:
+        words: what follows ``-sc``.
+        names: of all commands.
+    """
     line = os.environ.get("COMP_LINE", "").split(" ", 2)
     command = {"demo": "train"}.get(line[1], line[1]) if len(line) == 3 else None
-    word, options = line[-1].rpartition(" ")[2], NAMES if command is None else ()
+    word, options = line[-1].rpartition(" ")[2], names if command is None else ()
     if command in COMMANDS and word.startswith(f"{preset_key(command)}="):  # Hydra knows presets by another name
         options = [f"{preset_key(command)}={name}" for name in options_of(command, f"{PRESET}/{command}")]
     if words[:1] and words[0].startswith("query=") and (options or command not in COMMANDS):

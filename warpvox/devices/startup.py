@@ -15,10 +15,13 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from warpvox.errors import StorageError
 from warpvox.io.writing import complaint
+
+if TYPE_CHECKING:
+    import torch
 
 LOGGER = logging.getLogger("warpvox")
 """Takes the line about compilation, as a warning: it shows without any configuration."""
@@ -128,7 +131,7 @@ def prepare(torch_threads: int, seed: int) -> None:
 
 
 @contextmanager
-def own_torch(threads: int | None = None, seed: int | None = None) -> Iterator[None]:
+def own_torch(threads: int | None = None, seed: int | None = None, dtype: torch.dtype | None = None) -> Iterator[None]:
     """Inside, torch is this thread's alone: other threads that ask for it wait. Settings are those of :func:`ambient`.
 
     Nothing inside may wait for another thread. torch's global generators are the caller's again afterwards.
@@ -136,8 +139,9 @@ def own_torch(threads: int | None = None, seed: int | None = None) -> Iterator[N
     Args:
         threads: that torch computes with; None: as many as before.
         seed: of torch's global generators; None: they go on as they are.
+        dtype: default type of torch; None: float32.
     """
-    with PROCESS, ambient(threads), _restored():
+    with PROCESS, ambient(threads, dtype), _restored():
         if seed is not None:
             import torch
 
@@ -146,10 +150,14 @@ def own_torch(threads: int | None = None, seed: int | None = None) -> Iterator[N
 
 
 @contextmanager
-def ambient(threads: int | None = None) -> Iterator[None]:
+def ambient(threads: int | None = None, dtype: torch.dtype | None = None) -> Iterator[None]:
     """Inside, torch has the settings of a new process: float32, the CPU as the default device, gradients.
 
     Neither inference mode nor autocast are on. Several threads may be inside at the same time.
+
+    Args:
+        threads: that torch computes with; None: as many as before.
+        dtype: default type of torch; None: float32.
     """
     import torch
 
@@ -169,7 +177,7 @@ def ambient(threads: int | None = None) -> Iterator[None]:
 
         # settings of the process
         changed.enter_context(_shared)
-        torch.set_default_dtype(torch.float32)
+        torch.set_default_dtype(dtype or torch.float32)
         yield
 
 

@@ -174,6 +174,8 @@ def check_links(folder: Path, names: Collection[str] = ()) -> None:
     Args:
         names: files and folders in ``folder`` that are looked at; none: all.
     """
+    if not os.path.isdir(folder):
+        return
     root = Path(os.path.realpath(folder))
     entries = [entry for entry in os.scandir(folder) if not names or entry.name in names]
     while entries:

@@ -132,11 +132,11 @@ def test_killed_at_any_moment_it_is_the_undisturbed_search(tmp_path, monkeypatch
     whole = run(tmp_path / "whole")
     iterate, finish, count = Runner._iterate, Archive.finish, []
 
-    def iterated(runner: Runner, end: int) -> None:
+    def iterated(runner: Runner, end: int) -> Any:
         if len(count) == {"first": 2, "second": 5}.get(moment):
             raise Killed
         count.append(None)
-        iterate(runner, end)
+        return iterate(runner, end)
 
     def finished(archive: Archive, results: list[Any], *more: Any, **named: Any) -> None:
         if moment == "stored" and len(count) == 6:

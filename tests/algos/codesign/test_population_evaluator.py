@@ -189,15 +189,15 @@ def test_one_by_one_a_killed_training_goes_on_within_a_design(tmp_path: Path, mo
 
     file, found, how = tmp_path / "training" / "state.pt", candidates(2), small(save_interval=2)
     whole = SequentialEvaluator(factory(), how, 0).evaluate(found, {})
-    iterate, count = Runner._iterate, []
+    report, count = Runner._report, []
 
-    def counted(runner: Runner, end: int) -> None:
-        iterate(runner, end)
+    def counted(runner: Runner, row: dict[str, float], end: int) -> None:
+        report(runner, row, end)
         count.append(runner.current_learning_iteration)
         if len(count) == 6 + iteration:
             raise Killed
 
-    monkeypatch.setattr(Runner, "_iterate", counted)
+    monkeypatch.setattr(Runner, "_report", counted)
     with pytest.raises(Killed):
         SequentialEvaluator(factory(), how, 0).evaluate(found, {}, None, file)
     torch.manual_seed(iteration)  # whatever happens between
