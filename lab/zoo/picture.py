@@ -56,7 +56,7 @@ def sheets(width: int, height: int) -> list[Image.Image]:
 
 def tiles_of(robot: Robot, images: Path) -> list[Image.Image]:
     """Tiles of a robot's first recorded episode; writes the film for the page of its task."""
-    rollout = wv.record(robot_env(robot, robot.about["seeds"][:1]), robot.policy)
+    rollout = wv.record(robot_env(robot, robot.about["seeds"][:1]), robot.own_policy)
     last = min(int(rollout.lengths[0]), LONGEST)
     film = pictures(rollout, FILM, last)
     save(images / "tasks" / f"{robot.task}.webp", film[::2], 2 * PAUSE, quality=40)
