@@ -17,7 +17,7 @@
 #   make tables      write the keys of all commands into docs/commands.md
 #   make notebooks   run the notebooks of examples/ and keep what they show
 #   make charts      draw the charts of docs/performance.md from docs/figures.md
-#   make results     renew the pages of results from the zoo and the tables of docs/results
+#   make results     renew the pages that compare searches from the tables of docs/results
 #   make release     build both distributions, check them, and say what an upload would send
 #   make docs        build the documentation into site/ and test it
 #   make clean       remove what builds leave behind (make distclean: .venv as well)
@@ -47,7 +47,7 @@ COMPILE := $(UV) pip compile --quiet --no-python-downloads --python-version 3.10
   --no-annotate --custom-compile-command "make lock" pyproject.toml
 HASHED := $(COMPILE) --generate-hashes -c constraints.txt --no-emit-package torch
 
-.PHONY: help install demo test ptxas fast slow parity coverage lab bench reference lint types format licences packaging lowest audit lock release docs tables charts notebooks pictures results zoo_picture clean distclean
+.PHONY: help install demo test ptxas fast slow parity coverage lab bench reference lint types format licences packaging lowest audit lock release docs tables charts notebooks pictures results clean distclean
 .DEFAULT_GOAL := help
 
 help:
@@ -189,15 +189,10 @@ charts: $(STAMP)
 pictures: $(STAMP)
 	$(BIN)/python docs/pictures.py
 
-# Renews the pages of results and those that compare searches.
+# Renews the pages that compare searches.
 results: $(STAMP)
-	$(BIN)/python docs/results.py
 	$(BIN)/python docs/comparison.py
 	$(BIN)/python docs/paper_experiments.py
-
-# The robots of the zoo at work; to be made again after entries have changed.
-zoo_picture: $(STAMP)
-	$(BIN)/python docs/zoo_picture.py
 
 # Removes what builds and runs of tools leave behind; keeps .venv and outputs/.
 clean:

@@ -13,9 +13,8 @@ from warpvox.envs.voxels import FEATURES
 from warpvox.simulation import checked_actions
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
-JUDGED, SEARCHED, CHOOSING = 0xFA1F, 0x5EED, 0x7E57
-"""Streams of random numbers: no seed makes the disturbances of a search, or of a choice for the zoo, those of a
-judgement."""
+JUDGED, SEARCHED = 0xFA1F, 0x5EED
+"""Streams of random numbers: no seed makes the disturbances of a search those of a judgement."""
 GRID = 2.0**20
 """Normal numbers are multiples of its inverse, so that machines whose logarithms differ in a last bit agree."""
 BITS = 1 << 53
@@ -32,7 +31,7 @@ class Draws:
     """Random numbers of disturbed episodes, functions of the seed, the copy, the control step and the purpose.
 
     Args:
-        seed: with the stream, :data:`JUDGED`, :data:`SEARCHED` or :data:`CHOOSING`.
+        seed: with the stream, :data:`JUDGED` or :data:`SEARCHED`.
         copies: episodes with numbers of their own; whatever is compared meets the same ones.
         device: of the numbers.
     """

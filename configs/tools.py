@@ -25,20 +25,8 @@ class DesignConfig:
 
 @dataclass
 class ZooConfig:
-    task: str | None = key(
-        None,
-        "show the robot of this task in detail; with add, for runs of a task of your own: its code, file.py:NAME, or"
-        " stored for the copy in the run",
-        path="read",
-    )
-    add: list[str] = key(
-        [],
-        "make entries from these: folders of design searches or runs, checkpoints, or patterns; an entry is"
-        " replaced only by a better one under noise",
-        path="read",
-    )
-    top: int = key(10, "number of best designs of a search that add evaluates", low=1)
-    folder: str | None = key(None, "folder of the entries; null: that of the package", path="written")
+    task: str | None = key(None, "show the robot of this task in detail")
+    folder: str | None = key(None, "folder of the entries; null: that of the package", path="read")
 
 
 @dataclass

@@ -40,6 +40,7 @@ BESIDE = {
     "Tasks": (
         *("envs.spec.TaskSpec", "envs.spec.observes", "envs.spec.rewards", "envs.spec.terminates", "envs.spec.Memory"),
         *("envs.about.about", "envs.snapshot.Snapshot", "envs.random_stream.RandomStream", "envs.registry.get_task"),
+        *("envs.registry.known_returns", "envs.registry.KnownReturn"),
     ),
     "Rollouts": (
         *("view.rollout.Rollout", "view.render.Film", "view.render.draw_frame", "view.render.write_gif"),
@@ -49,6 +50,7 @@ BESIDE = {
     "Robots of the zoo": (
         *("robots.entry.Robot", "robots.gait.Gait", "robots.network.Network", "robots.returns.judge"),
         *("robots.replay.robot_env", "robots.entry.read_robot", "robots.entry.save_robot"),
+        "algos.codesign.robots.robots_of",
     ),
     "Bodies": ("design.full_connections", "design.repair_design"),
     "Other libraries": (

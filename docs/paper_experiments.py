@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+import warpvox as wv
 from warpvox.algos.codesign.robots import robots_of
 from warpvox.algos.interrupt import terminable
 from warpvox.algos.report.charts import COLOURS, PANEL, Series, chart, sheet
@@ -32,7 +33,7 @@ from warpvox.envs.registry import known_returns, task_ids
 from warpvox.errors import RunError
 from warpvox.io.reading import read_table
 from warpvox.io.writing import claimed, write_table, write_text
-from warpvox.robots.returns import recorded
+from warpvox.robots import judge, save_robot
 from warpvox.runs import read_summary
 
 FOLDER = Path(__file__).resolve().parent
@@ -106,7 +107,10 @@ def run(folder: Path, device: str = "cpu") -> None:
 
 def store(folder: Path, member: Member, place: Path) -> None:
     """Judge the best design of a search that is done, and add its rows to the tables."""
-    summary, about = read_summary(place), recorded(next(robots_of(place, 1)), {}).about
+    summary, (robot,) = read_summary(place), robots_of(place)
+    (noisy,) = wv.evaluate(
+        f"zoo:{save_robot(folder / member.folder / 'best.npz', robot)}", protocol="noise", device="cpu"
+    )
     (found,) = read_members([place])
     last = member.settings.search.max_evaluations
     places = {
@@ -115,7 +119,7 @@ def store(folder: Path, member: Member, place: Path) -> None:
     }
     facts = {"control_steps": "steps", "seconds": "elapsed_seconds"}
     values = {name: summary.get(facts.get(name, name)) for name in FACTS}
-    values |= {"return": about["return"], "noise": about["noise"]["return"]}
+    values |= {"return": judge(robot).mean_return, "noise": round(noisy.mean, 9)}
     curves = [[*member.key, axis, *(f"{value:.6g}" for value in places[axis])] for axis in AXES]
     with claimed(folder, wait=True):
         for name, columns, rows in (

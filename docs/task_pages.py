@@ -1,7 +1,7 @@
 """A page for each task of the benchmark, made while the site is built. Not part of the library.
 
-Formulas are those of the terms, returns those of the zoo, ``docs/results`` and ``envs/known_returns.csv``; ``make
-zoo_picture`` makes the films.
+Formulas are those of the terms, returns those of the zoo and ``envs/known_returns.csv``; ``python -m
+lab.zoo.picture`` makes the films.
 """
 
 import io
@@ -10,15 +10,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from warpvox.algos.statistics import mean_interval
 from warpvox.envs.about import UNITS
 from warpvox.envs.registry import get_task, known_returns, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.worlds import task_world
-from warpvox.io.reading import read_table
 from warpvox.robots.entry import zoo
 from warpvox.view.body_picture import draw_world
 
-RESULTS = Path(__file__).resolve().parent / "results"
 PAGE = Path(__file__).with_name("task_page.txt").read_text(encoding="utf-8")
 
 
@@ -93,9 +92,8 @@ def _observations(task: TaskSpec) -> Iterator[tuple[str, str, str, str]]:
 
 def _returns(task: str) -> Iterator[tuple[str, str]]:
     known = known_returns()[task]
-    rows = read_table(RESULTS / "protocols.csv")
-    (row,) = (row for row in rows if (row["task"], row["episodes"]) == (task, "noise"))
-    yield "our best robot, under noise", f"{float(row['mean']):.3f} ± {float(row['high']) - float(row['mean']):.3f}"
+    noisy = mean_interval(zoo(task).about["noise"]["returns"])
+    yield "our best robot, under noise", f"{noisy.mean:.3f} ± {noisy.high - noisy.mean:.3f}"
     yield "the same, undisturbed", f"{zoo(task).mean_return:.3f}"
     published = f"best published ({known.method}: {known.protocol})"
     yield (published, f"{known.best:g}") if known.best is not None else ("best published", "none")

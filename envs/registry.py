@@ -71,7 +71,7 @@ class KnownReturn:
 
     Attributes:
         task: its id.
-        random: mean return of random bodies under random actions, measured by ``python docs/results.py random``.
+        random: mean return of random bodies under random actions, measured by ``python -m lab.zoo.results random``.
         best: the best published return, None if there is none.
         method: who found it.
         source: where the number is found.

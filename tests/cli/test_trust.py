@@ -95,7 +95,6 @@ REFUSED = [
         "export zoo=robots/Walker-v0.npz",
     ),
     *("export run=zoo:robots/Walker-v0.npz", "export run=zoo:robots/Gait-v0.npz format=[jit]"),
-    *("zoo add=[run] folder=new", "zoo add=[search] folder=new", "zoo add=[run/model_best.pt] folder=new"),
     *("train resume=run max_iterations=2", "train -m resume=run max_iterations=2,3", "train config=run"),
     *("train config=own_network", "train resume=own_network max_iterations=2", "codesign config=search"),
     *("codesign resume=search", "codesign resume=own_search", "codesign config=own_search"),

@@ -16,7 +16,7 @@ from warpvox.errors import RunError
 from warpvox.robots.entry import Robot, read_robot, save_robot
 from warpvox.robots.network import HIGH, LOW, STEP, Network
 from warpvox.robots.replay import policy_of_checkpoint, torch_policy
-from warpvox.robots.returns import judge, judge_robust
+from warpvox.robots.returns import judge
 
 SIZES = (7, 5, 4, 3)
 
@@ -43,7 +43,7 @@ def test_a_file_gives_back_what_was_written(tmp_path: Path) -> None:
     bare = read_robot(save_robot(tmp_path / "bare.npz", replace(robot, policy=None)))
     assert bare.policy is None
     np.testing.assert_array_equal(bare.connections, robot.connections)
-    for play in (judge, judge_robust, torch_policy):
+    for play in (judge, torch_policy):
         with pytest.raises(RunError, match="has no policy: there is a body alone"):
             play(bare)
 
@@ -79,7 +79,6 @@ def say(arrays: dict[str, np.ndarray], **about: object) -> None:
         (lambda arrays: say(arrays, lengths=500), "the lengths in its header is 500, not a list"),
         (lambda arrays: say(arrays, seeds=["a"]), "the seeds in its header is .'a'., not a list"),
         (lambda arrays: say(arrays, start=[1]), "the start in its header"),
-        (lambda arrays: say(arrays, chosen_by=["a"]), "the chosen_by in its header is .'a'., not a list"),
         (lambda arrays: say(arrays, wall_s=10**400), "the wall_s in its header is 1000.*, not a number"),
         (lambda arrays: say(arrays, control_steps="1"), "the control_steps in its header is '1', not a number"),
         (lambda arrays: say(arrays, noise=0.9), "the noise in its header is 0.9, not a return and returns"),

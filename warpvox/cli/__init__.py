@@ -35,7 +35,7 @@ COMMANDS = {
     "curves": "draw the learning curves of runs as one picture",
     "design": "paint a body or a world in the browser, save it, try it out",
     "demo": "train a walker in a minute or two and export it: warpvox train preset=demo",
-    "zoo": "list the trained robots that come with warpvox, show one, add some",
+    "zoo": "list the trained robots that come with warpvox, or show one",
     "tasks": "list the tasks, or show one in detail",
     "info": "versions, devices, kernel cache",
 }

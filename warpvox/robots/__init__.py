@@ -1,7 +1,6 @@
 """Trained robots as small files: the zoo that comes with the package, entries of your own.
 
-A :class:`Robot` is a body with its policy and what is known of both. ``warpvox zoo`` lists those of the package,
-``warpvox zoo add=FOLDER`` makes them from what training has left.
+A :class:`Robot` is a body with its policy and what is known of both. ``warpvox zoo`` lists those of the package.
 """
 
 import lazy_loader as _lazy

@@ -32,7 +32,7 @@ DIGITS = 9
 """Decimals of recorded returns. Rewards are sums over points, which round differently (about 1e-15) on other CPUs."""
 GAIT = {"kind": "gait"}
 """The header of a file with an open-loop policy, whose numbers are in the arrays."""
-LISTED = ("returns", "lengths", "seeds", "chosen_by", "start")
+LISTED = ("returns", "lengths", "seeds", "start")
 """Entries of ``about`` that are lists: of numbers, and of what is known of other robots."""
 LARGEST, LARGEST_HEADER = 1 << 26, 1 << 20
 """Bytes of a file's arrays, and of its header."""
@@ -82,12 +82,6 @@ class Robot:
         """The recorded mean return under noise; NaN: none is known."""
         value = self.about.get("noise", {}).get("return")
         return float("nan") if value is None else float(value)
-
-    @property
-    def choosing_return(self) -> float:
-        """The same of other episodes, by which the zoo chooses its entries."""
-        returns = self.about.get("chosen_by") or [float("nan")]
-        return sum(returns) / len(returns)
 
     @property
     def has_feedback(self) -> bool:
@@ -144,22 +138,17 @@ def zoo(task: str | os.PathLike[str]) -> Robot:
     return replace(read_robot(zoo_file(task, RunError)), source=f"zoo:{task}")
 
 
-def check_facts(about: Mapping[str, Any]) -> None:
-    """Raise RunError unless what is known of a robot consists of values of JSON, as its file holds them."""
-    try:
-        json.dumps(dict(about), allow_nan=False)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise RunError(f"What is known of the robot cannot be stored, as JSON lacks a value of it: {error}.") from None
-
-
 def save_robot(path: str | os.PathLike[str], robot: Robot) -> Path:
     """Write ``robot`` to ``path``, whole or not at all; return the path.
 
     Raises:
-        RunError: another suffix than .npz, or facts that cannot be stored (see :func:`check_facts`).
+        RunError: another suffix than .npz, or facts with values that JSON lacks.
     """
     check_suffix("The file of a robot", path, (".npz",), RunError)
-    check_facts(robot.about)
+    try:
+        json.dumps(dict(robot.about), allow_nan=False)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise RunError(f"What is known of the robot cannot be stored, as JSON lacks a value of it: {error}.") from None
     header = {"format": FORMAT, "version": VERSION, "task": robot.task, "network": _network(robot.policy)}
     header |= {"about": dict(robot.about), "sha256": robot.sha256}
     text = json.dumps(header, allow_nan=False).encode()

@@ -1,4 +1,4 @@
-"""``warpvox zoo``: the trained robots that come with the package, one of them in detail, new ones."""
+"""``warpvox zoo``: the trained robots that come with the package, or one of them in detail."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,9 +11,8 @@ from warpvox.cli.application import run_command
 from warpvox.configs.tools import ZooConfig
 from warpvox.design import ZOO_FOLDER
 from warpvox.envs.registry import get_task, task_ids
-from warpvox.errors import RunError, WarpvoxError, counted, did_you_mean, listing
+from warpvox.errors import RunError, counted, did_you_mean, listing
 from warpvox.io.console import duration, echo, figure, literal
-from warpvox.io.writing import check_writable
 from warpvox.robots.entry import read_robot
 from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network
@@ -25,19 +24,16 @@ def run(words: list[str]) -> None:
 
 
 def zoo(config: ZooConfig, console: Console) -> None:
-    """List the robots, show one, or add some."""
+    """List the robots, or show one."""
     folder = ZOO_FOLDER if config.folder is None else Path(config.folder).expanduser()
-    if config.add:
-        _add(config, folder, console)
-        return
     entries = _entries(folder)
     if config.task is None:
         _print_all(entries, folder, console)
         return
-    task = config.task if config.task in entries else get_task(config.task).id
-    if task not in entries:
-        raise RunError(f"{folder} has no robot for {task}.{did_you_mean(task, entries)} It has {listing(entries, 40)}.")
-    _print_one(entries[task], console)
+    if config.task not in entries:
+        hint = did_you_mean(config.task, entries)
+        raise RunError(f"{folder} has no robot for {config.task}.{hint} It has {listing(entries, 40)}.")
+    _print_one(entries[config.task], console)
 
 
 def _entries(folder: Path) -> dict[str, Path]:
@@ -127,28 +123,3 @@ def _training(about: Mapping[str, Any]) -> str:
     steps, seconds = about.get("control_steps"), about.get("wall_s")
     told = "unknown" if steps is None else f"{steps:,} control steps"
     return told if seconds is None else f"{told} in {duration(seconds)}"
-
-
-def _add(config: ZooConfig, folder: Path, console: Console) -> None:
-    """Add what can be added and report each; raises the first error after all have been tried."""
-    from warpvox.cli.robot_entries import add, find_sources
-    from warpvox.devices.startup import prepare
-
-    sources, failed = find_sources(config.add), []
-    check_writable(folder)
-    prepare(1, 0)
-    for source in sources:
-        try:
-            with console.status(f"evaluating {source}"):
-                robot, before, written = add(source, folder, config.top, config.task)
-        except WarpvoxError as error:
-            failed.append(error)
-            echo(console, f"{source}: {error}")
-            continue
-        known = "no entry before" if before is None else f"the entry has {before.choosing_return:.6f} in them"
-        done = "kept as it is" if written is None else f"written to {written}"
-        figures = f"{robot.robust_return:.6f} under noise, {robot.mean_return:.6f} nominal"
-        choice = f"{robot.choosing_return:.6f} in the episodes that choose"
-        echo(console, f"{robot.task}: {figures}; {choice}, {known}; {done}")
-    if failed:
-        raise RunError(f"{len(failed)} of {len(sources)} could not be added; the first: {failed[0]}")

@@ -1,0 +1,126 @@
+"""Draw the robots of the zoo at work: python -m lab.zoo.picture [zoo|nudge]
+
+Every robot repeats its recorded episode. Its first six seconds are a film for the page of its task, and a tile of the
+film of all. ``nudge`` draws two robots of one task without noise and with it: a gait that was chosen by a single
+episode, and the robot of the zoo.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+import warpvox as wv
+from warpvox.robots import Robot, robot_env
+from warpvox.view.render import Film
+from warpvox.view.rollout import Rollout
+
+IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
+FRAGILE = Path(__file__).with_name("UpStepper-v0_one_episode.npz")
+"""A gait chosen by its return in one undisturbed episode."""
+FILM = (320, 150)
+"""Size of the film of one robot; every other picture is shown, to keep it small."""
+COLUMNS, TILE, LABEL, GAP = 8, (112, 76), 13, 4
+VOXELS = 13.0
+"""Voxels from the bottom to the top of a picture."""
+PICTURES, PAUSE = 60, 80
+"""Pictures of a film, and milliseconds of each."""
+LONGEST = 300
+"""Control steps that are shown of an episode."""
+PAPER, INK = (255, 255, 255), (28, 30, 36)
+
+
+def pictures(rollout: Rollout, size: tuple[int, int], last: int, env: int = 0) -> list[Image.Image]:
+    """Pictures of an environment up to a frame, evenly spread."""
+    film = Film(rollout, env, size, hud=False, voxels=VOXELS)
+    return [film.image(int(frame)) for frame in np.linspace(0, last, PICTURES).round()]
+
+
+def save(target: Path, frames: list[Image.Image], pause: int, quality: int) -> None:
+    """Write an animation that repeats."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    options = {"save_all": True, "append_images": frames[1:], "duration": pause, "loop": 0, "method": 6}
+    frames[0].save(target, quality=quality, **options)
+    print(f"{target}: {target.stat().st_size / 1e6:.2f} MB", flush=True)
+
+
+def sheets(width: int, height: int) -> list[Image.Image]:
+    return [Image.new("RGB", (width, height), PAPER) for _ in range(PICTURES)]
+
+
+def tiles_of(robot: Robot, images: Path) -> list[Image.Image]:
+    """Tiles of a robot's first recorded episode; writes the film for the page of its task."""
+    rollout = wv.record(robot_env(robot, robot.about["seeds"][:1]), robot.own_policy)
+    last = min(int(rollout.lengths[0]), LONGEST)
+    film = pictures(rollout, FILM, last)
+    save(images / "tasks" / f"{robot.task}.webp", film[::2], 2 * PAUSE, quality=40)
+    return pictures(rollout, TILE, last)
+
+
+def draw_zoo(images: Path = IMAGES, tasks: list[str] | None = None) -> None:
+    """Write the film of all robots, a tile a task in the order of the paper, and one for the page of each task."""
+    names = wv.task_ids() if tasks is None else tasks
+    width, height = TILE[0] + GAP, TILE[1] + LABEL + GAP
+    rows = -(-len(names) // COLUMNS)
+    frames, letters = sheets(COLUMNS * width + GAP, rows * height), ImageFont.load_default(9)
+    for number, name in enumerate(names):
+        robot = wv.zoo(name)
+        row, column = divmod(number, COLUMNS)
+        x, y = GAP + column * width, row * height
+        for frame, tile in zip(frames, tiles_of(robot, images), strict=True):
+            frame.paste(tile, (x, y + LABEL))
+            pen = ImageDraw.Draw(frame)
+            pen.text((x, y + LABEL / 2), name.removesuffix("-v0"), INK, letters, "lm")
+            pen.text((x + TILE[0], y + LABEL / 2), f"{robot.robust_return:.1f}", INK, letters, "rm")
+    save(images / "zoo.webp", frames, PAUSE, quality=55)
+
+
+def draw_nudge(images: Path = IMAGES) -> None:
+    """Write the film of a gait and a policy with feedback, without noise and with it.
+
+    Of the episodes with noise it shows that with the median return.
+    """
+    frames = sheets(2 * (FILM[0] + GAP) + GAP, 2 * (FILM[1] + 2 * LABEL))
+    letters = ImageFont.load_default(11)
+    robots = {"open loop, chosen by one episode": str(FRAGILE), "feedback, chosen under noise": "UpStepper-v0"}
+    for row, (name, source) in enumerate(robots.items()):
+        for column, protocol in enumerate(("nominal", "noise")):
+            rollout = play(source, protocol)
+            median = int(np.argsort(rollout.returns[-1])[rollout.num_envs // 2])
+            x, y = GAP + column * (FILM[0] + GAP), row * (FILM[1] + 2 * LABEL)
+            text = f"{name}; {protocol}: {rollout.returns[-1, median]:.2f}"
+            tiles = pictures(rollout, FILM, int(rollout.lengths[median]), median)
+            for frame, tile in zip(frames, tiles, strict=True):
+                frame.paste(tile, (x, y + 2 * LABEL - GAP))
+                ImageDraw.Draw(frame).text((x, y + LABEL), text, INK, letters, "lm")
+            print(text)
+    save(images / "nudge.webp", frames[::2], 3 * PAUSE, quality=40)
+
+
+def play(source: str, protocol: str) -> Rollout:
+    """Episodes of a robot of the zoo, or of a file: 32 where they differ."""
+    with tempfile.TemporaryDirectory() as folder:
+        words = [
+            f"zoo={source}",
+            f"protocol={protocol}",
+            f"output_dir={folder}",
+            "window=off",
+            "export=[]",
+            "device=cpu",
+        ]
+        words += ["num_envs=32"] if protocol != "nominal" else []
+        subprocess.run([sys.executable, "-m", "warpvox", "play", *words], check=True, stdout=subprocess.DEVNULL)
+        (file,) = Path(folder).glob("play/*/*/rollout.npz")
+        return Rollout.load(file)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", nargs="?", choices=("zoo", "nudge"), default="zoo")
+    draw_nudge() if parser.parse_args().what == "nudge" else draw_zoo()

@@ -1,0 +1,239 @@
+"""Write docs/results.md, or measure what it shows.
+
+python -m lab.zoo.results                       # the page: the zoo, the tables here and envs/known_returns.csv
+python -m lab.zoo.results protocols [TASK ...]  # the zoo's robots in disturbed episodes, into protocols.csv
+python -m lab.zoo.results random [TASK ...]     # what chance reaches, into envs/known_returns.csv
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import warpvox as wv
+from warpvox.envs.registry import KnownReturn, known_returns
+from warpvox.robots import Robot
+
+FOLDER = Path(__file__).resolve().parent
+ROOT = FOLDER.parents[1]
+PAGE = ROOT / "docs" / "results.md"
+KNOWN_RETURNS = ROOT / "envs" / "known_returns.csv"
+DISTURBED = FOLDER / "protocols.csv"
+"""Returns in disturbed episodes; ``low`` and ``high`` are the 95 % interval of the mean (Student's t)."""
+REPEATED = FOLDER / "repeats.csv"
+"""Trainings of the zoo's robots with several seeds, and their mean returns under noise."""
+EPISODES = 32
+"""Episodes of each disturbance."""
+NOISE_DEVIATION = 0.01
+"""Deviation of the noise on each action, in units of target length."""
+RUNS = 5
+"""Trainings behind an interquartile mean."""
+MANY = 6
+"""Number of tasks from which on it is given instead of their names."""
+BODIES = 64
+"""Random bodies of 5 x 5 cells, one episode each."""
+Row = Mapping[str, str]
+HEAD = """# Results
+
+The best robots found so far, chosen by their mean return under noise (in other episodes than those shown), beside the
+best published returns with bodies of 5 x 5 cells.
+{sizes}
+{summary}
+
+| task | gait | under noise | IQM of 5 | published | by | nominal | sticky | start | sensors | control steps | time |
+|---|---|---:|---:|---:|---|---:|---:|---:|---:|---:|---:|
+"""
+SUMMARY = """\
+With normal noise of 1 % of the action range on every action, {held} of {known} robots are at or above the best
+published return (mean of {episodes} episodes): {networks} with feedback, {gaits} open loop. With sticky actions
+{sticky} are, after random starts {start}."""
+NOTES = """
+- *Under noise*: the mean of {episodes} episodes with its 95 % interval (Student's t), in bold where it is at or above
+  the best published return. Normal noise with a deviation of {sigma:g} is added to each action, which is clipped to
+  0.6 to 1.6. All [protocols](protocols.md) are in exact arithmetic;
+  [a table](../lab/zoo/protocols.csv) has their intervals and 10 % quantiles.
+- *IQM of 5*: the interquartile mean under noise (that of the middle three) of five trainings of this body with five
+  seeds, among them this robot's, the one that it went on from or, of DownStepper-v0, one that went on from it
+  ([all returns](../lab/zoo/repeats.csv)), for {repeated} robots so far. **A robot is the best of some trials; this is
+  what to expect of one.** [How entries are added and repeated](../lab/zoo/README.md).
+- *Nominal*: what `warpvox play zoo=TASK` repeats in the released simulator's arithmetic ([the zoo](zoo.md)), the
+  mean of eight episodes in BidirectionalWalker-v0 and Catcher-v0, which draw at random. ▼ is below the best published
+  return. Where noise takes most of it away, the robot shows what its body can do once, not what it does reliably.
+- ○ is an open-loop [gait](zoo.md#gaits), whose actions depend on the time alone; all others are networks with
+  feedback, which see what the task observes; *sensors* concerns them alone.
+- *Control steps*, *time* (wall): of the whole search or training, and of those that it started from, on one or two
+  cores of a busy machine, so that the time says no more than its order. A training for one body does not include the
+  search that found it. `warpvox zoo task=TASK` shows all commands. Equal seeds give equal results on equal machines, by
+  the commit of a command (`wv.zoo(TASK).about["start"]` has those of the earlier ones, as far as they are known): some
+  keys have other names today, `zoo:TASK` is the robot of that time, and folders that a command names are not in the
+  repository.
+
+## Sources
+
+Published returns are the best of anybody, of one undisturbed episode each; their protocols differ. A score of 1 in a
+[comparison of searches](evaluation.md#comparing-searches) is such a return.
+
+| method | source | protocol | tasks |
+|---|---|---|---|
+"""
+
+
+def read_arguments(words: list[str] | None = None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", nargs="?", choices=("page", "protocols", "random"), default="page")
+    parser.add_argument("tasks", nargs="*", help="tasks that are measured; without, all")
+    return parser.parse_args(words)
+
+
+def page(robots: Sequence[Robot], disturbed: Sequence[Row], repeated: Sequence[Row]) -> str:
+    """``docs/results.md`` from the zoo's robots and the rows of two tables."""
+    by_task: dict[str, dict[str, Row]] = {}
+    for row in disturbed:
+        by_task.setdefault(row["task"], {})[row["episodes"]] = row
+    means: dict[str, list[float]] = {}
+    for row in repeated:
+        means.setdefault(row["task"], []).append(float(row["noise"]))
+    means = {task: values for task, values in means.items() if len(values) == RUNS}
+
+    larger = []
+    for robot in robots:
+        rows, columns = robot.body.shape
+        if (rows, columns) != (5, 5):
+            larger.append(f"{robot.task} ({rows}x{columns})")
+    sizes = f"Ours are as large, except those of {', '.join(larger)}.\n" if larger else ""
+
+    parts = [HEAD.format(sizes=sizes, summary=summary(robots, disturbed))]
+    parts += [_line(robot, by_task[robot.task], means.get(robot.task)) for robot in robots]
+    parts.append(NOTES.format(episodes=EPISODES, sigma=NOISE_DEVIATION, repeated=len(means)))
+    return "".join([*parts, *_sources(known_returns().values())])
+
+
+def summary(robots: Sequence[Robot], disturbed: Sequence[Row]) -> str:
+    """The sentences that README repeats."""
+    best = {task: one.best for task, one in known_returns().items() if one.best is not None}
+    ours = [robot for robot in robots if robot.task in best]
+    held = [robot for robot in ours if robot.robust_return >= best[robot.task]]
+    networks = sum(robot.has_feedback for robot in held)
+    rows = [row for row in disturbed if row["task"] in best and float(row["mean"]) >= best[row["task"]]]
+    return SUMMARY.format(
+        known=len(ours),
+        held=len(held),
+        episodes=EPISODES,
+        networks=networks,
+        gaits=len(held) - networks,
+        sticky=sum(row["episodes"] == "sticky" for row in rows),
+        start=sum(row["episodes"] == "start" for row in rows),
+    )
+
+
+def _line(robot: Robot, disturbed: Mapping[str, Row], repeated: Sequence[float] | None) -> str:
+    known, about = known_returns()[robot.task], robot.about
+    best = math.inf if known.best is None else known.best
+    noisy, high = (float(disturbed["noise"][name]) for name in ("mean", "high"))
+    bold = "**" if noisy >= best else ""
+    below = "▼" if robot.mean_return < best < math.inf else ""
+    cells = [robot.task, "" if robot.has_feedback else "○", f"{bold}{noisy:.3f}{bold} ± {high - noisy:.3f}"]
+    cells.append(f"{np.mean(sorted(repeated)[1:-1]):.3f}" if repeated else "")  # the middle three
+    cells += ["" if known.best is None else f"{best:g}", known.method, f"{robot.mean_return:.3f}{below}"]
+    for part in ("sticky", "start", "sensors"):
+        cells.append(f"{float(disturbed[part]['mean']):.3f}" if part in disturbed else "")
+    cells += [f"{about['control_steps']:,}", duration(about["wall_s"])]
+    return f"| {' | '.join(cells)} |\n"
+
+
+def duration(seconds: float) -> str:
+    """Hours and minutes."""
+    hours, minutes = divmod(round(seconds / 60), 60)
+    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min"
+
+
+def _sources(published: Iterable[KnownReturn]) -> list[str]:
+    found: dict[tuple[str, str, str], list[str]] = {}
+    for one in published:
+        protocol = "; ".join(filter(None, (one.protocol, one.note)))
+        found.setdefault((one.method or "none", one.source, protocol), []).append(one.task)
+    lines = []
+    for (method, source, protocol), tasks in sorted(found.items()):
+        shown = ", ".join(tasks) if len(tasks) < MANY else f"{len(tasks)} tasks"
+        place = f"<{source}>" if source.startswith("https:") else source
+        lines.append(f"| {method} | {place} | {protocol} | {shown} |\n")
+    return lines
+
+
+def read_table(path: Path) -> list[Row]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def write_table(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write rows in the order of the tasks; columns are those of the first."""
+    ordered = sorted(rows, key=lambda row: wv.task_ids().index(row["task"]))
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(ordered[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(ordered)
+
+
+def random_return(task: str) -> float:
+    """The mean return of random bodies under actions that are uniform in each control step."""
+    bodies = [wv.sample_design((5, 5), seed=seed) for seed in range(BODIES)]
+    env = wv.make_vec(task, designs=bodies, num_envs=BODIES, seed=0, device="cpu", dtype="float64", auto_reset=False)
+    return float(wv.record(env, "random").returns[-1].mean())
+
+
+def measure_random(tasks: Sequence[str]) -> None:
+    """Renew the column ``random`` of the known returns."""
+    rows = {row["task"]: dict(row) for row in read_table(KNOWN_RETURNS)}
+    for task in tasks:
+        rows[task]["random"] = f"{random_return(task):.3f}"
+        print(task, rows[task]["random"], flush=True)
+    write_table(KNOWN_RETURNS, rows.values())
+
+
+def disturbed_rows(task: str) -> list[Row]:
+    """Rows of the zoo's robot: a disturbance each.
+
+    Raises:
+        ValueError: the robot does not get the returns that its entry records.
+    """
+    robot, rows = wv.zoo(task), []
+    for found in wv.evaluate(f"zoo:{task}", protocol="robust", episodes=EPISODES, device="cpu"):
+        if found.disturbance == "nominal":
+            continue  # the page has that of the entry
+        if found.disturbance == "noise" and round(found.mean, 9) != robot.robust_return:
+            raise ValueError(f"{task}: its entry records {robot.robust_return!r} under noise, not {found.mean!r}")
+        interval = found.interval
+        row = {"task": task, "episodes": found.disturbance, "n": str(interval.n)}
+        values = {"mean": interval.mean, "low": interval.low, "high": interval.high, "quantile_10": found.low_tenth}
+        rows.append(row | {name: f"{value:.3f}" for name, value in values.items()})
+    return rows
+
+
+def measure_disturbed(tasks: Sequence[str]) -> None:
+    """Renew the rows of ``tasks`` in the table of returns in disturbed episodes."""
+    rows = [row for row in read_table(DISTURBED) if row["task"] not in tasks]
+    for task in tasks:
+        rows += disturbed_rows(task)
+        print(task, flush=True)
+    write_table(DISTURBED, rows)
+
+
+def main(given: argparse.Namespace) -> None:
+    tasks = given.tasks or wv.task_ids()
+    if given.what == "random":
+        measure_random(tasks)
+    elif given.what == "protocols":
+        measure_disturbed(tasks)
+    else:
+        text = page([wv.zoo(task) for task in wv.task_ids()], read_table(DISTURBED), read_table(REPEATED))
+        PAGE.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(read_arguments())
