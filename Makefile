@@ -16,7 +16,7 @@
 #   make tables      write the keys of all commands into docs/commands.md
 #   make notebooks   run the notebooks of examples/ and keep what they show
 #   make charts      draw the charts of docs/performance.md from docs/figures.md
-#   make results     renew the pages of results from the zoo and the tables of docs/results
+#   make results     renew the page of results from the zoo and the tables of docs/results
 #   make release     build both distributions, check them, and say what an upload would send
 #   make docs        build the documentation into site/ and test it
 #   make clean       remove what builds leave behind (make distclean: .venv as well)
@@ -179,11 +179,9 @@ charts: $(STAMP)
 pictures: $(STAMP)
 	$(BIN)/python docs/pictures.py
 
-# Renews the pages of results and those that compare searches.
+# Renews the page of results.
 results: $(STAMP)
 	$(BIN)/python docs/results.py
-	$(BIN)/python docs/comparison.py
-	$(BIN)/python docs/paper_experiments.py
 
 # The robots of the zoo at work; to be made again after entries have changed.
 zoo_picture: $(STAMP)

@@ -18,7 +18,6 @@ COMMANDS = {
     "play": "show",
     "export": "show",
     "codesign": "codesign",
-    "suite": "codesign",
     "bench": "bench",
     "curves": "show",
     "evaluate": "show",
@@ -31,9 +30,6 @@ COMMANDS = {
 
 PRESET = "preset"
 """The key that takes the name of a preset, a file of ``configs/preset/COMMAND``."""
-
-PRESET_OF = {"suite": "suite"}
-"""Name of that key in commands in which it is another."""
 
 EXPORTS = ("usd", "gif", "mp4", "html", "png", "strip")
 SHOW = ("auto", "on", "off")

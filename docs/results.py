@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import trim_mean
 
 import warpvox as wv
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.protocols import DISTURBANCES, NOMINAL
-from warpvox.algos.report.benchmark import duration
-from warpvox.algos.statistics import interquartile_mean, mean_interval
+from warpvox.algos.statistics import mean_interval
 from warpvox.envs.registry import FILE as KNOWN_RETURNS, KnownReturn, known_returns, task_ids
 from warpvox.io import writing
 from warpvox.io.reading import read_table
@@ -129,11 +129,17 @@ def _line(robot: Robot, judged: Mapping[str, Row], again: Sequence[float] | None
     noisy, high = (float(judged[NOISE][name]) for name in ("mean", "high"))
     bold = "**" if noisy >= best else ""
     cells = [robot.task, "" if robot.has_feedback else "○", f"{bold}{noisy:.3f}{bold} ± {high - noisy:.3f}"]
-    cells.append(f"{interquartile_mean({robot.task: np.array(again)}):.3f}" if again else "")
+    cells.append(f"{trim_mean(again, 0.25):.3f}" if again else "")
     cells += ["" if known.best is None else f"{best:g}", known.method, f"{robot.mean_return:.3f}{below}"]
     cells += [f"{float(judged[part]['mean']):.3f}" if part in judged else "" for part in ("sticky", "start", "sensors")]
     cells += [f"{about['control_steps']:,}", duration(about["wall_s"])]
     return f"| {' | '.join(cells)} |\n"
+
+
+def duration(seconds: float) -> str:
+    """Hours and minutes."""
+    minutes = round(seconds / 60)
+    return f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
 
 
 def _sources(published: Iterable[KnownReturn]) -> list[str]:
