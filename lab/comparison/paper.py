@@ -85,8 +85,9 @@ def add(home: Path) -> int:
         folder = member.folder(home)
         returns = {}
         for protocol in ("nominal", "noise"):
-            exact = {"dtype": "float64", "arithmetic": "exact", "device": "cpu"}
-            (row,) = wv.evaluate(str(folder), protocol=protocol, episodes=EPISODES, **exact)
+            (row,) = wv.evaluate(
+                str(folder), protocol=protocol, episodes=EPISODES, dtype="float64", arithmetic="exact", device="cpu"
+            )
             returns[protocol] = row.mean
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         names = {"control_steps": "steps", "seconds": "elapsed_seconds"}

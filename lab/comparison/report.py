@@ -2,7 +2,7 @@
 
     python -m lab.comparison.report outputs/look          # every search that lies in the folder
 
-writes ``report.html`` with ``results.csv``, ``curves.csv``, ``curves.svg`` and ``winners.png`` beside it.
+writes ``report.html`` with ``results.csv``, ``curves.svg`` and ``winners.png`` beside it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ from warpvox.envs.registry import known_returns
 PANELS = 4
 """Panels beside each other."""
 RESULTS = ("task", "search", "seed", "best_return", "designs", "control_steps", "seconds", "status", "folder")
-CURVES = ("task", "search", "seed", "designs", "control_steps", "best")
 Groups = dict[str, dict[str, list[SearchResult]]]
 """Searches with a result by task and name."""
 
@@ -90,19 +89,17 @@ def scores_of(groups: Groups) -> tuple[dict[str, dict[str, np.ndarray]], dict[st
 
 
 def write_report(folder: Path, searches: Sequence[SearchResult]) -> Path:
-    """Write the page, its pictures and tables into ``folder``; returns the path of the page."""
+    """Write the page, its pictures and table into ``folder``; returns the path of the page."""
     folder.mkdir(parents=True, exist_ok=True)
     groups = grouped(searches)
 
-    # Tables for other programs
-    results, curves = [], []
+    # Table for other programs
+    results = []
     for one in searches:
         key = (one.task, one.search, one.seed)
         spent = (int(one.evaluations[-1]), int(one.steps[-1]), one.summary.get("elapsed_seconds"))
         results.append((*key, float(one.best[-1]), *spent, one.summary.get("status"), one.folder.as_posix()))
-        curves += [(*key, *point) for point in rises(one)]
     write_csv(folder / "results.csv", RESULTS, results)
-    write_csv(folder / "curves.csv", CURVES, curves)
 
     # Pictures
     picture = draw_curves(groups)
@@ -129,16 +126,6 @@ def write_report(folder: Path, searches: Sequence[SearchResult]) -> Path:
     page = folder / "report.html"
     page.write_text(head + "\n".join(parts), encoding="utf-8")
     return page
-
-
-def rises(one: SearchResult) -> list[tuple[int, int, float]]:
-    """``(designs, control steps, best return so far)`` wherever the best rises, and at the end."""
-    points = list(zip(one.evaluations.tolist(), one.steps.tolist(), one.best.tolist(), strict=True))
-    kept = [points[0]]
-    for point in points[1:]:
-        if point[2] > kept[-1][2]:
-            kept.append(point)
-    return kept if kept[-1] == points[-1] else [*kept, points[-1]]
 
 
 def write_csv(path: Path, names: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:

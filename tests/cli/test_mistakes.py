@@ -89,7 +89,6 @@ MISTAKES = {
     "codesign export=[cvs]": "Did you mean 'csv'",
     "codesign executor=local address=auto": "executor=ray",
     "codesign report=.": "not a run",
-    "codesign report=[]": "There is no design search at (none)",
     "codesign report=latest seed=4 search=bo": "seed, search cannot change a report",
     "codesign report=latest resume=latest": "resume cannot change a report",
     "codesign search.max_evaluations=1000001": "search.max_evaluations must be at most",
