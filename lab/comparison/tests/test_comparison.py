@@ -137,7 +137,6 @@ def test_searches_are_compared_at_equal_control_steps(toys: Path) -> None:
 
 
 def test_the_report_says_what_the_archives_say(toys: Path, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
     for name in "ab":
         report([str(toys), "--out", str(tmp_path / name)])
     names = {"report.html", "results.csv", "curves.svg", "winners.png"}
