@@ -17,7 +17,7 @@
 #   make tables      write the keys of all commands into docs/commands.md
 #   make notebooks   run the notebooks of examples/ and keep what they show
 #   make charts      draw the charts of docs/performance.md from docs/figures.md
-#   make results     renew the pages that compare searches from the tables of docs/results
+#   make results     renew the page of results from the zoo and the tables of lab/zoo
 #   make release     build both distributions, check them, and say what an upload would send
 #   make docs        build the documentation into site/ and test it
 #   make clean       remove what builds leave behind (make distclean: .venv as well)
@@ -189,10 +189,9 @@ charts: $(STAMP)
 pictures: $(STAMP)
 	$(BIN)/python docs/pictures.py
 
-# Renews the pages that compare searches.
+# Renews the page of results.
 results: $(STAMP)
-	$(BIN)/python docs/comparison.py
-	$(BIN)/python docs/paper_experiments.py
+	$(BIN)/python -m lab.zoo.results
 
 # Removes what builds and runs of tools leave behind; keeps .venv and outputs/.
 clean:

@@ -17,7 +17,7 @@ from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from warpvox.configs.schema import PRESET, PRESET_OF, nodes_of, schema_of
+from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean, listing
 
 SHAPE, SHAPES = (5, 5), {"Lifter-v0": (5, 7)}
@@ -67,7 +67,7 @@ def hydras_errors(beginning: str = "") -> Iterator[None]:
         text = " ".join(lines if isinstance(found, yaml.YAMLError) else lines[:2])  # below are inner names
         if isinstance(found, MissingConfigException) and error.options:
             group, _, name = str(error.missing_cfg_file).rpartition("/")
-            key = PRESET_OF.get(group.partition("/")[2], PRESET) if group.startswith(f"{PRESET}/") else group
+            key = PRESET if group.startswith(f"{PRESET}/") else group
             text = f"{key} must be one of {listing(error.options)}, got '{name}'.{did_you_mean(name, error.options)}"
         elif getattr(error, "full_key", None):
             fields = getattr(error.object_type, "__dataclass_fields__", {})

@@ -18,7 +18,6 @@ COMMANDS = {
     "play": "show",
     "export": "show",
     "codesign": "codesign",
-    "suite": "codesign",
     "curves": "show",
     "evaluate": "show",
     "design": "tools",
@@ -30,9 +29,6 @@ COMMANDS = {
 
 PRESET = "preset"
 """The key that takes the name of a preset, a file of ``configs/preset/COMMAND``."""
-
-PRESET_OF = {"suite": "suite"}
-"""Name of that key in commands in which it is another."""
 
 EXPORTS = ("usd", "gif", "mp4", "html", "png", "strip")
 SHOW = ("auto", "on", "off")

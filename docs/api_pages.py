@@ -58,6 +58,11 @@ BESIDE = {
         *("envs.adapters.gym_vector.VoxelGymVectorEnv", "envs.adapters.rsl_rl.RslRlVecEnv"),
         "envs.adapters.sb3.VoxelSB3VecEnv",
     ),
+    "Design search": (
+        *("configs.composition.settings_named", "configs.composition.training_preset"),
+        *("algos.report.members.read_members", "algos.report.members.SearchResult", "envs.registry.known_returns"),
+        *("envs.registry.KnownReturn", "algos.codesign.archive.Archive", "algos.codesign.archive.Record"),
+    ),
     "Searches of one's own": ("algos.search.base.BaseSearch", "algos.candidate.Candidate"),
 }
 """Types that public functions take and return without a name in ``warpvox`` itself, by the title of the page."""

@@ -17,11 +17,11 @@ import task_pages  # noqa: E402
 PARTS = {
     "Tutorials": ("quickstart", "custom_tasks", "own_search", "task_features"),
     "How to": (
-        *("codesign", "gaits", "suite", "clusters", "universal", "common_policy"),
+        *("codesign", "gaits", "clusters", "universal", "common_policy"),
         *("policies", "libraries", "evaluation", "protocols", "gradients", "see", "editor", "zoo", "evogym", "faq"),
     ),
     "Reference": ("commands", "observations", "search", "archive", "formats", "results", "figures"),
-    "Background": ("concepts", "physics", "paper", "paper_experiments", "performance", "trials", "reliability"),
+    "Background": ("concepts", "physics", "paper", "performance", "trials", "reliability"),
 }
 """Parts of the site and their pages, in order; a page that is named nowhere comes last in the second part."""
 MARK = re.compile(r"^<!-- (help .*|end of help|bench \w+|end) -->\n?", re.MULTILINE)

@@ -38,7 +38,6 @@ CODESIGN = "codesign"
 NEEDED = {
     "train": ("a run of `warpvox train`", {"task", "design", "ppo"}),
     CODESIGN: ("a design search", {"task", "search", "training"}),
-    "suite": ("a suite", {"tasks", "searches", "seeds"}),
 }
 """What the run of a command is, and keys that its configuration has."""
 label: ContextVar[str] = ContextVar("label", default="")
@@ -181,24 +180,10 @@ def find_codesign(text: str, output_dir: str) -> Run:
     return Run(folder, content)
 
 
-def find_suite(text: str, output_dir: str) -> Run:
-    """The suite of design searches that ``text`` names: ``latest`` (which was last begun or resumed) or a folder."""
-    if text == "latest":
-        known = sorted(Path(output_dir).glob(f"suite/*/{CONFIG}"), key=lambda file: file.stat().st_mtime_ns)
-        if not known:
-            raise RunError(f"There is no suite in {Path(output_dir) / 'suite'} yet; `warpvox suite` makes one.")
-        folder = known[-1].parent
-    else:
-        folder = Path(text).expanduser()
-    if not folder.is_dir():
-        raise RunError(f"There is no suite at {folder}: expected latest or the folder of one.")
-    return Run(folder, _config_of(folder, "suite"))
-
-
 def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
     """The folders of the design searches that ``texts`` name, each once; none if they name anything else.
 
-    A text is ``latest``, the folder of a search, one that searches lie in (a suite, a sweep), or a pattern of such.
+    A text is ``latest``, the folder of a search, one that searches lie in (a sweep), or a pattern of such.
     """
     found: dict[Path, Path] = {}
     others = []

@@ -112,10 +112,7 @@ def as_stored(config: Any, stored: Mapping[str, Any]) -> Any:
 
 def again(config: Any) -> str:
     """The end of a command that uses a run of ``config`` again: the keys that name its code, each after a blank."""
-    tasks = _value(config, "tasks") or []  # of a suite, which has no copies of them
-    words = [shlex.quote(f"tasks=[{','.join(tasks)}]")] if any(map(is_code, tasks)) else []
-    words += [f"{key}={STORED}" for key in COPIES if is_code(_value(config, key))]
-    return "".join(f" {word}" for word in words)
+    return "".join(f" {key}={STORED}" for key in COPIES if is_code(_value(config, key)))
 
 
 def keep_code(config: Any, folder: Path, console: Console) -> None:

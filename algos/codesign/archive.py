@@ -166,7 +166,8 @@ class Archive(AbstractContextManager["Archive"]):
     def open(cls, path: Path) -> Archive:
         """The archive at ``path`` for writing.
 
-        RunError: no archive, a damaged or foreign one, or another process is writing it.
+        Raises:
+            RunError: no archive, a damaged or foreign one, or another process is writing it.
         """
         _check_exists(path)
         lock = _lock_for_writing(path)
@@ -180,7 +181,8 @@ class Archive(AbstractContextManager["Archive"]):
     def read(cls, path: Path) -> Archive:
         """The archive at ``path`` for reading, also while another process is writing it.
 
-        RunError: no archive, or a damaged or foreign one.
+        Raises:
+            RunError: no archive, or a damaged or foreign one.
         """
         _check_exists(path)
         db = _checked(path)
@@ -284,7 +286,8 @@ class Archive(AbstractContextManager["Archive"]):
     def back_up(self) -> Path:
         """Write a copy beside the archive, whole or not at all; returns its path.
 
-        StorageError: it cannot be written.
+        Raises:
+            StorageError: it cannot be written.
         """
         path = self.path.with_name(BACKUP)
         try:
@@ -340,7 +343,11 @@ class Archive(AbstractContextManager["Archive"]):
         return self._records("") if generation is None else self._records("WHERE generation = ?", generation)
 
     def record(self, number: int) -> Record:
-        """One candidate. RunError: there is none with this id."""
+        """One candidate.
+
+        Raises:
+            RunError: there is none with this id.
+        """
         found = self._records("WHERE id = ?", number)
         if not found:
             raise RunError(f"{self.path} has no candidate {number}; there are {self.count()}, from 0.")

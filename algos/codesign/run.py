@@ -70,13 +70,8 @@ class SearchRun:
     resumed: bool
 
 
-def check(
-    settings: Codesign, folder: Path | None = None, search: Search | None = None, *, here: bool = True
-) -> Codesign:
+def check(settings: Codesign, folder: Path | None = None, search: Search | None = None) -> Codesign:
     """Find mistakes before anything is made; a ``search`` that is given gets the bodies to start with.
-
-    Args:
-        here: the search runs on this machine, whose devices and memory are asked.
 
     Returns:
         A copy with what its names stand for: settings, constants and, where it is this machine's, the device.
@@ -93,7 +88,7 @@ def check(
     sim_of(settings)  # constants out of range are found
     settings.evaluation.check(settings)
     settings = settings.resolved(folder)
-    if settings.executor == "local" and here:
+    if settings.executor == "local":
         resolve_device(settings.device)
         for key in ("address", "workers"):
             if getattr(settings, key) is not None:
@@ -221,7 +216,7 @@ def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[
             listener.begun(run)
             begun.append(listener)
         loop.run()
-        # before it is done: a suite leaves alone what is
+        # before it is done: what goes on with a search leaves alone those that are
         run.results.fresh = evaluate_winner(run.results, settings)
         status = "done"
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""Several design searches, read from their archives: what is compared on a page and in curves."""
+"""Several design searches, read from their archives, to be compared."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,6 @@ import numpy as np
 
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.archive import FILE, Archive, Record, finalists_first
-from warpvox.algos.search.bodies import diversity
 from warpvox.algos.statistics import Interval
 from warpvox.keys import flat
 from warpvox.runs import read_summary
@@ -32,7 +31,9 @@ class SearchResult:
     designs were only compared by a common policy, it begins with the finalists, once there are some.
 
     Attributes:
-        search: its name among others: that of the algorithm, with the settings that differ, or a suite's own.
+        search: its name among others: that of the algorithm, with the settings that differ, or of its folder.
+        settings: those that its results follow from, as its archive has them.
+        records: all designs, by id.
         winner: the best of them, None before there is one.
         summary: what ``summary.json`` beside the archive says.
     """
@@ -72,11 +73,6 @@ class SearchResult:
         """1, 2, ... to the number of designs trained; those that were screened before are counted."""
         return len(self._screened) + np.arange(1, len(self._trained) + 1)
 
-    @property
-    def evaluated(self) -> int:
-        """The number of designs evaluated: the last of ``evaluations``, 0 if there is none."""
-        return int(self.evaluations[-1]) if len(self.evaluations) else 0
-
     @cached_property
     def steps(self) -> np.ndarray:
         """Control steps spent when each of them was done."""
@@ -92,50 +88,21 @@ class SearchResult:
         """The best return within so many control steps; that of the first design if there was none by then."""
         return float(self.best[max(0, np.searchsorted(self.steps, steps, "right") - 1)])
 
-    @property
-    def diversity(self) -> tuple[float, ...]:
-        """The :func:`diversity` of the bodies proposed in the first and in the last generation."""
-        searched = [record.candidate for record in self.records if record.candidate.origin != FINALIST]
-        last = max((candidate.generation for candidate in searched), default=0)
-        return tuple(diversity(np.array([one.body for one in searched if one.generation == k])) for k in (0, last))
-
-    @property
-    def seconds(self) -> float | None:
-        """Wall time of the search."""
-        return self.summary.get("elapsed_seconds")
-
-    @property
-    def fresh(self) -> Interval | None:
-        """The winner's return on fresh seeds, where the task or ``fitness`` draws."""
-        facts = self.summary.get("fresh_seeds")
-        return facts and fresh_interval(facts)
-
-    def ranked(self, generation: int) -> list[Record]:
-        """The evaluated designs of a generation, best first, equal bodies once."""
-        found = [record for record in self.records if record.candidate.generation == generation]
-        unique: dict[bytes, Record] = {}
-        for record in sorted(found, key=lambda one: (fitness_of(one), -one.id), reverse=True):
-            if record.fitness is not None and not record.diverged:
-                unique.setdefault(record.candidate.body.tobytes(), record)
-        return list(unique.values())
-
 
 def fresh_interval(facts: Mapping[str, Any]) -> Interval:
     """The return on fresh seeds that ``summary.json`` holds."""
     return Interval(*(facts[name] for name in ("mean", "low", "high", "episodes")))
 
 
-def fitness_of(record: Record | None) -> float:
-    """The fitness of a design; -inf before there is one."""
-    return -np.inf if record is None or record.fitness is None else record.fitness
-
-
 def read_members(archives: Sequence[Path]) -> list[SearchResult]:
-    """Design searches by the folders of their archives.
+    """Design searches by the folders of their archives, also of those that are running.
 
     In a folder ``.../<task>/<search>/seed<k>`` a search has the name of that folder. Elsewhere it has that of its
     algorithm, with the settings that other searches of the same algorithm and task have otherwise: the three that tell
     most of them apart, and a number where others differ by more.
+
+    Raises:
+        RunError: a folder without an archive, or with one that is damaged.
     """
     found = []
     for folder in archives:

@@ -14,12 +14,6 @@ def body_key(body: np.ndarray) -> bytes:
     return np.ascontiguousarray(body, dtype=np.int8).tobytes()
 
 
-def diversity(bodies: np.ndarray) -> float:
-    """The mean share of cells in which two of the bodies differ; NaN for a single one."""
-    pairs = np.triu_indices(len(bodies), 1)
-    return float((bodies[pairs[0]] != bodies[pairs[1]]).mean()) if len(bodies) > 1 else float("nan")
-
-
 def mutate(rng: np.random.Generator, bodies: np.ndarray, rate: float | np.ndarray) -> np.ndarray:
     """Copies in which each voxel has, with probability ``rate`` (also ``[n, 1, 1]``), turned into another type."""
     changes = rng.random(bodies.shape) < rate

@@ -83,7 +83,7 @@ def test_no_preset_and_one_that_does_not_exist(command: str) -> None:
         assert ("Did you mean 'paper'?" in str(error.value)) == (word != "4")
 
 
-@pytest.mark.parametrize(("command", "words"), [("train", ["seed=7"]), ("codesign", ["top=7"]), ("suite", ["seeds=7"])])
+@pytest.mark.parametrize(("command", "words"), [("train", ["seed=7"]), ("codesign", ["top=7"])])
 def test_resume_null_is_no_resumption(command: str, words: list[str]) -> None:
     assert load_start(command, ["resume=null", *words], None) == load(command, words)
     assert load_start(command, ["resume=here", *words], None) == load(command, ["resume=here"])
@@ -173,8 +173,6 @@ def test_hydras_own_views(capsys: pytest.CaptureFixture) -> None:
     ("words", "key", "value"),
     [
         ("train preset=pretrain", "max_iterations", 9600),
-        ("suite", "evaluations", 24),
-        ("suite suite=paper", "seeds", 3),
         ("zoo Walker-v0", "task", "Walker-v0"),
     ],
 )
@@ -197,7 +195,6 @@ def test_hydras_own_views_are_those_of_the_preset(words: str, key: str, value: o
         ("warpvox codesign search=map", {"search=map_elites"}),
         ("warpvox demo num_e", {"num_envs="}),
         ("warpvox train seed=1 preset=univ", {"preset=universal"}),
-        ("warpvox suite suite=q", {"suite=quick"}),
         ("warpvox tasks Wal", set()),
     ],
 )

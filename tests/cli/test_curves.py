@@ -144,8 +144,8 @@ def make_searches(root: Path) -> None:
 
 def test_curves_of_design_searches_have_a_panel_for_each_task(warpvox: Callable) -> None:
     pytest.importorskip("matplotlib")
-    make_searches(Path("suite"))
-    warpvox("curves", "runs=[suite]", "x=evaluations", "size=[300,200]")
+    make_searches(Path("several"))
+    warpvox("curves", "runs=[several]", "x=evaluations", "size=[300,200]")
     with Image.open("curves.png") as picture:
         assert picture.size == (600, 200)
     with Path("curves.csv").open(encoding="utf-8", newline="") as file:
@@ -155,23 +155,10 @@ def test_curves_of_design_searches_have_a_panel_for_each_task(warpvox: Callable)
         own = [row for row in rows if row["settings"] == f"{task}, ga"]
         assert [(row["evaluations"], row["n"], float(row["mean"])) for row in own] == [("1", "2", 0.5), ("2", "2", 2.5)]
         assert float(own[-1]["low"]) == pytest.approx(expected.low)
-    warpvox("curves", "runs='suite/*/*/seed1'", "file=one.svg")
+    warpvox("curves", "runs='several/*/*/seed1'", "file=one.svg")
     assert len(Path("one.csv").read_text().splitlines()) == 1 + 2 * 2
     says = "x of design searches must be one of steps, evaluations"
-    warpvox("curves", "runs=[suite]", "x=elapsed", fails=says)
+    warpvox("curves", "runs=[several]", "x=elapsed", fails=says)
     make_run(Path("a"), [(10, 0.0)])
-    warpvox("curves", "runs=[a,suite]", fails="a is none and has none in it")
+    warpvox("curves", "runs=[a,several]", fails="a is none and has none in it")
     warpvox("curves", "runs=[a]", "x=evaluations", fails="x of trainings")
-
-
-def test_one_report_of_several_searches(warpvox: Callable) -> None:
-    make_searches(Path("suite"))
-    outcome = warpvox("codesign", "report=suite")
-    assert "report of 4 design searches" in outcome.out
-    assert "2 tasks · 1 search<" in Path("suite/report.html").read_text(encoding="utf-8")
-    outcome = warpvox("codesign", "report=[suite/Walker-v0/ga/seed0,suite/Carrier-v0]")
-    (page,) = Path("outputs/report/several").glob("*/report.html")
-    assert len((page.parent / "results.csv").read_text().splitlines()) == 1 + 3
-    warpvox("codesign", "report=nowhere", fails="There is no design search at nowhere")
-    for word in ("export=[json]", "top=3"):
-        warpvox("codesign", "report=suite", word, fails="export and top go with the report of one search")

@@ -1,4 +1,4 @@
-"""Trainings, searches and the members of suites in Weights & Biases, which a module of its name stands for."""
+"""Trainings and searches in Weights & Biases, which a module of its name stands for."""
 
 from __future__ import annotations
 
@@ -81,12 +81,13 @@ def test_a_resumed_training_goes_on_in_the_same_run(
     assert [row.get("step") for row in found["log"]] == [2, None]
 
 
-def test_the_searches_of_a_suite_send_their_generations_as_one_group(told: Callable, warpvox: Callable) -> None:
-    words = "name=pilot tasks=[Walker-v0] searches=[random] seeds=1 evaluations=4 search.population=2 logger=wandb"
-    warpvox(*tiny("suite", *words.split()))
+def test_searches_of_one_name_send_their_generations_as_one_group(told: Callable, warpvox: Callable) -> None:
+    words = "name=pilot task=Walker-v0 search=random search.max_evaluations=4 search.population=2 logger=wandb"
+    warpvox(*tiny("codesign", *words.split()))
     found = told()
+    (folder,) = Path("outputs/codesign/Walker-v0").iterdir()
     (options,) = found["init"]
-    assert (options["group"], options["name"]) == ("pilot", "random/seed0")
+    assert (options["group"], options["name"]) == ("pilot", f"Walker-v0/{folder.name}")
     assert options["tags"] == ["Walker-v0", "codesign", "random"]
     assert options["config"]["search"]["population"] == 2
     assert [(row["step"], row["Search/evaluations"], row["bodies"]) for row in found["log"][:2]] == [

@@ -14,10 +14,8 @@ from tiny import tiny
 import warpvox as wv
 from warpvox.cli import main
 from warpvox.cli.config import load
-from warpvox.cli.suite_plan import gone_on_with
 from warpvox.design import full_connections
 from warpvox.errors import ConfigError
-from warpvox.io.writing import to_yaml
 from warpvox.robots import Gait, Robot, save_robot
 
 EVIL = "from pathlib import Path\nPath({!r}).touch()\n"
@@ -57,7 +55,7 @@ def change_config(folder: Path, **changes: object) -> None:
 
 @pytest.fixture(scope="module")
 def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a training, a design search, a suite and robots that name code wherever they can.
+    """A folder with a training, a design search and robots that name code wherever they can.
 
     The file ``marker`` in it is made if that code, ``evil.py``, is ever imported.
     """
@@ -75,9 +73,6 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
         change_config(home / name, **changes)
     for folder in (home / "search" / "designs").iterdir():
         change_config(folder, task="evil.py:T")
-    (home / "suite").mkdir()
-    (home / "suite" / "config.yaml").write_text(to_yaml(load("suite", ["searches=[ga]", "evaluations=1"])) + "...\n")
-    change_config(home / "suite", tasks=["Walker-v0", "evil.py:T"])
     body = wv.example_design("mini")
     gait = Gait([0], [20], *(np.zeros((1, 8)) for _ in range(3)))
     save_robot(home / "robots/Walker-v0.npz", dataclasses.replace(wv.zoo("BridgeWalker-v0"), task=f"{home}/evil.py:T"))
@@ -98,7 +93,6 @@ REFUSED = [
     *("train resume=run max_iterations=2", "train -m resume=run max_iterations=2,3", "train config=run"),
     *("train config=own_network", "train resume=own_network max_iterations=2", "codesign config=search"),
     *("codesign resume=search", "codesign resume=own_search", "codesign config=own_search"),
-    *("suite config=suite name=x", "suite config=suite/config.yaml name=x", "suite resume=suite"),
 ]
 HARMLESS = [
     *("zoo folder=robots", "zoo folder=robots task=Walker-v0", "zoo folder=robots task=Gait-v0"),
@@ -158,11 +152,8 @@ def test_an_account_that_a_file_names_is_not_used(service: str) -> None:
     base = {"logger": service}
     with pytest.raises(ConfigError, match=f"logger={service}"):
         load("train", ["seed=1"], base=base)
-    with pytest.raises(ConfigError, match=f"logger={service}"):
-        gone_on_with([f"logger={service}"], [], Path())
     for choice in (service, "none"):
         assert load("train", [f"logger={choice}"], base=base).logger == choice
-        assert gone_on_with([f"logger={service}"], [f"logger={choice}"], Path())[1] == [f"logger={choice}"]
 
 
 def calls(tree: ast.AST) -> Iterator[str]:
@@ -179,7 +170,6 @@ def test_only_these_modules_can_run_what_they_read(repository: Path) -> None:
             for name in calls(ast.parse(path.read_text())):
                 found.setdefault(name, set()).add(path.relative_to(repository).as_posix())
     typed = {"warpvox/api.py", "algos/training/loading.py", "warpvox/design_search.py", "warpvox/trust.py"}
-    typed |= {"warpvox/cli/suite_plan.py"}
     assert found["Code"] == typed
     assert found[".exec_module"] == found["spec_from_file_location"] == {"warpvox/code.py"}
     # of names that stand in the source, and of commands, which are listed there

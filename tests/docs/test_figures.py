@@ -71,7 +71,7 @@ def phrases() -> Iterator[tuple[str, str]]:
     for page in ("README.md", "docs/performance.md", "CHANGELOG.md"):
         yield page, f"{largest / 1e6:.1f} million control steps a second"
     yield "docs/performance.md", f"{round(largest / evogym, -3):,.0f} cores make with EvoGym ({evogym} on one core"
-    page = " ".join(text_of("docs/paper_experiments.md").split())
+    page = " ".join(text_of("lab/comparison/README.md").split())
     yield (
         "README.md",
         f"budgets: {re.search('([0-9]+) design searches', page)[1]} design searches of 20 million control steps",

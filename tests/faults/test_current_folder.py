@@ -29,14 +29,7 @@ MODULES = (
 )
 """Names of modules that interpreters and libraries import when they start."""
 SEARCH = ("task=Walker-v0", "search=random", "search.population=2")
-COMMANDS = {
-    "suite": tiny("suite", "tasks=[Walker-v0]", "searches=[random]", "seeds=1", "evaluations=2", "name=s"),
-    "suite by Ray": tiny(
-        *("suite", "tasks=[Walker-v0]", "searches=[random]", "seeds=1", "evaluations=2", "name=s"),
-        *("executor=ray", "workers=1"),
-    ),
-    "codesign by Ray": tiny("codesign", *SEARCH, "search.max_evaluations=2", "executor=ray", "workers=1"),
-}
+BY_RAY = tiny("codesign", *SEARCH, "search.max_evaluations=2", "executor=ray", "workers=1")
 
 
 @pytest.fixture
@@ -52,17 +45,9 @@ def trapped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], lis
     return lambda: sorted(path.name for path in marks.iterdir())
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        pytest.param(words, id=name, marks=pytest.mark.slow if name == "suite by Ray" else ())
-        for name, words in COMMANDS.items()
-    ],
-)
-def test_commands_that_start_interpreters(words: list[str], warpvox: Callable, trapped: Callable) -> None:
-    if "executor=ray" in words:
-        pytest.importorskip("ray")
-    warpvox(*words)
+def test_a_command_that_starts_interpreters(warpvox: Callable, trapped: Callable) -> None:
+    pytest.importorskip("ray")
+    warpvox(*BY_RAY)
     assert trapped() == []
 
 

@@ -420,7 +420,7 @@ def test_a_damaged_archive_names_its_copy_and_the_search_goes_on_from_it(copied,
         warpvox(*words, fails=("damaged", f"{BACKUP} beside it", "copy it over"))
     (run / FILE).unlink()
     warpvox("codesign", "resume=latest", fails=(f"has no {FILE}", f"{BACKUP} beside it", "copy it over"))
-    with pytest.raises(RunError, match=f"{FILE} is gone.*copy it over"):  # a member of a suite would make another one
+    with pytest.raises(RunError, match=f"{FILE} is gone.*copy it over"):  # rather than begin another one
         Archive.create(run / FILE, {})
     shutil.copy(run / BACKUP, run / FILE)
     warpvox("codesign", f"resume={run}")

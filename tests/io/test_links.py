@@ -17,7 +17,6 @@ SEARCH = ("task=Walker-v0", "search=random", "search.population=2")
 MAKERS = {
     "train": tiny("train", "task=Walker-v0", "design=mini"),
     "codesign": tiny("codesign", *SEARCH, "search.max_evaluations=2"),
-    "suite": tiny("suite", "tasks=[Walker-v0]", "searches=[random]", "seeds=1", "evaluations=2"),
 }
 WRITERS = {
     "train": [["train", "resume=run", "max_iterations=2"]],
@@ -25,13 +24,11 @@ WRITERS = {
         ["codesign", "report=run", "export=[csv,npz]"],
         ["codesign", "resume=run", "search.max_evaluations=3"],
     ],
-    "suite": [["suite", "report=run"], ["suite", "resume=run", "seeds=2"], ["codesign", "report=[run]"]],
 }
 """Commands that write into the folder of a run."""
 LINKS = {
     "train": ["summary.json", "metrics.csv", "state.pt"],
     "codesign": ["report.html", "generations", "archive.sqlite.lock", "designs/0", "structures", "archive.sqlite-wal"],
-    "suite": ["winners.png", "generations", "members.csv"],
 }
 """Files and folders that they write."""
 

@@ -18,12 +18,11 @@ ODD = os.fsdecode(b"bad\xff")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names are UTF-8 elsewhere")
-@pytest.mark.parametrize("command", ["train", "codesign", "suite", "play", "export", "evaluate", "curves"])
+@pytest.mark.parametrize("command", ["train", "codesign", "play", "export", "evaluate", "curves"])
 def test_a_folder_that_is_not_utf8_is_refused_before_it_is_made(command: str, warpvox: Callable) -> None:
     words = {
         "train": tiny("train", f"output_dir={ODD}"),
         "codesign": tiny("codesign", "task=Walker-v0", "search=random", f"output_dir={ODD}"),
-        "suite": tiny("suite", "tasks=[Walker-v0]", "searches=[random]", "seeds=1", f"output_dir={ODD}"),
         "play": ["play", "zoo=Walker-v0", f"output_dir={ODD}"],
         "export": ["export", "zoo=Walker-v0", "format=[onnx]", f"output_dir={ODD}"],
         "evaluate": ["evaluate", "runs=[zoo:Walker-v0]", f"output_dir={ODD}"],

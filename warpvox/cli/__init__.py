@@ -28,7 +28,6 @@ __all__ = ["COMMANDS", "main"]
 COMMANDS = {
     "train": "train a controller for a body on a task",
     "codesign": "search for a body and its controller at once",
-    "suite": "make design searches for many tasks, searches and seeds, and compare them",
     "play": "watch a trained controller or a simple agent, print returns, export what it did",
     "export": "write a run's rollout as USD, film, pictures or page",
     "evaluate": "mean returns of trained policies with confidence intervals, and how they compare",
@@ -39,7 +38,7 @@ COMMANDS = {
     "tasks": "list the tasks, or show one in detail",
     "info": "versions, devices, kernel cache",
 }
-WORKING = ("train", "codesign", "suite", "play", "export", "demo")
+WORKING = ("train", "codesign", "play", "export", "demo")
 """Commands that make files: they continue when the reader of their output has gone, and say so."""
 DONE, BAD_INPUT, INTERRUPTED, SIGNALLED = 0, 2, 130, 128
 

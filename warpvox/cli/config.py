@@ -8,7 +8,7 @@ from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf
 
 from warpvox.algos.interrupt import uninterrupted
-from warpvox.cli.help import flat_values, groups_of, keys_of, preset_key
+from warpvox.cli.help import flat_values, groups_of, keys_of
 from warpvox.cli.overrides import key_and_value, read_overrides
 from warpvox.configs.composition import composed, hydras_errors, quoted
 from warpvox.configs.schema import PRESET, nodes_of, schema_of
@@ -45,7 +45,7 @@ def load(
     file = named.get("config")
     if file is not None:
         if f"{PRESET}/{command}" in named:
-            raise ConfigError(f"config={file} and {preset_key(command)} both say where to start: give one of them.")
+            raise ConfigError(f"config={file} and {PRESET} both say where to start: give one of them.")
         base, home = _read_file(Path(str(file)).expanduser())
     place = file or (home and home / CONFIG)
     origin = f"{place}: " if place else ""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from warpvox.configs.composition import quoted
-from warpvox.configs.schema import PRESET, PRESET_OF, nodes_of, schema_of
+from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.keys import MISSING, flat
 
 FOLDERS = ("ppo", "training")
@@ -49,15 +49,10 @@ def _keys(schema: type, prefix: str) -> Iterator[tuple[str, Key]]:
         yield from (part for kind in kinds for part in _keys(kind, f"{name}."))
 
 
-def preset_key(command: str) -> str:
-    """The key of a command that takes the name of a preset."""
-    return PRESET_OF.get(command, PRESET)
-
-
 def groups_of(command: str) -> list[str]:
     """The groups that a command has, as Hydra calls them."""
     names = [item.name for item in dataclasses.fields(schema_of(command))]
-    presets = [f"{PRESET}/{command}"] if preset_key(command) in names else []
+    presets = [f"{PRESET}/{command}"] if PRESET in names else []
     return presets + [name for name in names if name in nodes_of(command) or name in FOLDERS]
 
 
@@ -84,7 +79,7 @@ def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str |
         if name in groups_of(command):
             yield name, None, f"{key.help}: {', '.join(options_of(command, name))}"
         elif not dataclasses.is_dataclass(key.default) and len(key.choices) != 1:  # what the name of a choice sets
-            choices = options_of(command, f"{PRESET}/{command}") if name == preset_key(command) else key.choices
+            choices = options_of(command, f"{PRESET}/{command}") if name == PRESET else key.choices
             missing = any(choice not in key.help for choice in choices)
             meaning = f"{key.help}: {', '.join(choices)}" if missing else key.help
             value = values.get(name, key.default)

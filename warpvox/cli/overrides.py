@@ -8,39 +8,37 @@ import dataclasses
 import itertools
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
 
-from warpvox.cli.help import Key, keys_of, preset_key
+from warpvox.cli.help import Key, keys_of
 from warpvox.configs.composition import quoted
 from warpvox.configs.schema import PRESET
-from warpvox.errors import ConfigError, listing
+from warpvox.errors import ConfigError
 
 RENAMED = {"finalists": "evaluation.finalists", "pretrained": "evaluation.pretrained"}
 RENAMED |= {"search.algorithm": "search", "evaluation.name": "evaluation"}
 """Keys of design searches as config.yaml has them, or as they were before evaluations had settings of their own."""
 FILES = {"export": "format", "format": "export"}
 """Names of one list: what a command writes beside its results, and what ``export`` itself writes."""
-SWEEP = "add --multirun to run them one after another"
 MOST_RUNS = 10_000
 """Runs of a sweep, all of which are checked before the first begins."""
 QUOTED = re.compile(r"""'(\\.|[^'\\])*'|"(\\.|[^"\\])*\"""", re.DOTALL)
 
 
-def read_overrides(command: str, words: list[str], sweeps: bool = False, instead: str = SWEEP) -> list[Override]:
+def read_overrides(command: str, words: list[str], sweeps: bool = False) -> list[Override]:
     """Overrides as Hydra takes them. Keys may still be unknown.
 
     Args:
         sweeps: several values may be listed.
-        instead: where they may not: what to do.
     """
     keys = keys_of(command)
     no_preset = f"{PRESET}=null" if PRESET in keys else None  # which is the default, and no choice of Hydra's
-    parsed = [_read(command, word, keys, sweeps, instead) for word in words if word != no_preset]
+    parsed = [_read(command, word, keys, sweeps) for word in words if word != no_preset]
     names = [override.key_or_group for override in parsed]
     for override in parsed:
         if names.count(override.key_or_group) > 1:
@@ -72,14 +70,8 @@ def key_and_value(given: Override | str) -> tuple[str, str]:
     override: Any = parse(given) if isinstance(given, str) else given
     key, value = override.key_or_group, override.value()
     if key.startswith(f"{PRESET}/"):
-        key = preset_key(key.removeprefix(f"{PRESET}/"))
+        key = PRESET
     return key, value if isinstance(value, str) else override.get_value_string()
-
-
-def check_report(names: Iterable[str], known: Sequence[str]) -> None:
-    """ConfigError: keys that a report does not follow from; those of ``known`` go with it."""
-    if others := [name for name in names if name not in ("report", *known)]:
-        raise ConfigError(f"{listing(others)} cannot change a report: {listing(known)} may go with it.")
 
 
 def parse(word: str) -> Override | None:
@@ -90,7 +82,7 @@ def parse(word: str) -> Override | None:
         return None
 
 
-def _read(command: str, word: str, keys: dict[str, Key], sweeps: bool, instead: str) -> Override:
+def _read(command: str, word: str, keys: dict[str, Key], sweeps: bool) -> Override:
     name, given, value = word.partition("=")
     if name == "designs" and given:  # short for the bodies
         name = next((key for key in ("designs.bodies", name, "design") if key in keys), name)
@@ -100,7 +92,7 @@ def _read(command: str, word: str, keys: dict[str, Key], sweeps: bool, instead: 
     key = keys.get(name)
     if given and key is not None:
         value = _readable(value, key, sweeps)
-    name = f"{PRESET}/{command}@_global_" if name == preset_key(command) else name
+    name = f"{PRESET}/{command}@_global_" if name == PRESET else name
     override = parse(f"{name}{given}{value}")
     if override is None:
         raise ConfigError(f"'{word:.200}' is not KEY=VALUE, or its value has unbalanced brackets or quotes.")
@@ -109,8 +101,8 @@ def _read(command: str, word: str, keys: dict[str, Key], sweeps: bool, instead: 
         raise ConfigError(f"'{word}': keys cannot be added or removed; write {name}=VALUE.")
     if override.is_sweep_override() and not sweeps:
         raise ConfigError(
-            f"'{word}' lists several values: {instead} (a value that is itself a list is written {name}=[a,b], one"
-            f" that has commas {name}=\"'a,b'\")."
+            f"'{word}' lists several values: add --multirun to run them one after another (a value that is itself a"
+            f" list is written {name}=[a,b], one that has commas {name}=\"'a,b'\")."
         )
     return _as_list(override) if key is not None and _takes_list(key) else override
 

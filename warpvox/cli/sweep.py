@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from warpvox.cli.config import load_start
-from warpvox.cli.help import options_of, preset_key
+from warpvox.cli.help import options_of
 from warpvox.cli.overrides import key_and_value
 from warpvox.configs.composition import hydras_errors, quoted, register
 from warpvox.configs.schema import COMMANDS, PRESET
@@ -200,8 +200,8 @@ def complete(words: Sequence[str], names: Collection[str]) -> None:
     line = os.environ.get("COMP_LINE", "").split(" ", 2)
     command = {"demo": "train"}.get(line[1], line[1]) if len(line) == 3 else None
     word, options = line[-1].rpartition(" ")[2], names if command is None else ()
-    if command in COMMANDS and word.startswith(f"{preset_key(command)}="):  # Hydra knows presets by another name
-        options = [f"{preset_key(command)}={name}" for name in options_of(command, f"{PRESET}/{command}")]
+    if command in COMMANDS and word.startswith(f"{PRESET}="):  # Hydra knows presets by another name
+        options = [f"{PRESET}={name}" for name in options_of(command, f"{PRESET}/{command}")]
     if words[:1] and words[0].startswith("query=") and (options or command not in COMMANDS):
         print("\n".join(name for name in options if name.startswith(word)))
         return

@@ -11,11 +11,8 @@ from codesign_toys import EVERY, HASTY, SEED, ToyEvaluator, ToySearch, make_loop
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome
 from warpvox.algos.codesign.finalists import Finalists, TwoStages
 from warpvox.algos.codesign.loop import LocalExecutor
-from warpvox.algos.report.benchmark import write_benchmark
 from warpvox.algos.report.members import read_members
 from warpvox.algos.search import ALGORITHMS, make_search
-from warpvox.algos.suite.members import rises
-from warpvox.io.reading import read_table
 
 
 def fitness(body: np.ndarray) -> float:
@@ -93,7 +90,4 @@ def test_the_archive_tells_both_values_apart_and_the_winner_is_a_finalist(tmp_pa
     assert member.best.tolist() == np.maximum.accumulate([record.fitness for record in finals]).tolist()
     spent = np.cumsum([record.steps for record in records]).tolist()
     assert member.steps.tolist() == spent[-3:]
-    assert member.evaluations[-1] == loop.archive.trained() == rises(member)[-1][0]
-    write_benchmark(tmp_path, [tmp_path])
-    (row,) = read_table(tmp_path / "results.csv")
-    assert row["evaluations"] == str(loop.archive.trained())
+    assert member.evaluations[-1] == loop.archive.trained()

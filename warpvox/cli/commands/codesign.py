@@ -12,16 +12,18 @@ from warpvox.algos.codesign.archive_export import FORMATS
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load, load_values
-from warpvox.cli.overrides import check_report, key_and_value
+from warpvox.cli.overrides import key_and_value
 from warpvox.configs.codesign import CodesignConfig
-from warpvox.errors import ConfigError, RunError, listing
+from warpvox.errors import ConfigError, listing
 from warpvox.io.console import echo, shown
-from warpvox.io.writing import check_links, check_writable, to_yaml
-from warpvox.runs import check_unchanged, find_codesign, find_searches, new_folder, read_summary
+from warpvox.io.writing import check_links, check_writable
+from warpvox.runs import check_unchanged, find_codesign, read_summary
 from warpvox.trust import again, as_stored
 
 Job = tuple[CodesignConfig, Path | None]
 """One search to be made, and the folder of the one that it goes on with."""
+REPORT_KEYS = ("report", "export", "top", "output_dir")
+"""Keys that a report follows from."""
 
 
 def run(words: list[str]) -> None:
@@ -34,7 +36,9 @@ def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | No
 
     folder = None
     if config.report is not None:
-        check_report((key_and_value(word)[0] for word in overrides), ("export", "top", "name", "output_dir"))
+        others = [key for key in (key_and_value(word)[0] for word in overrides) if key not in REPORT_KEYS]
+        if others:
+            raise ConfigError(f"{listing(others)} cannot change a report: {listing(REPORT_KEYS[1:])} may go with it.")
         return config, None
     if config.resume is not None:
         source = find_codesign(config.resume, config.output_dir)
@@ -78,12 +82,7 @@ def _report(config: CodesignConfig, console: Console) -> Path:
     from warpvox.algos.codesign.results import Results
     from warpvox.algos.report import FILE as REPORT
 
-    texts = [str(text) for text in (config.report if isinstance(config.report, list) else [config.report])]
-    if texts != ["latest"]:
-        searches = find_searches(texts, config.output_dir)
-        if len(texts) != 1 or searches not in ([], [Path(texts[0]).expanduser()]):
-            return _compare(config, texts, searches, console)
-    source = find_codesign(texts[0], config.output_dir)
+    source = find_codesign(str(config.report), config.output_dir)
     stored = Codesign.of(vars(load_values("codesign", source.config)))
     check_links(source.folder)
     summary: dict[str, Any] = {"status": "running"} | read_summary(source.folder)
@@ -103,21 +102,3 @@ def _report(config: CodesignConfig, console: Console) -> Path:
         echo(console, shown(source.folder / REPORT))
         _export(archive, source.folder, config.export, console)
     return source.folder
-
-
-def _compare(config: CodesignConfig, texts: list[str], searches: list[Path], console: Console) -> Path:
-    """Write one report of several searches: into the folder that they lie in, if one was named, or a new one."""
-    from warpvox.algos.report.benchmark import write_benchmark
-
-    if not searches:
-        raise RunError(f"There is no design search at {listing(texts)}: expected latest, folders or a pattern of some.")
-    if config.export or config.top != CodesignConfig.top:
-        raise ConfigError("export and top go with the report of one search, and this is of several.")
-    home = Path(texts[0]).expanduser()
-    if len(texts) == 1 and home.is_dir():
-        page = write_benchmark(home, searches)
-    else:
-        with new_folder(config.output_dir, "report", "several", config.name, to_yaml(config)) as folder:
-            page = write_benchmark(folder, searches)
-    echo(console, f"report of {len(searches)} design searches: {page.resolve().as_uri()}")
-    return page.parent
