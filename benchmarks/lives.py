@@ -48,7 +48,7 @@ def reference_lives(interpreter: str, task: str, bodies: list[np.ndarray]) -> tu
 
 def serve(task: str) -> None:
     """In the interpreter of the reference: read bodies, print times and first observations."""
-    import evogym.envs  # noqa: F401  # registers the tasks
+    import evogym.envs  # noqa: F401  # pyright: ignore[reportMissingImports]  # registers the tasks
     import gymnasium
 
     lives = [live(gymnasium.make, task, np.array(body)) for body in json.load(sys.stdin)]
@@ -99,7 +99,7 @@ def main() -> None:
     import warpvox.evogym
 
     warpvox.evogym.install()
-    import evogym.envs  # noqa: F401  # registers the tasks
+    import evogym.envs  # noqa: F401  # pyright: ignore[reportMissingImports]  # registers the tasks
 
     names = ["gymnasium", "drop-in", *(["evogym"] if options.reference else [])]
     print(f"ms of CPU, median of {options.bodies} environments with a new body each")

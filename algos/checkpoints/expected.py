@@ -125,8 +125,10 @@ def _of(entry: Any, key: str, moment: Any, parameter: torch.Tensor) -> Any:
         return AnyTensor(parameter.dtype, tuple(parameter.shape))
     # torch counts steps in its default precision, which may have been another one
     given = entry.get(key) if isinstance(entry, Mapping) else None
-    counts = isinstance(given, torch.Tensor) and given.dtype in (torch.float32, torch.float64)
-    return AnyTensor(given.dtype if counts else moment.dtype, tuple(moment.shape))
+    dtype = moment.dtype
+    if isinstance(given, torch.Tensor) and given.dtype in (torch.float32, torch.float64):
+        dtype = given.dtype
+    return AnyTensor(dtype, tuple(moment.shape))
 
 
 def check_plain(content: Any) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from warpvox.algos.candidate import FINALIST, best_so_far
 from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.report.charts import Series, chart, sparkline
-from warpvox.algos.report.members import SearchResult, fitness_of
+from warpvox.algos.report.members import SearchResult
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.errors import RunError
 from warpvox.io.console import in_html, shell_argument
@@ -73,9 +73,9 @@ def _progress(search: SearchResult, archive: Archive) -> str:
     ends: dict[int, int] = {}
     for number, record in enumerate(trained, start=1):
         if record.candidate.origin == FINALIST:
-            finals.append((number, fitness_of(record)))
+            finals.append((number, record.fitness))
             continue
-        dots.append((number, fitness_of(record)))
+        dots.append((number, record.fitness))
         ends[record.candidate.generation] = number
         fate = "diverged, counts as " if record.diverged else ""
         notes.append(f"design {record.id}, generation {record.candidate.generation}: {fate}{record.fitness:.3f}")
