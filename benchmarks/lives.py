@@ -95,10 +95,10 @@ def main() -> None:
         serve(options.serve)
         return
 
-    import warpvox.envs
-    import warpvox.evogym
+    import warpvox.envs  # noqa: F401  # registers the tasks
+    from warpvox.evogym import install
 
-    warpvox.evogym.install()
+    install()
     import evogym.envs  # noqa: F401  # pyright: ignore[reportMissingImports]  # registers the tasks
 
     names = ["gymnasium", "drop-in", *(["evogym"] if options.reference else [])]

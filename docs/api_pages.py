@@ -8,7 +8,8 @@ import re
 from functools import cache
 from pathlib import Path
 
-STUB = Path(__file__).resolve().parents[1] / "warpvox" / "__init__.pyi"
+PACKAGE = Path(__file__).resolve().parents[1] / "warpvox"
+STUB = PACKAGE / "__init__.pyi"
 TITLES = {
     "api": "Training and policies",
     "algos.training.loading": "Training and policies",
@@ -35,7 +36,9 @@ TITLES = {
 }
 """Modules of public names with the titles of their pages, in order; others come last, under their own names."""
 BESIDE = {
-    "Training and policies": ("algos.checkpoints.policy.Policy",),
+    "Training and policies": (
+        *("algos.checkpoints.policy.Policy", "algos.policies.model.VoxelModel", "algos.policies.layout.layout_of"),
+    ),
     "Batches of environments": ("envs.vec_env.VoxelVecEnv",),
     "Tasks": (
         *("envs.spec.TaskSpec", "envs.spec.observes", "envs.spec.rewards", "envs.spec.terminates", "envs.spec.Memory"),
@@ -59,20 +62,20 @@ BESIDE = {
         "envs.adapters.sb3.VoxelSB3VecEnv",
     ),
     "Design search": (
-        *("configs.composition.settings_named", "configs.composition.training_preset"),
-        *("algos.report.members.read_members", "algos.report.members.SearchResult", "envs.registry.known_returns"),
-        *("envs.registry.KnownReturn", "algos.codesign.archive.Archive", "algos.codesign.archive.Record"),
+        *("configs.composition.settings_named", "algos.report.members.read_members"),
+        *("algos.report.members.SearchResult", "algos.codesign.archive.Archive", "algos.codesign.archive.Record"),
+        "algos.codesign.archive.Finished",
     ),
-    "Searches of one's own": ("algos.search.base.BaseSearch", "algos.candidate.Candidate"),
+    "Searches of one's own": ("algos.search.base.BaseSearch", "algos.candidate.Candidate", "algos.candidate.Outcome"),
 }
 """Types that public functions take and return without a name in ``warpvox`` itself, by the title of the page."""
 
 
 @cache
-def public_modules() -> dict[str, tuple[str, ...]]:
-    """Public names by the module that they come from."""
+def public_modules(stub: Path = STUB) -> dict[str, tuple[str, ...]]:
+    """Public names of a package, by the module that they come from."""
     found = {}
-    for node in ast.parse(STUB.read_text(encoding="utf-8")).body:
+    for node in ast.parse(stub.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.ImportFrom):
             found[node.module] = tuple(name.name for name in node.names)
     return found
@@ -83,6 +86,8 @@ def documented_names() -> set[str]:
     names = {f"warpvox.{name}" for beside in BESIDE.values() for name in beside}
     for module, public in public_modules().items():
         names |= {f"warpvox.{name}" for name in public} | {f"warpvox.{module}.{name}" for name in public}
+    for public in public_modules(PACKAGE / "robots" / "__init__.pyi").values():
+        names |= {f"warpvox.robots.{name}" for name in public}
     return names
 
 

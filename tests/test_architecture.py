@@ -1,6 +1,8 @@
 """The house has layers; these tests keep them. See CONTRIBUTING.md for what belongs where."""
 
 import ast
+import io
+import tokenize
 from collections.abc import Iterable, Iterator
 from functools import cache
 from graphlib import TopologicalSorter
@@ -9,6 +11,9 @@ from pathlib import Path
 import api_pages
 
 ROOT = Path(__file__).resolve().parents[1]
+NO_CODE = {
+    tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER
+}  # fmt: skip
 LINKED = ("kernels", "envs", "algos", "configs")
 
 CORE = ("errors", "system", "types", "examples", "io", "design", "world", "contact_order", "compile")
@@ -179,3 +184,87 @@ def test_simulations_and_environments_are_used_by_their_public_methods() -> None
         and node.attr != "_engine"  # of EvoGym's EvoSim, which is called sim as well
     ]  # fmt: skip
     assert not found, "\n".join(found)
+
+
+CEILINGS = {
+    "tokens": 270_800,
+    "tokens a line of code": 11.25,
+    "names at module level": 2_097,
+    "public names at module level": 1_580,
+    "files that train may load": 145,
+    "files in circles, types counted": 50,
+}
+"""How large the house may be. Lower a figure when a change has brought it down; a higher one needs a reason."""
+
+
+def code_tokens(path: Path) -> Iterator[tokenize.TokenInfo]:
+    """Yield the tokens of a file that are neither comments, docstrings nor line ends."""
+    docstrings = set()
+    for node in ast.walk(parse(path)):
+        for statement in getattr(node, "body", None) if isinstance(getattr(node, "body", None), list) else ():
+            value = getattr(statement, "value", None)
+            if isinstance(statement, ast.Expr) and isinstance(value, ast.Constant) and isinstance(value.value, str):
+                docstrings |= set(range(statement.lineno, statement.end_lineno + 1))
+    for token in tokenize.generate_tokens(io.StringIO(path.read_text(encoding="utf-8")).readline):
+        if token.type not in NO_CODE and token.start[0] not in docstrings:
+            yield token
+
+
+def module_level_names(path: Path) -> Iterator[str]:
+    """Yield the functions, classes and constants of a file."""
+    for node in parse(path).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield node.name
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            yield from (name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name))
+
+
+def imported(types: bool) -> dict[str, set[str]]:
+    """The modules that each module imports, those that only type checkers need among them if ``types``."""
+    graph: dict[str, set[str]] = {}
+    for module, path in SOURCES.items():
+        targets = {target for _, target in imports(parse(path))}
+        if types:
+            guarded = [node for node in ast.walk(parse(path)) if for_type_checkers_only(node)]
+            targets |= {
+                target for node in guarded for part in node.body for _, target in imports(ast.Module([part], []))
+            }
+        graph[module] = (targets & set(SOURCES)) - {module}
+    return graph
+
+
+def reachable(graph: dict[str, set[str]], start: str) -> set[str]:
+    """The modules that ``start`` leads to; it is one of them if it lies in a circle."""
+    found: set[str] = set()
+    waiting = list(graph[start])
+    while waiting:
+        module = waiting.pop()
+        if module not in found:
+            found.add(module)
+            waiting += graph[module]
+    return found
+
+
+def test_the_house_grows_no_larger() -> None:
+    tokens = lines = 0
+    names = []
+    for path in SOURCES.values():
+        found = list(code_tokens(path))
+        tokens += len(found)
+        lines += len({line for token in found for line in range(token.start[0], token.end[0] + 1)})
+        names += module_level_names(path)
+    with_types = imported(types=True)
+    with_packages = {
+        module: targets | {name for name in SOURCES if any(t.startswith(f"{name}.") for t in (module, *targets))}
+        for module, targets in imported(types=False).items()
+    }
+    measured = {
+        "tokens": tokens,
+        "tokens a line of code": tokens / lines,
+        "names at module level": len(names),
+        "public names at module level": sum(not name.startswith("_") for name in names),
+        "files that train may load": len(reachable(with_packages, "warpvox.cli.commands.train")),
+        "files in circles, types counted": sum(module in reachable(with_types, module) for module in with_types),
+    }
+    assert not {name: value for name, value in measured.items() if value > CEILINGS[name]}, measured

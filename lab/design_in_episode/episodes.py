@@ -20,7 +20,7 @@ from tensordict import TensorDict
 import warpvox as wv
 from warpvox.design import repair_design
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
-from warpvox.envs.vec_env import StepResult, VoxelVecEnv
+from warpvox.envs.vec_env import VoxelVecEnv
 
 NUM_TYPES = 5
 """Number of types of a robot's cell: empty, rigid, soft, horizontal and vertical actuator (:class:`warpvox.Cell`)."""
@@ -313,7 +313,9 @@ class DesignVecEnv:
         done = self._length.clamp(max=self.design_steps).to(task.dtype) / self.design_steps
         return torch.cat([*parts, self.designing.to(task.dtype)[:, None], done[:, None]], dim=1)
 
-    def step(self, actions: torch.Tensor | np.ndarray) -> StepResult:
+    def step(
+        self, actions: torch.Tensor | np.ndarray
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """One step everywhere: of the design or of control, whichever stage an environment is in.
 
         Args:

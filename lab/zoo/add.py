@@ -25,7 +25,7 @@ import warpvox as wv
 from warpvox.algos.codesign.robots import robots_of
 from warpvox.robots import Network, Robot, judge, read_robot, save_robot
 
-ENTRIES = Path(wv.__file__).parent / "robots" / "data"
+ENTRIES = Path(__file__).resolve().parents[2] / "warpvox" / "robots" / "data"
 """Folder of the zoo that comes with warpvox."""
 RECORDED_SEED, CHOOSING_SEED = 1000, 2000
 """First seeds of the episodes under noise that an entry records, and of those that it is chosen by."""
