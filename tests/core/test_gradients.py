@@ -195,10 +195,10 @@ def test_a_gpu_gives_the_derivatives_of_a_cpu():
     torch.testing.assert_close(derivative("cuda"), derivative("cpu"), rtol=1e-6, atol=1e-12)
 
 
-def law(model, x, y, size, smoothing, slip):
+def law(sim, x, y, size, smoothing, slip):
     """Derivatives of the force on a corner: [x by x, x by y, y by x, y by y, x by velocity, y by velocity]."""
-    found, contact = np.zeros(6), model.contact
-    sides, boxes = model.terrain_side.numpy()[0], model.terrain_box.numpy()[0]
+    found, contact = np.zeros(6), sim.buffers.model.contact
+    sides, boxes = sim.array("terrain_side").numpy()[0], sim.array("terrain_box").numpy()[0]
     column, row = int(np.floor(x / VOXEL)), int(np.floor(y / VOXEL))
 
     def side(cell, n):
@@ -243,8 +243,8 @@ def test_contact_with_terrain_has_the_derivative_of_a_gradual_push(place):
     start = state.clone().requires_grad_()
     grads.step(start, torch.ones(8, 1)).sum().backward()
     contact = grads.tape["contact"].numpy()[0]
-    rows, model = sim.rows[0].numpy(), sim.buffers.model
-    points = int(model.points.numpy()[0])
+    rows = sim.rows[0].numpy()
+    points = int(sim.array("points").numpy()[0])
     pack, lane = sim.buffers.env_pack.numpy(), sim.buffers.env_lane.numpy()
     assert set(pack) == {0}
     checked = 0
@@ -252,7 +252,7 @@ def test_contact_with_terrain_has_the_derivative_of_a_gradual_push(place):
         point = rows[env, 2 * at] // 2
         assert point < points
         x, y = state[env, 0, 2 * at : 2 * at + 2].tolist()
-        expected = law(model, x, y, model.terrain.numpy()[0], 2e-3, state[env, 2, 2 * at : 2 * at + 2].numpy())
+        expected = law(sim, x, y, sim.array("terrain").numpy()[0], 2e-3, state[env, 2, 2 * at : 2 * at + 2].numpy())
         np.testing.assert_allclose(contact[6 * point : 6 * point + 6, lane[env]], expected, rtol=1e-9, atol=1e-6)
         checked += bool(expected.any())
     assert checked >= 8

@@ -353,9 +353,7 @@ def test_every_command_refuses_a_foreign_view(filled: Archive, warpvox: Callable
         ["play", f"run={folder}"],
         ["evaluate", f"runs=[{folder}]"],
         ["codesign", f"report={folder}"],
-        ["codesign", f"report=[{folder}]"],
         ["codesign", f"resume={folder}"],
-        ["zoo", f"add={folder}"],
     ):
         done = warpvox(*words, code=None)
         assert "table or view" in " ".join((done.out + done.err).split()), words
