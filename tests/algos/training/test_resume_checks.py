@@ -170,7 +170,7 @@ def test_files_do_not_unpack_to_more_than_they_are(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["hidden", "rnn", "transformer"])
 def test_a_network_has_some_hundred_layers_at_most(tmp_path: Path, kind: str) -> None:
-    content = checkpoint_content()
+    content = copy.deepcopy(checkpoint_content())
     policy = content["policy"]
     if kind == "hidden":
         policy["hidden"] = [1] * 300_000
