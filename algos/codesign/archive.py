@@ -90,7 +90,11 @@ class Record:
 
     @property
     def policy_source(self) -> Path:
-        """The folder of its policy, a small run. RunError: none was kept."""
+        """The folder of its policy, a small run.
+
+        Raises:
+            RunError: none was kept.
+        """
         if self.folder is None or self.policy is None:
             raise RunError(f"Design {self.id} has no policy that was kept.")
         return (self.folder / self.policy).parent

@@ -140,7 +140,11 @@ class TrainedRun:
 
     @property
     def design(self) -> Design | dict[str, Design]:
-        """The body, or bodies by the names of robots. DesignError: the policy is for many."""
+        """The body, or bodies by the names of robots.
+
+        Raises:
+            DesignError: the policy is for many bodies.
+        """
         body = self.policy.design
         if body is None:
             raise DesignError("This run does not say which body it is for: give the body itself.")
