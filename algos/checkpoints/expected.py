@@ -78,7 +78,8 @@ def _misfit(name: str, wanted: object, found: object) -> RunError:
 def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> dict[str, Any]:
     """The argument of ``optimizer.load_state_dict``: moments and learning rates of a file, all else as configured.
 
-    torch does not compare moments with the parameters, and goes on in them beyond their ends.
+    torch neither compares moments with the parameters nor looks at their strides, and goes on in them beyond their
+    ends: what is returned are copies with all numbers in order.
 
     Raises:
         RunError: ``found`` is not the state of such an optimiser.
@@ -103,7 +104,15 @@ def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> 
         if type(number) is not int or not 0 <= number < len(parameters):
             raise RunError(f"Its {place!r} belongs to none of the {len(parameters)} parameters.")
         check_like(entry, {key: _of(entry, key, value, parameters[number]) for key, value in moments.items()}, place)
-    return {"state": dict(found["state"]), "param_groups": groups}
+
+    # copies
+    state: dict[int, dict[str, Any]] = {}
+    for number, entry in found["state"].items():
+        state[number] = {}
+        for key, value in entry.items():
+            is_tensor = isinstance(value, torch.Tensor)
+            state[number][key] = value.clone(memory_format=torch.contiguous_format) if is_tensor else value
+    return {"state": state, "param_groups": groups}
 
 
 def _moments(optimizer: torch.optim.Optimizer) -> dict[str, Any]:

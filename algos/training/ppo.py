@@ -181,7 +181,7 @@ class PPO(RslRlPPO):
         for name, optimizer in optimizers.items():
             if wanted.get(name):
                 key = "optimizer_state_dict" if name == "optimizer" else f"{name}_optimizer_state_dict"
-                own[key] = copy.deepcopy(optimizer_state(loaded_dict.get(key), optimizer, key))
+                own[key] = optimizer_state(loaded_dict.get(key), optimizer, key)
         result = super().load(loaded_dict | own, load_cfg, strict)
         self.updates = loaded_dict.get("updates", 0)
         return result

@@ -103,13 +103,15 @@ def write_report(folder: Path, searches: Sequence[SearchResult]) -> Path:
 
     # Pictures
     picture = draw_curves(groups)
-    (folder / "curves.svg").write_bytes(picture)
+    write(folder / "curves.svg", picture)
     winners = {}
     for task, named in groups.items():
         winners[task] = max((one for runs in named.values() for one in runs), key=lambda one: one.best[-1])
     bodies = [one.winner.candidate.body for one in winners.values() if one.winner]
     captions = [(task, f"{one.best[-1]:.3f}", one.search) for task, one in winners.items() if one.winner]
-    wv.draw_bodies(bodies, captions).save(folder / "winners.png")
+    winners_file = io.BytesIO()
+    wv.draw_bodies(bodies, captions).save(winners_file, "PNG")
+    write(folder / "winners.png", winners_file.getvalue())
 
     # Page
     parts = [
@@ -119,18 +121,25 @@ def write_report(folder: Path, searches: Sequence[SearchResult]) -> Path:
         f"<h2>Best return over control steps</h2>{_image('svg+xml', picture)}",
         "<p>Means of the runs, and ranges. A run that ends before the others keeps its best return.</p>",
         f"<h2>Comparison</h2>{_comparison(groups)}",
-        f"<h2>Best bodies</h2>{_image('png', (folder / 'winners.png').read_bytes())}",
+        f"<h2>Best bodies</h2>{_image('png', winners_file.getvalue())}",
     ]
     style = "body{font:15px sans-serif;margin:2em}td,th{padding:.2em .8em;text-align:right}img{max-width:100%}"
     head = f"<!doctype html><meta charset='utf-8'><title>Comparison of searches</title><style>{style}</style>"
     page = folder / "report.html"
-    page.write_text(head + "\n".join(parts), encoding="utf-8")
+    write(page, (head + "\n".join(parts)).encode())
     return page
 
 
+def write(path: Path, content: bytes) -> None:
+    """Write a file of the folder; a link of its name, which may lead elsewhere, is replaced."""
+    path.unlink(missing_ok=True)
+    path.write_bytes(content)
+
+
 def write_csv(path: Path, names: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([names, *rows])
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([names, *rows])
+    write(path, text.getvalue().encode())
 
 
 def draw_curves(groups: Groups) -> bytes:

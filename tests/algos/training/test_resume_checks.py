@@ -127,6 +127,29 @@ def test_moments_are_those_of_the_parameters(
         make_runner(kind).begin_with(content, optimizer=True)
 
 
+@pytest.mark.parametrize("layout", ["one number", "transposed"])
+def test_moments_may_be_views(state: tuple[str, dict[str, Any]], tmp_path: Path, layout: str) -> None:
+    """torch's Adam takes a tensor's numbers to lie in order, from its first one on."""
+    kind, content = state
+    weights = []
+    for is_view in (True, False):
+        content = copy.deepcopy(content)
+        for entry in content["optimizer_state_dict"]["state"].values():
+            for name in ("exp_avg", "exp_avg_sq"):
+                value = entry[name]
+                view = value.mT.contiguous().mT if value.ndim == 2 else value
+                if layout == "one number":
+                    view = torch.zeros(value.numel()).as_strided(value.shape, [0] * value.ndim, value.numel() - 1)
+                entry[name] = view if is_view else view.clone(memory_format=torch.contiguous_format)
+        save_checkpoint(tmp_path / STATE, content)
+        runner = make_runner(kind)
+        runner.resume(tmp_path / STATE)
+        runner.learn(1)
+        weights.append(runner.alg.actor.state_dict())
+    for name, value in weights[0].items():
+        assert torch.equal(value, weights[1][name]), name
+
+
 def test_settings_of_an_optimiser_are_those_of_the_training(state: tuple[str, dict[str, Any]], tmp_path: Path) -> None:
     kind, content = state
     content = copy.deepcopy(content)
