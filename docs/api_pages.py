@@ -38,6 +38,7 @@ TITLES = {
 BESIDE = {
     "Training and policies": (
         *("algos.checkpoints.policy.Policy", "algos.policies.model.VoxelModel", "algos.policies.layout.layout_of"),
+        "algos.policies.transformer.AttentionBlock",
     ),
     "Batches of environments": ("envs.vec_env.VoxelVecEnv",),
     "Tasks": (

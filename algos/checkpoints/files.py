@@ -166,7 +166,13 @@ def _check_entries(path: Path, entries: Sequence[zipfile.ZipInfo]) -> None:
 
 @contextmanager
 def damaged(path: Path | None, hint: str = "") -> Iterator[None]:
-    """Turn whatever the content of a checkpoint raises where it is taken over into one sentence; ``hint``: another."""
+    """Turn whatever the content of a checkpoint raises where it is taken over into one sentence; ``hint``: another.
+
+    Without a ``path`` nothing comes from a file, and errors stay as they are.
+    """
+    if path is None:
+        yield
+        return
     try:
         yield
     except (RunError, SimulationError) as error:

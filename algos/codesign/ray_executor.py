@@ -31,7 +31,9 @@ class _Worker:
     """Ray actor: evaluates in one thread and reports progress in another; in the folder ``here``, if it is there."""
 
     def __init__(self, make: Callable[[], DesignEvaluator], here: Path) -> None:
-        change_folder(here)
+        # Relative paths mean what they mean in the program; other machines may lack its folder.
+        with suppress(OSError):
+            os.chdir(here)
         self._make, self._evaluator = make, None
         self._events: deque[dict[str, Any]] = deque(maxlen=100)
 
@@ -181,12 +183,6 @@ class _Handle:
         self.place: int | None = None
         self.task: Any = None
         self.news: Any = None
-
-
-def change_folder(here: Path) -> None:
-    """Have a worker resolve relative paths as the program that it works for; other machines may lack the folder."""
-    with suppress(OSError):
-        os.chdir(here)
 
 
 def connect(address: str | None, workers: int | None, cpus: int, gpus: float | None) -> tuple[Any, int, float]:

@@ -10,6 +10,7 @@ from torch import nn
 from torch.nn import functional
 
 from lab.gradients.response import LinearResponse
+from warpvox.algos.policies.transformer import AttentionBlock
 
 PERIODS = (10.0, 5.0)
 """Periods of the rhythms, in control steps."""
@@ -125,29 +126,6 @@ class CpgNetwork(nn.Module):
             swing = swing + (added + own) * driven
         middle = wave[..., :1] + self.rest(self.norms[-1](tokens))
         return torch.cat([middle, swing.permute(0, 2, 3, 1).flatten(2)], dim=-1)
-
-
-class AttentionBlock(nn.Module):
-    """Attention that falls with distance and a small network, each added to its input, which is normalised first."""
-
-    def __init__(self, width: int, heads: int) -> None:
-        super().__init__()
-        self.heads = heads
-        self.before, self.between = nn.LayerNorm(width), nn.LayerNorm(width)
-        self.query_key_value, self.mix = nn.Linear(width, 3 * width), nn.Linear(width, width)
-        self.slope = nn.Parameter(torch.linspace(-3.0, 0.0, heads))
-        self.inner, self.outer = nn.Linear(width, 2 * width), nn.Linear(2 * width, width)
-
-    def forward(self, tokens: torch.Tensor, distance: torch.Tensor, present: torch.Tensor) -> torch.Tensor:
-        """``[n, cells, width]``; ``distance`` ``[n, 1, cells, cells]``, ``present`` bool ``[n, cells]``."""
-        rows, count, width = tokens.shape
-        bias = -functional.softplus(self.slope)[:, None, None] * distance
-        bias = bias.masked_fill(~present[:, None, None], -1e9)
-        parts = self.query_key_value(self.before(tokens)).view(rows, count, 3, self.heads, width // self.heads)
-        query, key, value = parts.permute(2, 0, 3, 1, 4).unbind(0)
-        mixed = functional.scaled_dot_product_attention(query, key, value, attn_mask=bias)
-        tokens = tokens + self.mix(mixed.transpose(1, 2).reshape(rows, count, width))
-        return tokens + self.outer(functional.gelu(self.inner(self.between(tokens))))
 
 
 def _moved(response: torch.Tensor, swing: torch.Tensor) -> torch.Tensor:
