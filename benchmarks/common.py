@@ -1,4 +1,4 @@
-"""What the benchmarks share: options, checked environments, EvoGym beside them, rates, tables.
+"""Common parts of the benchmarks: options, checked environments, EvoGym beside them, rates, tables.
 
 Rates are control steps of single environments per second: of CPU time of the process where one thread computes, of
 wall-clock time with more threads and on CUDA. A result is asserted before its time is measured.
@@ -300,7 +300,7 @@ def open_reference(args: argparse.Namespace) -> Reference | nullcontext[None]:
 
 
 class Report:
-    """What a benchmark finds, on the terminal and in the folder ``OUTPUT/NAME``.
+    """Results of a benchmark, on the terminal and in the folder ``OUTPUT/NAME``.
 
     ``rows.jsonl`` has each row with all repetitions as soon as it is there, ``tables.md`` all tables and sentences so
     far, so that a benchmark that is cut off leaves what it has found.

@@ -22,7 +22,7 @@ import numpy as np
 
 TASKS = ("Walker-v0", "UpStepper-v0", "Traverser-v0", "Climber-v0", "BridgeWalker-v0", "Carrier-v0")
 ROUNDING = 1e-14
-"""What observations of evogym may differ by: it sums the points of a body, for their mean, in another order."""
+"""Tolerance of observations of evogym: it sums the points of a body, for their mean, in another order."""
 WARM_UP = 3
 """Lives of each task that are not counted: kernels are loaded and meshes of the terrain made."""
 

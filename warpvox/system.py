@@ -140,7 +140,7 @@ def _quotas(root: Path = Path("/")) -> Iterator[int]:
 
 
 def is_device_name(name: str) -> bool:
-    """Whether Windows takes a file's name for a device, whatever its suffix; files are to open there, too."""
+    """Return whether Windows takes a file's name for a device, whatever its suffix: files are to open there, too."""
     return name.partition(".")[0].rstrip(" ").upper() in DEVICES
 
 

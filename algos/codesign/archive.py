@@ -451,7 +451,7 @@ def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, 
 
 
 def finalists_first(settings: Mapping[str, Any]) -> bool:
-    """Whether finalists rank before all other designs of a search, whose fitness is that of a common policy."""
+    """Return whether finalists rank before all other designs of a search, whose fitness is that of a common policy."""
     how = settings.get("evaluation")
     return not (isinstance(how, Mapping) and how.get("name") in COMPARABLE)
 

@@ -46,7 +46,7 @@ COUNTERS = {
     "elapsed": float, "best_return": float, "best_iteration": int, "processes": int, "env": dict, "random": dict,
     "memory": dict,
 }  # fmt: skip
-"""What a state holds beside networks and optimiser, by its types."""
+"""Entries of a state beside networks and optimiser, and their types."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ gymnasium.register("Walker-v0", entry_point=Env, max_episode_steps=100, kwargs={
 
 
 class Outcome(NamedTuple):
-    """What a benchmark left: exit code (None: it has raised), tables, rows by their names."""
+    """Results of a benchmark: exit code (None: it has raised), tables, rows by their names."""
 
     code: int | None
     tables: str

@@ -93,7 +93,7 @@ def changed(settings: Any, key: str, value: Any) -> Any:
 
 
 def finished(folder: Path) -> bool:
-    """Whether the search in ``folder`` has come to its end."""
+    """Return whether the search in ``folder`` has come to its end."""
     try:
         return json.loads((folder / "summary.json").read_text(encoding="utf-8"))["status"] == "done"
     except (OSError, ValueError, KeyError):

@@ -85,7 +85,7 @@ def add(source: Path, folder: Path, top: int) -> str:
 
 
 def is_better(robot: Robot, returns: list[float], known: Robot, known_returns: list[float]) -> bool:
-    """Whether the mean of ``returns`` is higher; feedback may be :data:`FEEDBACK_MARGIN` below a gait."""
+    """Return whether the mean of ``returns`` is higher; feedback may be :data:`FEEDBACK_MARGIN` below a gait."""
     ours, theirs = float(np.mean(returns)), float(np.mean(known_returns))
     if robot.has_feedback and not known.has_feedback:
         return ours >= theirs - FEEDBACK_MARGIN * abs(theirs)
@@ -130,7 +130,7 @@ def measured(robot: Robot) -> dict[str, Any]:
 
 
 def facts(source: Path) -> dict[str, Any]:
-    """What the files of a run say of it: command, configuration, version, and what it has cost with all before it.
+    """Read what the files of a run say of it: command, configuration, version, and what it has cost with all before it.
 
     ``start`` are the facts of the robots and policies that it began with, the earliest first.
     """

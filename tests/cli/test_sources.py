@@ -1,4 +1,4 @@
-"""What a user calls a policy or a body: every form of it means the same wherever one is taken."""
+"""Policies and bodies by all their names: every form of it means the same wherever one is taken."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -161,7 +161,7 @@ def test_what_is_no_agent_is_named(made: SimpleNamespace) -> None:
     for policy, words in (("sin", "Did you mean 'sine'"), (3, "must be a run"), ("zoo:Wlker-v0", "'Walker-v0'")):
         with pytest.raises(wv.WarpvoxError, match=words):
             wv.record(env, policy)
-    other = wv.zoo("Thrower-v0")  # whose policy is told the time
+    other = wv.zoo("Thrower-v0")  # its policy observes the time
     with pytest.raises(wv.ConfigError, match="takes observations"):
         wv.record(env, other)
 

@@ -54,7 +54,7 @@ def random_actions(env: VoxelVecEnv, steps: int = STEPS) -> Iterator[torch.Tenso
 
 
 def differences(exact: VoxelVecEnv, env: VoxelVecEnv) -> dict[str, float]:
-    """What all but a few control steps differ by, each from the state of ``exact``, which goes on."""
+    """Largest difference of all but a few control steps, each from the state of ``exact``, which goes on."""
     found: dict[str, list[torch.Tensor]] = {name: [] for name in TOLERANCES["float64"]}
     exact.reset(exact.seed)
     for actions in random_actions(exact):

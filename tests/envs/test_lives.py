@@ -95,7 +95,7 @@ def test_threads_that_make_environments_share_nothing_that_changes():
 
 
 def test_equal_objects_differ_by_place_and_physics():
-    """What is made of an object is kept by all that it depends on."""
+    """Tables of an object are kept by all that they depend on."""
 
     def arrays(x, physics, loose=()):
         world = World(30, 12)

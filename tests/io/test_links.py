@@ -1,4 +1,4 @@
-"""What a command writes into a folder lies in it, whatever links came with the folder."""
+"""Files that a command writes into a folder lie in it, whatever links came with the folder."""
 
 import os
 import shutil

@@ -121,7 +121,7 @@ def file_names(folder: Path) -> list[str]:
 
 
 def _is_here(path: Path) -> bool:
-    """Whether there is such a file, and not by a link that leads out of its folder."""
+    """Return whether there is such a file, and not by a link that leads out of its folder."""
     return path.is_file() and path.resolve().parent == path.parent.resolve()
 
 

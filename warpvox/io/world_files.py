@@ -137,7 +137,7 @@ def _check_width(value: object) -> int:
 
 
 def _is_one_of(value: object, options: Collection[int]) -> bool:
-    """Whether a number, which may be written as 3.0, is one of ``options``; True is not 1."""
+    """Return whether a number, which may be written as 3.0, is one of ``options``; True is not 1."""
     return (is_integer(value) or isinstance(value, float)) and value in options
 
 
@@ -155,7 +155,7 @@ def _bounding_box(name: str, box: object, columns: list[int], rows: list[int]) -
 
 
 def _touch(name: str, first: int, second: int, width: int) -> bool:
-    """Whether two cells (flat indices) of a grid ``width`` cells wide touch along an edge.
+    """Return whether two cells (flat indices) of a grid ``width`` cells wide touch along an edge.
 
     WorldError: they lie at opposite ends of neighbouring rows, one after the other. EvoGym takes them for neighbours in
     a row and joins their far corners.

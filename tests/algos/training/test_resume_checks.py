@@ -1,4 +1,4 @@
-"""What resumes is compared with what takes it over: damaged states give one sentence, and never a crash."""
+"""States of trainings are compared with what takes them over: damaged states give one sentence, and never a crash."""
 
 import copy
 import random
