@@ -8,7 +8,7 @@ from typing import Any
 from warpvox.algos.protocols import NOMINAL, PROTOCOLS
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, arithmetic_key
 from warpvox.configs.schema import EXPORTS, SHOW
-from warpvox.keys import key
+from warpvox.keys import Settings, key
 from warpvox.types import RULES
 from warpvox.view.rollout import AGENTS
 
@@ -18,7 +18,7 @@ OWN_TASK = "For a run of a task of your own: its code, file.py:NAME"
 
 
 @dataclass
-class _PolicyConfig:
+class _PolicyConfig(Settings):
     """Keys that play, export and evaluate share; named as the first base, they come behind those of the others."""
 
     stochastic: bool = key(False, "sample actions from the policy as in training, instead of taking their mean")
@@ -37,7 +37,7 @@ class _PolicyConfig:
 
 
 @dataclass
-class _RolloutConfig:
+class _RolloutConfig(Settings):
     """Keys that play and export share."""
 
     run: str = key("latest", "latest, the folder of a run, or a checkpoint file", path="read")
@@ -108,12 +108,12 @@ class ExportConfig(_PolicyConfig, _RolloutConfig):
 
 
 @dataclass
-class _EvaluationConfig:
+class _EvaluationConfig(Settings):
     """Keys that evaluate alone has."""
 
     runs: list[str] | None = key(
         None,
-        "trained runs: latest, folders, checkpoints, sweeps (their tables), patterns such as 'outputs/train/*/*';"
+        "trained runs: latest, folders, checkpoints, patterns such as 'outputs/train/*/*_NAME*';"
         " null: latest, unless zoo names robots",
         path="read",
     )
@@ -153,11 +153,11 @@ class EvaluateConfig(_PolicyConfig, _EvaluationConfig):
 
 
 @dataclass
-class CurvesConfig:
+class CurvesConfig(Settings):
     runs: list[str] = key(
         ["latest"],
-        "runs of `warpvox train`: latest, folders, sweeps (their tables), patterns such as 'outputs/train/*/*'; or"
-        " design searches, by their folders, sweeps or folders that contain them",
+        "runs of `warpvox train`: latest, folders, patterns such as 'outputs/train/*/*_NAME*'; or design searches, by"
+        " their folders or folders that contain them",
         path="read",
     )
     x: str = key(

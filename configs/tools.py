@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from warpvox.configs.schema import SHOW
-from warpvox.keys import key
+from warpvox.keys import Settings, key
 from warpvox.types import RULES
 
 
 @dataclass
-class DesignConfig:
+class DesignConfig(Settings):
     file: str | None = key(None, "file of the folder to open at the start", path="read")
     folder: str = key(
         "designs", "folder in which files are opened and saved; made when something is saved", path="written"
@@ -24,13 +24,13 @@ class DesignConfig:
 
 
 @dataclass
-class ZooConfig:
+class ZooConfig(Settings):
     task: str | None = key(None, "show the robot of this task in detail")
     folder: str | None = key(None, "folder of the entries; null: that of the package", path="read")
 
 
 @dataclass
-class TasksConfig:
+class TasksConfig(Settings):
     task: str | None = key(
         None,
         "task id, module:NAME or file.py:NAME to show in detail, with its world; its key may be omitted",
@@ -45,5 +45,5 @@ class TasksConfig:
 
 
 @dataclass
-class InfoConfig:
+class InfoConfig(Settings):
     """``warpvox info`` has no keys."""

@@ -165,7 +165,10 @@ def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
     try:
         return dataclasses.replace(usual, **values)
     except ConfigError as error:
-        raise ConfigError(f"{name}: {error}") from None
+        text = str(error)
+        first = text.partition(" ")[0].partition(".")[0]  # in many errors the field
+        joint = "." if first in usual.__dataclass_fields__ else ": "
+        raise ConfigError(f"{name}{joint}{text}") from None
 
 
 def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:

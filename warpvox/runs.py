@@ -145,9 +145,9 @@ def _folder_of(path: Path) -> Path:
 
 
 def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
-    """The runs that ``texts`` name, each once: as for :func:`find_run`, patterns of folders or checkpoints, or sweeps.
+    """The runs that ``texts`` name, each once: as for :func:`find_run`, or patterns of folders or checkpoints.
 
-    What a pattern (``outputs/train/*/*``) matches, or a sweep has made, and is neither is left out.
+    What a pattern (``outputs/train/*/*``) matches and is neither is left out.
     """
     found: dict[tuple[Path, Path | None], Run] = {}
     for text in texts:
@@ -165,16 +165,10 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
 
 
 def matches(text: str) -> list[Path] | None:
-    """Paths that match a pattern, or that a sweep, named by its folder or table, has made; None: ``text`` is a name."""
-    pattern = os.path.expanduser(text)
-    sweep = Path(pattern.removesuffix(".csv"))
-    if sweep.name.startswith("sweep_") and sweep.is_dir():  # a run's place seen from it; else the one it says
-        places = [str(read_facts(file).get("folder", "")) for file in sorted(sweep.glob("run_*.json"))]
-        beside = {Path(place): sweep.parent.joinpath(*Path(place).parts[-2:]) for place in places if place}
-        return [near if near.exists() else place for place, near in beside.items()]
-    if not any(mark in text for mark in "*?[") or Path(pattern).exists():
+    """Paths that match a pattern; None: ``text`` is the name of one."""
+    if not any(mark in text for mark in "*?[") or Path(text).expanduser().exists():
         return None
-    return sorted(map(Path, glob.glob(pattern, recursive=True)))
+    return sorted(map(Path, glob.glob(os.path.expanduser(text), recursive=True)))
 
 
 def find_codesign(text: str, output_dir: str) -> Run:
@@ -194,7 +188,7 @@ def find_codesign(text: str, output_dir: str) -> Run:
 def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
     """The folders of the design searches that ``texts`` name, each once; none if they name anything else.
 
-    A text is ``latest``, the folder of a search, one that searches lie in (a sweep), or a pattern of such.
+    A text is ``latest``, the folder of a search, one that searches lie in, or a pattern of such.
     """
     found: dict[Path, Path] = {}
     others = []

@@ -25,7 +25,21 @@ class Key:
     help: str
     choices: tuple[str, ...] = ()
     path: str | None = None
-    limits: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    @property
+    def is_text(self) -> bool:
+        """True if the value is a text, or null."""
+        return self.type in (str, str | None)
+
+    @property
+    def is_list(self) -> bool:
+        """True if the value is a list, or null."""
+        return "list[" in str(self.type)
+
+    @property
+    def takes_text(self) -> bool:
+        """True if the value, or an entry of the list, may be a text."""
+        return self.type is Any or "str" in str(self.type)
 
 
 @functools.cache
@@ -43,17 +57,16 @@ def _keys(schema: type, prefix: str) -> Iterator[tuple[str, Key]]:
         name = prefix + item.name
         default = item.default if item.default_factory is dataclasses.MISSING else item.default_factory()
         about = item.metadata
-        yield name, Key(types[item.name], default, about["help"], about.get("choices", ()), about.get("path"), about)
+        yield name, Key(types[item.name], default, about["help"], about.get("choices", ()), about.get("path"))
         kinds = [one if isinstance(one, type) else type(one) for one in (default, *about.get("nodes", {}).values())]
         kinds = [kind for kind in kinds if dataclasses.is_dataclass(kind) and issubclass(kind, types[item.name])]
         yield from (part for kind in kinds for part in _keys(kind, f"{name}."))
 
 
 def groups_of(command: str) -> list[str]:
-    """The groups that a command has, as Hydra calls them."""
+    """The keys of a command that choose a dataclass or a YAML file by its name, but for the preset."""
     names = [item.name for item in dataclasses.fields(schema_of(command))]
-    presets = [f"{PRESET}/{command}"] if PRESET in names else []
-    return presets + [name for name in names if name in nodes_of(command) or name in FOLDERS]
+    return [name for name in names if name in nodes_of(command) or name in FOLDERS]
 
 
 def options_of(command: str, group: str, config_dir: Path | None = None) -> list[str]:

@@ -1,193 +1,141 @@
-"""Several runs by Hydra's sweeper and launcher (``--multirun``): what they differ by, and their results."""
+"""Several runs by Hydra's sweeper and launcher (``--multirun``), and completion of command lines by a shell."""
 
 import argparse
 import functools
 import hashlib
-import json
 import os
 import re
 import sys
-import time
-import traceback
 from collections.abc import Callable, Collection, Sequence
-from contextlib import suppress
 from datetime import datetime
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.types import Override
-from rich.console import Console
-from rich.table import Table
 
-from warpvox.cli.config import load_start
+from warpvox.cli.config import read_words, settings_of
 from warpvox.cli.help import options_of
-from warpvox.cli.overrides import key_and_value
 from warpvox.configs.composition import hydras_errors, quoted, register
 from warpvox.configs.schema import COMMANDS, PRESET
-from warpvox.errors import ConfigError, RunError, WarpvoxError
-from warpvox.io.console import duration, echo, literal, make_console, shell_argument
-from warpvox.io.writing import write_table, write_text
-from warpvox.runs import CODESIGN, STAMP, TRAINING, label, make_folder, read_summary
+from warpvox.errors import ConfigError, WarpvoxError
+from warpvox.io.console import echo, literal, make_console
+from warpvox.runs import STAMP, check_output, label, read_summary
 from warpvox.system import safe_start
 
+PLUGINS = ("hydra/", "hydra.")
+"""Beginnings of words that are Hydra's own: which launcher and sweeper, and their settings."""
 LONGEST_LABEL = 80
 """Characters of a folder's name that say what its run differs by."""
-UNSAFE = re.compile(r"[^A-Za-z0-9.+]+")
-INTERRUPTED = "interrupted"
-"""Status of a run that was ended by a signal."""
-FIGURES = ("best_return", "best_fitness", "mean_return", "evaluations", "steps", "elapsed_seconds")
-"""Entries of ``summary.json`` that the table shows, where there are any."""
-NUMBER, RESULTS = "run", ("status", *FIGURES, "folder", "error")
-"""Columns of the table beside the keys that differ; a key with the name of one of them has the prefix ``key_``."""
+OWN = "++words."
+"""Beginning of our words for Hydra, which adds them to an empty configuration: it is to expand them, not to compose."""
 QUIET = ("hydra/job_logging=none", "hydra/hydra_logging=none", "hydra.output_subdir=null", "hydra.sweep.subdir=.")
-Make = Callable[[list[str], Console], "Path | None"]
 
 
-def make_runs(
-    command: str,
-    overrides: Sequence[Override],
-    plugins: list[str],
-    config_dir: Path | None,
-    make: Make,
-    runs: Sequence[list[str]],
-) -> None:
-    """Have Hydra make the runs of a sweep; their table is ``<output_dir>/<command>/sweep_<date_time>.csv``.
+def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
+    """Have Hydra make the runs of all combinations of the values that words list.
 
-    Args:
-        overrides: those of all runs, and those that list several values.
-        runs: the overrides of each; none if the sweeper chooses them.
+    Hydra expands the words and launches the runs; each composes its own settings. Every value that is listed is
+    checked before the first run begins, those of several keys not in all combinations.
 
     Raises:
-        RunError: runs have failed; the others are made all the same.
+        WarpvoxError: a value is not valid, or a run has failed; the others are made all the same.
     """
-    fixed, total = [str(override.input_line) for override in overrides if not override.is_sweep_override()], len(runs)
-    output_dir = getattr(load_start(command, runs[0] if runs else fixed, config_dir), "output_dir", "outputs")
-    folder = Path(output_dir).absolute() / command
-    made = [place for place in (folder, *folder.parents) if not place.exists()]
-    table = make_folder(folder, f"sweep_{datetime.now().strftime(STAMP)}")
-    words = [*QUIET, f"hydra.sweep.dir={quoted(str(table))}", *plugins, *(str(one.input_line) for one in overrides)]
-    task = functools.partial(_run, frozenset(key_and_value(word)[0] for word in fixed), table, make, total, time.time())
-    try:
-        run_hydra(command, ["--multirun"], words, config_dir, task)
-    except RunError:
-        pass  # of a run; its row has the error
-    finally:
-        rows = _write(table)
-        if rows:
-            _print(rows, total, table)
-            if command in (*TRAINING, CODESIGN):
-                echo(make_console(), f"compare: warpvox curves {shell_argument('runs', table)}")
-        for empty in () if rows else (table, *made):
-            with suppress(OSError):
-                empty.rmdir()
-    failed = [row for row in rows if row["status"] == "failed"]
-    if failed:
-        raise RunError(
-            f"{len(failed)} of {total or len(rows)} runs failed, the first of them with:"
-            f" {failed[0]['error'].rstrip('.')}. All are listed in {table}.csv."
-        )
+    plugins = [word for word in words if word.startswith(PLUGINS)]
+    overrides = read_words(command, [word for word in words if word not in plugins])
+    fixed = {key: str(one.input_line) for key, one in overrides.items() if not one.is_sweep_override()}
+
+    # A mistake in the last run should not show after a day.
+    listed = {}
+    for key, one in overrides.items():
+        if one.is_discrete_sweep() or one.is_range_sweep():
+            listed[key] = [f"{one.get_key_element()}={value}" for value in one.sweep_string_iterator()]
+    first = [values[0] for values in listed.values()]
+    output_dir = "outputs"
+    for values in listed.values():
+        for word in values:
+            others = [one for one in first if one.partition("=")[0] != word.partition("=")[0]]
+            settings = _check(command, [*fixed.values(), *others, word], config_dir)
+            output_dir = getattr(settings, "output_dir", output_dir)
+
+    folder = Path(output_dir).absolute() / command / f"sweep_{datetime.now().strftime(STAMP)}"
+    lines = [f"{OWN}{one.input_line}" for one in overrides.values()]
+    task = functools.partial(_run, command, config_dir, frozenset(fixed))
+    run_hydra(None, ["--multirun"], [*QUIET, f"hydra.sweep.dir={quoted(str(folder))}", *plugins, *lines], task)
 
 
-def _run(fixed: frozenset[str], table: Path, make: Make, total: int, began: float, _: Any) -> float | None:
-    """Make the run whose overrides Hydra gives; returns what a sweeper that optimises looks at.
+def _check(command: str, words: Sequence[str], config_dir: Path | None) -> Any:
+    """The settings of one run. WarpvoxError: it cannot be made, as far as a moment tells."""
+    given = read_words(command, words)
+    settings = settings_of(command, given, config_dir)
+    check_output(settings)
+    check = getattr(import_module(f"warpvox.cli.commands.{command}"), "check", None)
+    if check is not None:
+        check(settings, given)
+    return settings
 
-    Its result is noted in the table, whatever happens; only an interrupt is passed on.
-    """
-    hydra, console = HydraConfig.get(), make_console()
-    words, number = list(hydra.overrides.task), hydra.job.num + 1
-    varied = {key: value for key, value in map(key_and_value, words) if key not in fixed}
-    done, of = len(list(table.glob("run_*.json"))), f" of {total}" if total else ""
-    if done and total:
-        of += f", left {duration((time.time() - began) / done * (total - done))}"
-    console.rule(literal(f"run {number}{of}: {' '.join(f'{key}={value}' for key, value in varied.items())}"))
-    settings = {f"key_{key}" if key in (NUMBER, *RESULTS) else key: value for key, value in varied.items()}
-    row: dict[str, Any] = {NUMBER: number, **settings, "status": INTERRUPTED}
+
+def _run(command: str, config_dir: Path | None, fixed: Collection[str], _: Any) -> float | None:
+    """Make the run whose words Hydra gives; returns what a sweeper that optimises looks at."""
+    job = HydraConfig.get()
+    words = [word.removeprefix(OWN) for word in job.overrides.task]
+    given = read_words(command, words)
+    varied = {key: str(one.value()) for key, one in given.items() if key not in fixed}
+    console = make_console()
+    console.rule(literal(f"run {job.job.num + 1}: {' '.join(f'{key}={value}' for key, value in varied.items())}"))
     token = label.set(label_of(varied))
     try:
-        folder = make(words, console)
-        summary = {} if folder is None else read_summary(folder)
-        figures = {name: summary[name] for name in FIGURES if summary.get(name) is not None}
-        row |= {"status": "done", **figures, "folder": "" if folder is None else str(folder)}
-    except BrokenPipeError:
-        raise
+        settings = settings_of(command, given, config_dir)
+        folder = import_module(f"warpvox.cli.commands.{command}").run(settings, given, console)
     except WarpvoxError as error:
-        row |= {"status": "failed", "error": " ".join(str(error).split())}
-        echo(console, f"failed: {row['error']}")
-    except Exception as error:  # a defect; the others have nothing to do with it
-        row |= {"status": "failed", "error": f"{type(error).__name__}: {error}"}
-        traceback.print_exc()
+        echo(console, f"failed: {error}")
+        raise
     finally:
         label.reset(token)
-        write_text(table / f"run_{number:05}.json", json.dumps(row))
-        _write(table)
-    if row["status"] == "failed" and hydra.runtime.choices["hydra/sweeper"] != "basic":
-        raise RunError(row["error"])
-    return next((row[name] for name in ("best_return", "best_fitness", "mean_return") if name in row), None)
+    summary = read_summary(folder) if isinstance(folder, Path) else {}
+    names = ("best_return", "best_fitness", "mean_return")
+    return next((summary[name] for name in names if summary.get(name) is not None), None)
 
 
 def label_of(varied: dict[str, str]) -> str:
     """``seed-1_ppo.gamma-0.9``: for the name of a folder, in which the task has a place already."""
-    text = "_".join(f"{key}-{_safe(value)}" for key, value in varied.items() if key != "task")
+    parts = []
+    for key, value in varied.items():
+        place = Path(value)
+        short = place.stem if place.suffix and len(place.parts) > 1 else value  # of a file its name
+        if key != "task":
+            parts.append(f"{key}-{re.sub('[^A-Za-z0-9.+]+', '-', short).strip('-') or 'x'}")
+    text = "_".join(parts)
     if len(text) <= LONGEST_LABEL:
         return text
     return f"{text[: LONGEST_LABEL - 9]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
-def _safe(value: str) -> str:
-    place = Path(value)
-    short = place.stem if place.suffix and len(place.parts) > 1 else value  # of a file: its name
-    return UNSAFE.sub("-", short).strip("-") or "x"
-
-
-def _write(table: Path) -> list[dict[str, Any]]:
-    """Write the table of the runs that have been made, results behind settings; returns its rows."""
-    rows = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(table.glob("run_*.json"))]
-    names = dict.fromkeys(name for row in rows for name in row)
-    columns = sorted(names, key=lambda name: RESULTS.index(name) if name in RESULTS else -1)
-    rows = [{name: row.get(name) for name in columns} for row in rows]
-    if rows:
-        write_table(table.with_name(f"{table.name}.csv"), columns, (row.values() for row in rows))
-    return rows
-
-
-def _print(rows: list[dict[str, Any]], total: int, file: Path) -> None:
-    table, console = Table(title=f"{len(rows)} of {total or len(rows)} runs", title_justify="left"), make_console()
-    columns = [name for name in rows[0] if name not in ("folder", "error")]
-    for name in columns:
-        table.add_column(literal(name), justify="right" if name in FIGURES else "left", overflow="fold")
-    for row in rows:
-        values = ("" if row[name] is None else row[name] for name in columns)
-        table.add_row(*(literal(f"{value:,.3f}" if isinstance(value, float) else value) for value in values))
-    console.print(table)
-    echo(console, f"table: {file}.csv")
-
-
 def run_hydra(
     command: str | None,
     flags: Sequence[str],
-    overrides: Sequence[str] = (),
-    config_dir: Path | None = None,
+    words: Sequence[str] = (),
     task: Callable[[Any], Any] = lambda _: None,
 ) -> None:
-    """Do what ``@hydra.main`` does of a command line with these words.
+    """Do what ``@hydra.main`` does of a command line; None: with an empty configuration.
 
     ConfigError: what Hydra says of a configuration or plugin. Exception: what ``task`` raises.
     """
     if command is not None:
         register(command)
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors are raised, not printed
-    place = ["--config-dir", str(config_dir)] if config_dir else []
-    words, sys.argv = sys.argv, [sys.argv[0], *flags, *place, *overrides]
+    before = sys.argv
+    sys.argv = [sys.argv[0], *flags, *words]
     try:
         # From Python 3.14 on argparse refuses an object as a help text, which Hydra 1.3 has.
         lenient = patch.object(argparse.ArgumentParser, "_check_help", lambda *_: None, create=True)
         with hydras_errors(), lenient, safe_start(move=False):  # of launchers' processes
-            hydra.main(version_base="1.3", config_path="pkg://warpvox.configs", config_name=command)(task)()
+            path = "pkg://warpvox.cli" if command is None else "pkg://warpvox.configs"  # the former holds no YAML
+            hydra.main(version_base="1.3", config_path=path, config_name=command)(task)()
     finally:
-        sys.argv = words
+        sys.argv = before
 
 
 def complete(words: Sequence[str], names: Collection[str]) -> None:
