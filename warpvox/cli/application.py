@@ -1,4 +1,4 @@
-"""What commands with keys have in common: their options, their help, one run or a sweep."""
+"""Options and help of the commands."""
 
 import argparse
 import dataclasses

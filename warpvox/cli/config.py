@@ -39,6 +39,8 @@ ALIASES = {
 """Names that other libraries have for a key, by the last part of ours: for hints."""
 RENAMED = {
     "train": {"designs": "designs.bodies"},
+    "play": {"designs": "design", "format": "export"},
+    "export": {"export": "format"},
     "codesign": {
         "finalists": "evaluation.finalists",
         "pretrained": "evaluation.pretrained",
@@ -46,7 +48,7 @@ RENAMED = {
         "evaluation.name": "evaluation",
     },
 }
-"""Other names of keys, by command: short ones, older ones, and those that config.yaml has."""
+"""Other names of keys, by command: short ones, those of another command, older ones and those of config.yaml."""
 
 
 def load(command: str, words: Sequence[str], config_dir: Path | None = None) -> Any:
@@ -119,9 +121,7 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
         if given and text and name in keys and keys[name].takes_text:
             place = os.path.expanduser(text)
             is_path = keys[name].path is not None and os.path.exists(place)
-            is_number = override is not None and override.value() is not None and keys[name].is_text
-            is_number = is_number and not isinstance(override.value(), str) and not override.is_sweep_override()
-            if override is None or is_path or is_number:
+            if override is None or is_path or (keys[name].is_text and _is_other(override)):
                 override = _parsed(f"{name}={quoted(place)}")
         if override is None:
             raise ConfigError(f"'{word:.200}' is not KEY=VALUE, or its value has unbalanced brackets or quotes.")
@@ -139,6 +139,11 @@ def _parsed(word: str) -> Override | None:
         return OverridesParser.create().parse_override(word)
     except (HydraException, ValueError, RecursionError):  # numbers of thousands of digits, brackets without end
         return None
+
+
+def _is_other(override: Override) -> bool:
+    """Whether Hydra's grammar takes a value for a number, list or the like."""
+    return not override.is_sweep_override() and not isinstance(override.value(), str | None)
 
 
 def _value(command: str, key: str, override: Override) -> Any:
