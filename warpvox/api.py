@@ -71,8 +71,8 @@ def train(
     from warpvox.algos.training.progress import listener
     from warpvox.algos.training.settings import Training
     from warpvox.batch.options import SimOptions
+    from warpvox.code import KEYS, with_passed_code
     from warpvox.runs import TRAINING, find_run
-    from warpvox.trust import check_services, typed, with_code
 
     given = settings | {key: value for key, value in {"task": task, "design": design}.items() if value is not None}
     base = given.pop("task") if isinstance(task, Training) else None
@@ -107,11 +107,9 @@ def train(
             if isinstance(part := getattr(base, key), Settings) and isinstance(value, Mapping):
                 given[key] = changed(part, value, key)
     config = Training(**given) if base is None else dataclasses.replace(base, **given)
-    if source is None:
-        config = with_code(config, typed(config))
-    else:
-        check_services(config, source.config, given)
-        config = with_code(config, typed(config, given), source.config, source.folder)
+    # What the user's own settings name was passed; of the settings of a run only what is given beside it.
+    passed = given if base is not None and not isinstance(task, Training) else KEYS
+    config = with_passed_code(config, passed, resume)
     job = Job(config, named, source)
     write = place is not None
     place = None if str(place) == "auto" else place
@@ -201,7 +199,6 @@ def evaluate(
     from warpvox.envs.registry import get_task
     from warpvox.envs.vec_env import make_vec
     from warpvox.runs import Run, find_runs, matches
-    from warpvox.trust import STORED
 
     check_known(options, evaluate, Playing, without=("num_envs",))
     config = EvaluateConfig(stochastic=stochastic, episodes=episodes, protocol=protocol, seed=seed, level=level)
@@ -228,7 +225,7 @@ def evaluate(
         for number, one in enumerate(found):
             # Runs and stored robots
             if isinstance(one, list):
-                if isinstance(own, str) and not (beside or isinstance(own, Code) or own == STORED):
+                if isinstance(own, str) and not (beside or isinstance(own, Code)):
                     raise ConfigError(f"task={own!r} goes with functions, or is the code of a run's own task.")
                 for run in one:
                     rows.extend(evaluate_run(run, how, None if beside and not run.is_many else design, level))

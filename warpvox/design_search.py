@@ -18,10 +18,9 @@ from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.search.base import BaseSearch
 from warpvox.algos.search.settings import ALGORITHMS, CustomSearch, SearchSettings
 from warpvox.checks import check_flag, check_known, check_path, is_integer, is_list
-from warpvox.code import Code
+from warpvox.code import KEYS, Code, with_passed_code
 from warpvox.errors import ConfigError
 from warpvox.keys import changed
-from warpvox.trust import typed, with_code
 
 
 def codesign(
@@ -87,7 +86,7 @@ def codesign(
             f"The search was made with shape={list(own.shape)} and seed={own.seed}, asked for {job.shape} and"
             f" {job.seed}: leave them away, or make the search with them."
         )
-    job = with_code(job, typed(job))
+    job = with_passed_code(job, KEYS, folder)
     kept = tempfile.TemporaryDirectory(prefix="warpvox_") if folder is None else None
     place = Path(kept.name) if kept else None if str(named) == "auto" else named
     watching = [*([SearchProgress(Console())] if progress else []), *listeners]

@@ -40,6 +40,28 @@ class UnknownArgumentError(ConfigError, TypeError):
     """An argument that the function does not have: a TypeError in Python's words, by which other libraries know it."""
 
 
+class StoredCodeError(ConfigError):
+    """A file names code, which is imported only if the user passes its key again.
+
+    Attributes:
+        key: such as ``task``.
+        text: the code as the file names it.
+        place: of the file, or its folder.
+    """
+
+    def __init__(self, key: str, text: str, place: object) -> None:
+        super().__init__(key, text, place)
+        self.key = key
+        self.text = text
+        self.place = place
+
+    def __str__(self) -> str:
+        return (
+            f"{self.place} names code, {self.key}={self.text!r:.200}, which is imported only if you name it yourself:"
+            f" {self.key}=FILE.py:NAME."
+        )
+
+
 class RunError(WarpvoxError, ValueError):
     """A folder that is not a run of warpvox, or a run that lacks what was asked for."""
 

@@ -20,9 +20,20 @@ from typing import Any
 from warpvox import __version__
 from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, archives_in, repair_hint
 from warpvox.checks import is_number
+from warpvox.code import code_of, same_code
 from warpvox.errors import ConfigError, RunError, StorageError, listing
 from warpvox.io.reading import CONFIG, END, SUMMARY, read_config, read_facts
-from warpvox.io.writing import MARK, check_encodable, check_writable, claimed, complaint, sweep, to_json, write_text
+from warpvox.io.writing import (
+    MARK,
+    check_encodable,
+    check_writable,
+    claimed,
+    complaint,
+    sweep,
+    to_json,
+    write_bytes,
+    write_text,
+)
 from warpvox.robots.entry import Robot, zoo
 from warpvox.robots.gait import Gait
 from warpvox.system import is_device_name, processor_name
@@ -204,7 +215,18 @@ def _config_of(folder: Path, command: str) -> dict[str, Any]:
     content, (what, keys) = read_config(folder), NEEDED[command]
     if not keys <= content.keys():
         raise RunError(f"{folder} is not {what}: its {CONFIG} is that of another run.")
-    return content
+    return without_services(content)
+
+
+def without_services(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Stored settings but for those by which a program connects to a service: to have them, they are given again.
+
+    A logger may send figures to the user's own account, and who connects to a Ray cluster can be made to run code.
+    """
+    kept = {key: value for key, value in stored.items() if key != "address"}
+    if kept.get("logger") not in ("tensorboard", "none"):
+        kept.pop("logger", None)
+    return kept
 
 
 def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
@@ -334,6 +356,17 @@ def going_on(folder: Path, config: str, check: Callable[[], object] = lambda: No
             sweep(folder)
 
 
+def keep_code(settings: Any, folder: Path) -> None:
+    """Copy the files that settings name as code into the folder of a run, for readers: nothing imports the copies."""
+    for key, text in code_of(settings).items():
+        place = text.rpartition(":")[0]
+        if not place.endswith(".py"):
+            place = getattr(sys.modules.get(place), "__file__", None) or ""
+        source = Path(place).expanduser()
+        if source.is_file():
+            write_bytes(folder / "code" / key / source.name, source.read_bytes())
+
+
 def read_summary(folder: Path) -> dict[str, Any]:
     """Content of ``summary.json``, but for what is damaged; nothing if there is none, or one that cannot be read."""
     known = read_facts(folder / SUMMARY)
@@ -388,5 +421,5 @@ def _changes(before: Mapping[str, Any], config: Any, prefix: str = "") -> Iterat
         old, new = before.get(item.name), getattr(config, item.name)
         if dataclasses.is_dataclass(new) and isinstance(old, Mapping):
             yield from _changes(old, new, f"{prefix}{item.name}.")
-        elif item.name in before and old != new:
+        elif item.name in before and old != new and not same_code(old, new):
             yield prefix + item.name, old, new

@@ -32,6 +32,7 @@ from warpvox.algos.training.metrics import check_logger
 from warpvox.algos.training.pretrained import observed_by
 from warpvox.algos.training.settings import Training
 from warpvox.batch.options import lanes_for
+from warpvox.code import same_code
 from warpvox.devices.names import resolve_device
 from warpvox.devices.startup import ambient, own_torch, start_warp
 from warpvox.envs.memory import ask, environment_bytes, fitting
@@ -40,8 +41,7 @@ from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.writing import to_yaml
 from warpvox.keys import flat
-from warpvox.runs import CONFIG, END, run_folder
-from warpvox.trust import as_stored, keep_code
+from warpvox.runs import CONFIG, END, keep_code, run_folder
 
 OF_DESIGNS = (
     "task", "rules", "seed", "device", "dtype", "arithmetic", "threads", "torch_threads", "output_dir", "policy",
@@ -152,7 +152,7 @@ def run_codesign(
             with Archive.read(resumed / ARCHIVE) if resumed else nullcontext() as archive:
                 known_settings = archive.settings if archive else {}
             settings = dataclasses.replace(settings, batch=_batch(settings, executor, known_settings))
-            written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), known_settings)
+            written = dataclasses.replace(settings, task=task_name(settings.task))
             plain = dataclasses.asdict(Codesign.of(vars(written)))  # without the keys of the command line
             kept = {name: value for name, value in plain.items() if name not in CHANGEABLE}
             kept["training"].pop("save_interval")
@@ -163,7 +163,7 @@ def run_codesign(
             if not resumed:
                 settings.evaluation.keep(known, folder)
                 keep_start(start, folder)
-            keep_code(settings, folder, console or Console(quiet=True))
+            keep_code(settings, folder)
             if search is None:
                 bodies = [robot.body for robot in start]
                 search = make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, bodies)
@@ -238,7 +238,7 @@ def _check_same(known: Mapping[str, Any], values: Mapping[str, Any], folder: Pat
     before, now = flat(known), flat(values)
     for key in now | before:
         old, new = before.get(key), now.get(key)
-        if old != new and key not in CHANGEABLE:
+        if old != new and key not in CHANGEABLE and not same_code(old, new):
             raise RunError(f"{folder} is a search with {key}={old}, asked for {key}={new}: give that another folder.")
 
 

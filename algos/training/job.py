@@ -48,9 +48,8 @@ from warpvox.io.console import shell_argument
 from warpvox.io.writing import check_writable, to_yaml
 from warpvox.robots.entry import zoo
 from warpvox.robots.replay import known_task
-from warpvox.runs import STATE, ZOO, Run, check_unchanged, read_summary, run_folder, write_summary
+from warpvox.runs import STATE, ZOO, Run, check_unchanged, keep_code, read_summary, run_folder, write_summary
 from warpvox.system import usable_cores
-from warpvox.trust import as_stored, keep_code
 
 CHANGEABLE = (
     "max_iterations", "eval_interval", "stop_return", "save_interval", "device", "threads", "torch_threads", "logger",
@@ -90,7 +89,6 @@ class Job:
 
     def __init__(self, settings: Training, named: Collection[str] = (), source: Run | None = None) -> None:
         check_logger(settings.logger)
-        self.stored: dict[str, Any] = {} if source is None else source.config
         self.folder = None if source is None else source.folder
         self.checkpoint = self.learned = self.best = None
         self.rows: list[Mapping[str, float]] = []
@@ -183,7 +181,7 @@ class Job:
             device = settings.device.split(":")[0]
             settings = dataclasses.replace(settings, num_envs=self.settings.num_envs, device=device)
         self.settings = settings
-        self.written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), self.stored)
+        self.written = dataclasses.replace(settings, task=task_name(settings.task))
 
     def _make_judge(self, settings: Training, bodies: TrainingBodies, options: dict[str, Any]) -> Evaluator:
         """The evaluator: on the CPU, the same episodes every time, also after a resumption.
@@ -221,7 +219,7 @@ class Job:
             if isinstance(self.judge, HeldOut):
                 self.judge.folder = folder
             if group.is_main_process:
-                keep_code(settings, folder, listener.console)
+                keep_code(settings, folder)
             yield
 
     def _learn(self, listener: Listener, others: Sequence[Callable[[Mapping[str, float]], object]]) -> None:
@@ -359,7 +357,7 @@ def continued(settings: Training, source: Run) -> tuple[Training, Path]:
     """The settings of a run that goes on, and the checkpoint that it goes on from."""
     check_writable(source.folder)
     named = dataclasses.replace(resolved(settings), task=task_name(settings.task))
-    check_unchanged(source.config, as_stored(named, source.config), CHANGEABLE)
+    check_unchanged(source.config, named, CHANGEABLE)
     checkpoint = source.checkpoint or source.folder / STATE
     if not checkpoint.is_file():
         raise RunError(

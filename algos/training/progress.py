@@ -12,10 +12,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from warpvox.algos.training.held_out import HeldOut
 from warpvox.algos.training.job import Job, Listener
+from warpvox.code import words_of_code
 from warpvox.errors import counted
 from warpvox.io.console import duration, echo, figure, shell_argument, shown
 from warpvox.runs import STATE
-from warpvox.trust import again
 
 QUIET_SECONDS = 10.0
 """Without a terminal, seconds between lines (an evaluation prints one in any case)."""
@@ -148,7 +148,7 @@ def _conclusion(job: Job, seconds: float) -> str:
         text += f"; best evaluation {best:.2f} (iteration {runner.best_iteration})"
     if folder is None:
         return text
-    keys = again(job.settings)
+    keys = words_of_code(job.settings)
     if status == "done":
         text += f"\nlook at it: warpvox play {shell_argument('run', folder)}{keys} 'export=[gif,html]'"
     if status != "done" and (folder / STATE).is_file():

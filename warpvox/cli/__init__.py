@@ -17,7 +17,6 @@ from importlib import import_module
 import warpvox
 from warpvox.algos.interrupt import Terminated, terminable
 from warpvox.cli.streams import lasting_output, redirect
-from warpvox.code import invocation
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.errors import ConfigError, WarpvoxError, did_you_mean
 from warpvox.io.writing import OF_DISKS, complaint
@@ -50,7 +49,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments without the program's name; None: those of the process.
     """
     arguments = [*map(unquoted, sys.argv[1:] if argv is None else argv)]
-    invocation.set(tuple(arguments))
     works = arguments[:1] and arguments[0] in WORKING
     with lasting_output("warpvox: nobody reads the output any more; going on without it" if works else None):
         return _run(arguments)
