@@ -8,6 +8,7 @@ import torch
 from torch.overrides import TorchFunctionMode
 
 from warpvox.algos.checkpoints.expected import AnyTensor, check_like
+from warpvox.errors import RunError
 
 DRAWING = frozenset({
     "rand", "randn", "randint", "randperm", "normal", "bernoulli", "multinomial", "poisson",
@@ -15,6 +16,8 @@ DRAWING = frozenset({
     "kaiming_normal_", "kaiming_uniform_", "trunc_normal_", "xavier_normal_", "xavier_uniform_",
 })  # fmt: skip
 """Functions of torch, methods of tensors and ways to initialise weights that take a ``generator``."""
+TWISTER_SIZE = 624
+"""Numbers that torch's generator on the CPU, the Mersenne Twister MT19937, makes at once."""
 
 
 class Generators(TorchFunctionMode):
@@ -66,5 +69,14 @@ class Generators(TorchFunctionMode):
         """Go on from :meth:`state`; a kind of device that it lacks stays as it is. RunError: it is none."""
         like = {kind: AnyTensor(torch.uint8, (None,)) for kind in {"cpu", *state}}
         check_like(state, like, "random")
+
+        # Byte 8 is the start of how many numbers are left, int32, byte 16 of the next one's place, uint64. Torch checks
+        # each alone, and together they can lead beyond the end of the numbers.
+        if len(state["cpu"]) >= 24:
+            left = int(state["cpu"][8:12].cpu().view(torch.int32))
+            place = int(state["cpu"][16:24].cpu().view(torch.int64))
+            if left + place > TWISTER_SIZE + 1:
+                raise RunError(f"random.cpu has {left} numbers left at place {place} of {TWISTER_SIZE}.")
+
         for kind in self._generators.keys() & state.keys():
             self._generators[kind].set_state(state[kind].cpu())

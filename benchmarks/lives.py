@@ -39,10 +39,13 @@ def live(make: Callable[..., Any], task: str, body: np.ndarray) -> tuple[float, 
 
 def reference_lives(interpreter: str, task: str, bodies: list[np.ndarray]) -> tuple[list[float], list[list[float]]]:
     """The times and first observations of EvoGym, by this script in another interpreter."""
-    command = [interpreter, __file__, "--serve", task]
+    # Isolated, because the drop-in puts its own ``evogym`` on PYTHONPATH for children.
+    command = [interpreter, "-I", __file__, "--serve", task]
     sent = json.dumps([body.tolist() for body in bodies])
     found = subprocess.run(command, input=sent, capture_output=True, text=True, check=True)
-    times, observations = json.loads(found.stdout.splitlines()[-1])
+    # The simulator prints its name, too, at the start or at the end.
+    answer = next(line for line in found.stdout.splitlines() if line.startswith("[["))
+    times, observations = json.loads(answer)
     return times, observations
 
 

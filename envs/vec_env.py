@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from warpvox.batch.options import SimKeywords, SimOptions
-from warpvox.checks import check_choice, check_integer, check_mask, is_mapping
+from warpvox.checks import check_choice, check_flag, check_integer, check_mask, is_mapping
 from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory, fewer
 from warpvox.envs.checks import FiniteGuard, all_finite, check_fields, check_memory, check_terms
@@ -83,6 +83,7 @@ def make_vec(
         SimulationError, DeviceError: an option that cannot be. MemoryLimitError: more environments than fit.
     """
     check_choice("obs", obs, OBSERVATIONS)
+    auto_reset = check_flag("auto_reset", auto_reset)
     sim = SimOptions.of(sim, options, make_vec)
     spec = get_task(task).under(rules)
     if max_episode_steps is not None:
@@ -96,6 +97,9 @@ def make_vec(
         raise ConfigError(f"num_envs must be {what}, got {count}; try {near}.")
     _check_seeds(seed, len(bodies), count)
     sim = sim.resolved(count, rules)
+    ambient = torch.get_default_device().type
+    if ambient not in ("cpu", torch.device(sim.device).type):
+        raise ConfigError(f"torch's default device is {ambient}, but the environments are on {sim.device}.")
     if sim.memory_check and (count > 1 or sim.grid is not None):
         ask(environment_bytes(spec, worlds, count, sim, obs=obs), count, sim.device, step=len(bodies))
     with enough_memory(fewer(count)), torch.inference_mode(False):  # a tensor of that mode can be used in it alone

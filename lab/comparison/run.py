@@ -104,9 +104,17 @@ def run(members: Sequence[Member], home: Path, workers: int, device: str = "cpu"
     """Make all members that are not finished; returns those that have failed, with their errors.
 
     Raises:
+        RunError: a link stands where a member's folder is to lie; nothing is written.
         KeyboardInterrupt: interrupted; the members have saved their states.
         BrokenProcessPool: a process was killed; what is stored is whole, and the same call continues.
     """
+    # A folder that came from elsewhere may hold links that lead out of it.
+    for member in members:
+        below = member.folder(home).relative_to(home)
+        for place in (home / part for part in [below, *below.parents][:-1]):
+            if place.is_symlink():
+                raise wv.RunError(f"{place} is a link; members of a comparison lie in its own folder.")
+
     waiting = deque(member for member in members if not finished(member.folder(home)))
     workers = max(1, min(workers, len(waiting)))
     threads = max(1, (os.cpu_count() or 1) // workers)
@@ -195,6 +203,9 @@ def run_given(members: Sequence[Member], given: argparse.Namespace) -> int:
     workers = given.workers or (os.cpu_count() or 1 if given.device == "cpu" else 1)
     try:
         failed = run(members[part - 1 :: parts], given.folder, workers, given.device)
+    except wv.RunError as error:
+        print(error)
+        return 2
     except BrokenProcessPool:
         print("A process was killed, perhaps for lack of memory; the same command with fewer --workers continues.")
         return 1

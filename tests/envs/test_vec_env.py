@@ -215,3 +215,26 @@ def test_actions_that_are_not_finite_are_refused_and_change_nothing(value: float
 def test_bad_input_is_refused_in_words(error: type[Exception], words: str, arguments: dict) -> None:
     with pytest.raises(error, match=words):
         make(**({"task": "Walker-v0"} | arguments))
+
+
+@pytest.mark.parametrize("auto_reset", [None, 1, "yes", np.array([True, False])])
+def test_auto_reset_is_a_flag(auto_reset: object) -> None:
+    with pytest.raises(ConfigError):
+        make_vec("Walker-v0", num_envs=2, auto_reset=auto_reset)  # pyright: ignore[reportArgumentType]
+
+
+def test_defaults_of_torch_change_no_number_or_are_refused() -> None:
+    def rewards() -> list[list[float]]:
+        env = make_vec("Carrier-v0", num_envs=2, device="cpu", seed=3)
+        env.reset()
+        actions = torch.full((2, env.num_actions), 1.2, device="cpu")
+        return [env.step(actions)[1].tolist() for _ in range(5)]
+
+    usual = rewards()
+    torch.set_default_dtype(torch.float64)
+    try:
+        assert rewards() == usual
+    finally:
+        torch.set_default_dtype(torch.float32)
+    with torch.device("meta"), pytest.raises(ConfigError):
+        make_vec("Carrier-v0", device="cpu")

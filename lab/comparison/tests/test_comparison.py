@@ -66,6 +66,18 @@ def test_finished_members_are_left_alone_and_a_failed_one_stops_no_other(made: P
     assert "4 members, 2 of them finished" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("linked", ["members", "members/Walker-v0", f"members/{TWO[0]}"])
+def test_links_in_the_folder_of_a_comparison_are_not_followed(linked: str, tmp_path: Path) -> None:
+    home, outside = tmp_path / "home", tmp_path / "outside"
+    outside.mkdir()
+    (home / linked).parent.mkdir(parents=True)
+    (home / linked).symlink_to(outside, target_is_directory=True)
+
+    with pytest.raises(wv.RunError):
+        run([small(0)], home, workers=1)
+    assert not list(outside.iterdir())
+
+
 def test_an_interrupted_comparison_continues_to_the_same_results(made: Path, tmp_path: Path) -> None:
     home = tmp_path / "home"
     words = [str(home), *"--tasks Walker-v0 --searches random --seeds 2 --designs 4 --workers 2 --set".split()]
