@@ -252,12 +252,17 @@ class Runner(OnPolicyRunner):
             self.alg.broadcast_parameters()
 
     def _iterate(self, end: int) -> dict[str, float]:
-        """One iteration: collect, learn, then evaluate as scheduled; returns its row of the metrics."""
+        """One iteration: collect, learn, exchange bodies, evaluate as scheduled; returns its row of the metrics."""
         started = time.perf_counter()
         try:
-            self._improve()
+            super().learn(1)
         except ActionError as error:
             raise self._diverged(str(error)) from error
+        if self.bodies is not None and self.bodies.refresh != "none":
+            with torch.inference_mode():  # as the environments have made steps
+                self.bodies.exchange(self.env, self.logger.ended)
+                self.alg.actor.reset(self.logger.ended)
+                self.alg.critic.reset(self.logger.ended)
         losses = self.logger.losses
         self._check(losses)
         seconds = time.perf_counter() - started
@@ -276,15 +281,6 @@ class Runner(OnPolicyRunner):
         done = self.current_learning_iteration
         if done % self.schedule.save == 0 and done != end:
             self.save_all()
-
-    def _improve(self) -> None:
-        """Collect, learn and exchange bodies, once; :attr:`logger` is told what came of it."""
-        super().learn(1)
-        if self.bodies is not None and self.bodies.refresh != "none":
-            with torch.inference_mode():  # as the environments have made steps
-                self.bodies.exchange(self.env, self.logger.ended)
-                self.alg.actor.reset(self.logger.ended)
-                self.alg.critic.reset(self.logger.ended)
 
     def _check(self, losses: dict[str, float]) -> None:
         """Raise DivergenceError if losses, weights or moments are not finite."""

@@ -15,6 +15,7 @@ from warpvox.cli.sweep import LONGEST_LABEL, label_of
 from warpvox.design import example_design
 from warpvox.devices.startup import LOGGER
 from warpvox.errors import DivergenceError
+from warpvox.runs import check_name
 from warpvox.system import processor_name
 
 
@@ -22,7 +23,7 @@ from warpvox.system import processor_name
 def test_labels_are_short_and_safe(value: str) -> None:
     label = label_of({"design": value, "ppo.hidden": "[64,64]"})
     assert len(label) <= LONGEST_LABEL
-    assert set(label) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._+-")
+    check_name(label)
     assert label.startswith("design-")
     assert label_of({"seed": "1", "ppo.gamma": "0.9", "task": "Walker-v0"}) == "seed-1_ppo.gamma-0.9"
 

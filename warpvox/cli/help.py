@@ -5,7 +5,6 @@ import dataclasses
 import functools
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, get_type_hints
 
 from warpvox.configs.composition import quoted
@@ -69,12 +68,12 @@ def groups_of(command: str) -> list[str]:
     return [name for name in names if name in nodes_of(command) or name in FOLDERS]
 
 
-def options_of(command: str, group: str, config_dir: Path | None = None) -> list[str]:
-    """The names of the choices of a group, those in a folder of the user's own among them."""
-    folders = [files("warpvox.configs") / group, *([config_dir / group] if config_dir else [])]
-    found = [file.name for folder in folders if folder.is_dir() for file in folder.iterdir()]
-    names = {name.removesuffix(".yaml") for name in found if name.endswith(".yaml")}
-    return sorted(names | {*nodes_of(command).get(group, {})})
+def options_of(command: str, key: str) -> list[str]:
+    """The names that a key takes: of dataclasses, of YAML files, or its choices."""
+    folder = files("warpvox.configs") / (f"{PRESET}/{command}" if key == PRESET else key)
+    known = [file.name.removesuffix(".yaml") for file in folder.iterdir() if file.is_file()] if folder.is_dir() else []
+    choices = keys_of(command)[key].choices if key in keys_of(command) else ()
+    return sorted({*known, *nodes_of(command).get(key, {}), *choices})
 
 
 def flat_values(command: str, values: dict[str, Any]) -> dict[str, Any]:
@@ -92,7 +91,7 @@ def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str |
         if name in groups_of(command):
             yield name, None, f"{key.help}: {', '.join(options_of(command, name))}"
         elif not dataclasses.is_dataclass(key.default) and len(key.choices) != 1:  # what the name of a choice sets
-            choices = options_of(command, f"{PRESET}/{command}") if name == PRESET else key.choices
+            choices = options_of(command, name) if name == PRESET else key.choices
             missing = any(choice not in key.help for choice in choices)
             meaning = f"{key.help}: {', '.join(choices)}" if missing else key.help
             value = values.get(name, key.default)

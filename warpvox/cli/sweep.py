@@ -2,11 +2,9 @@
 
 import argparse
 import functools
-import hashlib
 import os
-import re
 import sys
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from datetime import datetime
 from importlib import import_module
 from pathlib import Path
@@ -17,12 +15,12 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 
 from warpvox.cli.config import read_words, settings_of
-from warpvox.cli.help import options_of
-from warpvox.configs.composition import hydras_errors, quoted, register
-from warpvox.configs.schema import COMMANDS, PRESET
+from warpvox.cli.help import keys_of, options_of
+from warpvox.configs.composition import hydras_errors, quoted
+from warpvox.configs.schema import COMMANDS
 from warpvox.errors import ConfigError, WarpvoxError
 from warpvox.io.console import echo, literal, make_console
-from warpvox.runs import STAMP, check_output, label, read_summary
+from warpvox.runs import STAMP, as_name, check_output, label, read_summary
 from warpvox.system import safe_start
 
 PLUGINS = ("hydra/", "hydra.")
@@ -63,7 +61,7 @@ def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
     folder = Path(output_dir).absolute() / command / f"sweep_{datetime.now().strftime(STAMP)}"
     lines = [f"{OWN}{one.input_line}" for one in overrides.values()]
     task = functools.partial(_run, command, config_dir, frozenset(fixed))
-    run_hydra(None, ["--multirun"], [*QUIET, f"hydra.sweep.dir={quoted(str(folder))}", *plugins, *lines], task)
+    run_hydra(["--multirun", *QUIET, f"hydra.sweep.dir={quoted(str(folder))}", *plugins, *lines], task)
 
 
 def _check(command: str, words: Sequence[str], config_dir: Path | None) -> Any:
@@ -99,63 +97,50 @@ def _run(command: str, config_dir: Path | None, fixed: Collection[str], _: Any) 
     return next((summary[name] for name in names if summary.get(name) is not None), None)
 
 
-def label_of(varied: dict[str, str]) -> str:
+def label_of(varied: Mapping[str, str]) -> str:
     """``seed-1_ppo.gamma-0.9``: for the name of a folder, in which the task has a place already."""
-    parts = []
-    for key, value in varied.items():
-        place = Path(value)
-        short = place.stem if place.suffix and len(place.parts) > 1 else value  # of a file its name
-        if key != "task":
-            parts.append(f"{key}-{re.sub('[^A-Za-z0-9.+]+', '-', short).strip('-') or 'x'}")
-    text = "_".join(parts)
-    if len(text) <= LONGEST_LABEL:
-        return text
-    return f"{text[: LONGEST_LABEL - 9]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+    return as_name("_".join(f"{key}-{value}" for key, value in varied.items() if key != "task"))[:LONGEST_LABEL]
 
 
-def run_hydra(
-    command: str | None,
-    flags: Sequence[str],
-    words: Sequence[str] = (),
-    task: Callable[[Any], Any] = lambda _: None,
-) -> None:
-    """Do what ``@hydra.main`` does of a command line; None: with an empty configuration.
+def run_hydra(words: Sequence[str], task: Callable[[Any], Any] = lambda _: None) -> None:
+    """Do what ``@hydra.main`` does of a command line, with an empty configuration.
 
-    ConfigError: what Hydra says of a configuration or plugin. Exception: what ``task`` raises.
+    ConfigError: what Hydra says of a word or plugin. Exception: what ``task`` raises.
     """
-    if command is not None:
-        register(command)
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors are raised, not printed
     before = sys.argv
-    sys.argv = [sys.argv[0], *flags, *words]
+    sys.argv = [sys.argv[0], *words]
     try:
         # From Python 3.14 on argparse refuses an object as a help text, which Hydra 1.3 has.
         lenient = patch.object(argparse.ArgumentParser, "_check_help", lambda *_: None, create=True)
         with hydras_errors(), lenient, safe_start(move=False):  # of launchers' processes
-            path = "pkg://warpvox.cli" if command is None else "pkg://warpvox.configs"  # the former holds no YAML
-            hydra.main(version_base="1.3", config_path=path, config_name=command)(task)()
+            hydra.main(version_base="1.3", config_path="pkg://warpvox.cli", config_name=None)(task)()
     finally:
         sys.argv = before
 
 
-def complete(words: Sequence[str], names: Collection[str]) -> None:
-    """``warpvox -sc install=SHELL``: print code that makes a shell complete our commands, which calls ``query``.
+def complete(words: Sequence[str], commands: Collection[str]) -> None:
+    """Complete the line in ``COMP_LINE`` for a shell (``query=SHELL``), or print code that has it do so.
 
     Args:
-        words: what follows ``-sc``.
-        names: of all commands.
+        words: what follows ``-sc``: ``query=SHELL``, ``install=SHELL`` or ``uninstall=SHELL``.
+        commands: names of all commands.
     """
-    line = os.environ.get("COMP_LINE", "").split(" ", 2)
-    command = {"demo": "train"}.get(line[1], line[1]) if len(line) == 3 else None
-    word, options = line[-1].rpartition(" ")[2], names if command is None else ()
-    if command in COMMANDS and word.startswith(f"{PRESET}="):  # Hydra knows presets by another name
-        options = [f"{PRESET}={name}" for name in options_of(command, f"{PRESET}/{command}")]
-    if words[:1] and words[0].startswith("query=") and (options or command not in COMMANDS):
-        print("\n".join(name for name in options if name.startswith(word)))
+    if not words or not words[0].startswith("query="):
+        try:
+            run_hydra(["-sc", *words])
+        except ValueError as error:
+            raise ConfigError(f"-sc needs install=SHELL or uninstall=SHELL. {' '.join(str(error).split())}.") from None
         return
-    if command is not None:  # Hydra knows one command only
-        os.environ["COMP_LINE"] = f"{line[0]} {line[2]}"
-    try:
-        run_hydra(command, ["-sc"], words)
-    except ValueError as error:
-        raise ConfigError(f"-sc needs install=SHELL or uninstall=SHELL. {' '.join(str(error).split())}.") from None
+
+    _, *given, word = os.environ.get("COMP_LINE", "").split(" ")
+    command = {"demo": "train"}.get(given[0], given[0]) if given else None
+    key, has_value, _ = word.partition("=")
+    options: Iterable[str] = ()
+    if command is None:
+        options = commands
+    elif command in COMMANDS and has_value:
+        options = [f"{key}={name}" for name in options_of(command, key)]
+    elif command in COMMANDS:
+        options = [f"{name}=" for name in keys_of(command)]
+    print("\n".join(option for option in options if option.startswith(word)))
