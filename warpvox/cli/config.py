@@ -120,8 +120,7 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
         override = _parsed(f"{name}{given}{text}")
         if given and text and name in keys and keys[name].takes_text:
             place = os.path.expanduser(text)
-            is_path = keys[name].path is not None and os.path.exists(place)
-            if override is None or is_path or (keys[name].is_text and _is_other(override)):
+            if override is None or os.path.exists(place) or (keys[name].is_text and _is_other(override)):
                 override = _parsed(f"{name}={quoted(place)}")
         if override is None:
             raise ConfigError(f"'{word:.200}' is not KEY=VALUE, or its value has unbalanced brackets or quotes.")

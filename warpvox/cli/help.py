@@ -23,7 +23,6 @@ class Key:
     default: Any
     help: str
     choices: tuple[str, ...] = ()
-    path: str | None = None
 
     @property
     def is_text(self) -> bool:
@@ -56,7 +55,7 @@ def _keys(schema: type, prefix: str) -> Iterator[tuple[str, Key]]:
         name = prefix + item.name
         default = item.default if item.default_factory is dataclasses.MISSING else item.default_factory()
         about = item.metadata
-        yield name, Key(types[item.name], default, about["help"], about.get("choices", ()), about.get("path"))
+        yield name, Key(types[item.name], default, about["help"], about.get("choices", ()))
         kinds = [one if isinstance(one, type) else type(one) for one in (default, *about.get("nodes", {}).values())]
         kinds = [kind for kind in kinds if dataclasses.is_dataclass(kind) and issubclass(kind, types[item.name])]
         yield from (part for kind in kinds for part in _keys(kind, f"{name}."))
