@@ -73,6 +73,7 @@ MISTAKES = {
     "train -m seed=1,2 task=Walker-v0,Wolker-v0": "Did you mean 'Walker-v0'",
     "train -m ppo.gamma=0.9,1.5": "ppo.gamma must be at most 1",
     "train -m seed=interval(0,1)": "INTERVAL",
+    "train -m seed=range(0,3,0)": "'seed=range(0,3,0)' makes no runs",
     "train -m seed=1,2 hydra/launcher=nowhere": "hydra/launcher must be one of basic, got 'nowhere'",
 }
 

@@ -45,34 +45,36 @@ def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
     overrides = read_words(command, [word for word in words if word not in plugins])
     fixed = {key: str(one.input_line) for key, one in overrides.items() if not one.is_sweep_override()}
 
-    # A mistake in the last run should not show after a day.
+    # The values that each word lists; a sweeper that optimises may choose others
     listed = {}
     for key, one in overrides.items():
-        if one.is_discrete_sweep() or one.is_range_sweep():
+        if not (one.is_discrete_sweep() or one.is_range_sweep()):
+            continue
+        try:
             listed[key] = [f"{one.get_key_element()}={value}" for value in one.sweep_string_iterator()]
-    first = [values[0] for values in listed.values()]
-    output_dir = "outputs"
-    for values in listed.values():
-        for word in values:
-            others = [one for one in first if one.partition("=")[0] != word.partition("=")[0]]
-            settings = _check(command, [*fixed.values(), *others, word], config_dir)
-            output_dir = getattr(settings, "output_dir", output_dir)
+        except ValueError:  # a range of steps of 0
+            listed[key] = []
+        if not listed[key]:
+            raise ConfigError(f"'{one.input_line}' makes no runs.")
 
+    # A mistake in the last run should not show after a day.
+    first = fixed | {key: values[0] for key, values in listed.items()}
+    runs = [first]
+    for key, values in listed.items():
+        runs += [first | {key: word} for word in values[1:]]
+    check = getattr(import_module(f"warpvox.cli.commands.{command}"), "check", None)
+    for run in runs:
+        given = read_words(command, list(run.values()))
+        settings = settings_of(command, given, config_dir)
+        check_output(settings)
+        if check is not None:
+            check(settings, given)
+
+    output_dir = getattr(settings, "output_dir", "outputs")
     folder = Path(output_dir).absolute() / command / f"sweep_{datetime.now().strftime(STAMP)}"
     lines = [f"{OWN}{one.input_line}" for one in overrides.values()]
     task = functools.partial(_run, command, config_dir, frozenset(fixed))
     run_hydra(["--multirun", *QUIET, f"hydra.sweep.dir={quoted(str(folder))}", *plugins, *lines], task)
-
-
-def _check(command: str, words: Sequence[str], config_dir: Path | None) -> Any:
-    """The settings of one run. WarpvoxError: it cannot be made, as far as a moment tells."""
-    given = read_words(command, words)
-    settings = settings_of(command, given, config_dir)
-    check_output(settings)
-    check = getattr(import_module(f"warpvox.cli.commands.{command}"), "check", None)
-    if check is not None:
-        check(settings, given)
-    return settings
 
 
 def _run(command: str, config_dir: Path | None, fixed: Collection[str], _: Any) -> float | None:
@@ -80,7 +82,10 @@ def _run(command: str, config_dir: Path | None, fixed: Collection[str], _: Any) 
     job = HydraConfig.get()
     words = [word.removeprefix(OWN) for word in job.overrides.task]
     given = read_words(command, words)
-    varied = {key: str(one.value()) for key, one in given.items() if key not in fixed}
+    varied = {}
+    for key, one in given.items():
+        if key not in fixed:
+            varied[key] = one.value() if isinstance(one.value(), str) else one.get_value_string()
     console = make_console()
     console.rule(literal(f"run {job.job.num + 1}: {' '.join(f'{key}={value}' for key, value in varied.items())}"))
     token = label.set(label_of(varied))
