@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
@@ -66,12 +67,12 @@ def train(
         ConfigError: an unknown setting, or a value that it does not take. WarpvoxError: as the command, in words.
         KeyboardInterrupt: interrupted; the state has been saved, if there is a folder.
     """
-    from warpvox.algos.training.job import Job, Listener
+    from warpvox.algos.training.job import Job
     from warpvox.algos.training.loading import TrainedRun
-    from warpvox.algos.training.progress import listener
     from warpvox.algos.training.settings import Training
     from warpvox.batch.options import SimOptions
     from warpvox.code import KEYS, with_passed_code
+    from warpvox.progress.training import Notebook, Terminal, with_tracker
     from warpvox.runs import TRAINING, find_run
 
     given = settings | {key: value for key, value in {"task": task, "design": design}.items() if value is not None}
@@ -113,7 +114,10 @@ def train(
     job = Job(config, named, source)
     write = place is not None
     place = None if str(place) == "auto" else place
-    job.train(listener() if progress else Listener(), listeners, write=write, place=place)
+    shows = []
+    if progress:
+        shows = [Notebook() if "ipykernel" in sys.modules else Terminal()]
+    job.train(with_tracker(config.logger, shows), listeners, write=write, place=place)
     return TrainedRun.of(job)
 
 

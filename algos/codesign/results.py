@@ -26,7 +26,7 @@ from warpvox.algos.training.policy_table import evaluate_run
 from warpvox.design import Design
 from warpvox.envs.registry import get_task
 from warpvox.errors import WarpvoxError, counted
-from warpvox.io.console import duration
+from warpvox.io.text import duration
 from warpvox.io.writing import atomic_path, write_text
 from warpvox.runs import find_run, read_summary, write_summary
 from warpvox.view.body_picture import draw_bodies

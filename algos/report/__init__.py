@@ -16,7 +16,7 @@ from warpvox.algos.report.members import SearchResult
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.code import words_of_code
 from warpvox.errors import RunError
-from warpvox.io.console import in_html, shell_argument
+from warpvox.io.text import in_html, shell_argument
 from warpvox.runs import CONFIG, find_run
 from warpvox.view.palette import body_svg
 

@@ -37,7 +37,7 @@ def check_learned(path: Path, content: Mapping[str, Any], network: str | None) -
 
     spec = load_controller(path, network=network).spec
     if "critic_state_dict" not in content or "optimizer_state_dict" not in content:
-        raise ConfigError(f"{path} holds no value function to learn with: take a checkpoint of `warpvox train`.")
+        raise ConfigError(f"{path} holds no value function to learn with: take a checkpoint of a training.")
     try:
         checked_weights(content["critic_state_dict"])
     except ValueError as error:

@@ -16,7 +16,8 @@ from warpvox.cli.overrides import key_and_value
 from warpvox.code import code_of
 from warpvox.configs.codesign import CodesignConfig
 from warpvox.errors import ConfigError, listing
-from warpvox.io.console import echo, shown
+from warpvox.io.console import echo
+from warpvox.io.text import shown
 from warpvox.io.writing import check_links, check_writable
 from warpvox.runs import check_unchanged, find_codesign, read_summary
 
@@ -56,8 +57,8 @@ def _make(job: Job, console: Console) -> Path:
     if config.report is not None:
         return _report(config, console)
     with console.status("loading"):
-        from warpvox.algos.codesign.progress import SearchProgress
         from warpvox.algos.codesign.run import run_codesign
+        from warpvox.progress.search import SearchProgress, with_tracker
 
     class Films(SearchProgress):
         def ended(self, summary: Mapping[str, Any]) -> None:  # before another process may write to the folder
@@ -69,7 +70,7 @@ def _make(job: Job, console: Console) -> Path:
                     results.report(summary)
                 _export(results.archive, results.folder, config.export, console)
 
-    return run_codesign(config, folder, [Films(console)], console=console).folder
+    return run_codesign(config, folder, with_tracker(config, [Films(console)])).folder
 
 
 def _export(archive: Archive, folder: Path, formats: Sequence[str], console: Console) -> None:

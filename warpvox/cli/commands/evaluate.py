@@ -18,7 +18,8 @@ from warpvox.code import Code
 from warpvox.configs.show import EvaluateConfig
 from warpvox.design import zoo_tasks
 from warpvox.errors import ConfigError, WarpvoxError, counted
-from warpvox.io.console import echo, literal, shown
+from warpvox.io.console import echo, literal
+from warpvox.io.text import shown
 from warpvox.io.writing import to_yaml, write_table
 from warpvox.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
 

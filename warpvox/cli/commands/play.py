@@ -25,7 +25,8 @@ from warpvox.cli.exports import (
 from warpvox.code import Code
 from warpvox.configs.show import PlayConfig
 from warpvox.errors import ConfigError, DisplayError, listing
-from warpvox.io.console import echo, escaped, shown
+from warpvox.io.console import echo
+from warpvox.io.text import escaped, shown
 from warpvox.io.writing import to_yaml
 from warpvox.runs import ZOO, as_name, find_run, new_folder, write_summary
 from warpvox.types import FRAME_SECONDS

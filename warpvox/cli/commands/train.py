@@ -35,8 +35,8 @@ def make_job(config: TrainConfig, overrides: list[str], config_dir: Path | None)
 
 def train(job: Job, console: Console) -> Path:
     """Make a run, and record its best policy where exports are asked for; returns its folder."""
-    from warpvox.algos.training.progress import Terminal
     from warpvox.devices.startup import prepare
+    from warpvox.progress.training import Terminal, with_tracker
 
     config = cast(TrainConfig, job.settings)
 
@@ -56,5 +56,5 @@ def train(job: Job, console: Console) -> Path:
             write_exports(rollout, folder, config.export, console)
 
     prepare(config.torch_threads, config.seed)
-    job.train(Films(console))
+    job.train(with_tracker(config.logger, [Films(console)]))
     return cast(Path, job.folder)
