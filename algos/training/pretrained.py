@@ -8,10 +8,11 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from warpvox.algos.find import find_run
 from warpvox.algos.training.settings import Training
 from warpvox.code import load_code
 from warpvox.errors import ConfigError, RunError
-from warpvox.runs import CONFIG, TRAINING, ZOO, find_run
+from warpvox.runs import CONFIG, TRAINING, ZOO
 
 if TYPE_CHECKING:
     from warpvox.algos.checkpoints.files import PolicySpec

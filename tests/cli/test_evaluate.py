@@ -13,10 +13,11 @@ import torch
 from tiny import tiny
 
 from warpvox.algos.checkpoints.files import load_controller
+from warpvox.algos.find import find_runs
 from warpvox.algos.statistics import difference, mean_interval
 from warpvox.algos.training.playing import SampledController
 from warpvox.cli.run_groups import group_runs
-from warpvox.runs import Run, find_runs
+from warpvox.runs import Run
 
 FAST = ("threads=1", "device=cpu")
 

@@ -13,12 +13,12 @@ from tiny import tiny
 
 import warpvox as wv
 from warpvox.algos.codesign.robots import robots_of
+from warpvox.algos.find import find_run
 from warpvox.cli import main
 from warpvox.cli.config import load
 from warpvox.design import full_connections
 from warpvox.errors import ConfigError, StoredCodeError
 from warpvox.robots import Gait, Robot, save_robot
-from warpvox.runs import find_run
 
 EVIL = "from pathlib import Path\nPath({!r}).touch()\n"
 OWN = """

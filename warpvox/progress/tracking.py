@@ -9,13 +9,14 @@ from typing import Any, cast
 
 from warpvox.algos.candidate import Listener
 from warpvox.algos.codesign.archive import finalists_first
+from warpvox.algos.find import find_run
 from warpvox.algos.training import job as training
 from warpvox.algos.training.metrics import tagged
 from warpvox.algos.training.playing import load_result
 from warpvox.errors import RunError
 from warpvox.io.reading import parse_yaml
 from warpvox.io.writing import write_text
-from warpvox.runs import CONFIG, find_run
+from warpvox.runs import CONFIG
 from warpvox.view.render import write_gif
 from warpvox.view.rollout import record
 

@@ -10,6 +10,7 @@ from rich.console import Console
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.archive_export import FORMATS
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
+from warpvox.algos.find import find_codesign
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load, load_values
 from warpvox.cli.overrides import key_and_value
@@ -19,7 +20,7 @@ from warpvox.errors import ConfigError, listing
 from warpvox.io.console import echo
 from warpvox.io.text import shown
 from warpvox.io.writing import check_links, check_writable
-from warpvox.runs import check_unchanged, find_codesign, read_summary
+from warpvox.runs import check_unchanged, read_summary
 
 Job = tuple[CodesignConfig, Path | None]
 """One search to be made, and the folder of the one that it goes on with."""

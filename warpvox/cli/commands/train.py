@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, cast
 
 from rich.console import Console
 
+from warpvox.algos.find import find_run
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load
 from warpvox.configs.train import TrainConfig
-from warpvox.runs import TRAINING, find_run
+from warpvox.runs import TRAINING
 
 if TYPE_CHECKING:
     from warpvox.algos.training.job import Job
