@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
@@ -66,13 +67,14 @@ def train(
         ConfigError: an unknown setting, or a value that it does not take. WarpvoxError: as the command, in words.
         KeyboardInterrupt: interrupted; the state has been saved, if there is a folder.
     """
-    from warpvox.algos.training.job import Job, Listener
+    from warpvox.algos.find import find_run
+    from warpvox.algos.training.job import Job
     from warpvox.algos.training.loading import TrainedRun
-    from warpvox.algos.training.progress import listener
     from warpvox.algos.training.settings import Training
     from warpvox.batch.options import SimOptions
     from warpvox.code import KEYS, with_passed_code
-    from warpvox.runs import TRAINING, find_run
+    from warpvox.progress.training import Notebook, Terminal, with_tracker
+    from warpvox.runs import TRAINING
 
     given = settings | {key: value for key, value in {"task": task, "design": design}.items() if value is not None}
     base = given.pop("task") if isinstance(task, Training) else None
@@ -113,7 +115,10 @@ def train(
     job = Job(config, named, source)
     write = place is not None
     place = None if str(place) == "auto" else place
-    job.train(listener() if progress else Listener(), listeners, write=write, place=place)
+    shows = []
+    if progress:
+        shows = [Notebook() if "ipykernel" in sys.modules else Terminal()]
+    job.train(with_tracker(config.logger, shows), listeners, write=write, place=place)
     return TrainedRun.of(job)
 
 
@@ -184,6 +189,7 @@ def evaluate(
         RunError: no such run. ConfigError: a function without a task, an unknown option or value. WarpvoxError: as
             :func:`warpvox.make_vec`.
     """
+    from warpvox.algos.find import find_runs, matches
     from warpvox.algos.protocols import NOMINAL, parts_of
     from warpvox.algos.settings import physics_of
     from warpvox.algos.training.bodies import load_bodies
@@ -198,7 +204,7 @@ def evaluate(
     from warpvox.devices.startup import own_torch
     from warpvox.envs.registry import get_task
     from warpvox.envs.vec_env import make_vec
-    from warpvox.runs import Run, find_runs, matches
+    from warpvox.runs import Run
 
     check_known(options, evaluate, Playing, without=("num_envs",))
     EvaluateConfig(stochastic=stochastic, episodes=episodes, protocol=protocol, seed=seed, level=level)  # checks them

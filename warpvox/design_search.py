@@ -11,7 +11,6 @@ from rich.console import Console
 from warpvox.algos.candidate import DesignEvaluator, Listener, Search
 from warpvox.algos.codesign.evaluations import EVALUATIONS, Custom, Evaluation
 from warpvox.algos.codesign.loop import Executor
-from warpvox.algos.codesign.progress import SearchProgress
 from warpvox.algos.codesign.results import Found
 from warpvox.algos.codesign.run import run_codesign
 from warpvox.algos.codesign.settings import Codesign
@@ -21,6 +20,7 @@ from warpvox.checks import check_flag, check_known, check_path, is_integer, is_l
 from warpvox.code import KEYS, Code, with_passed_code
 from warpvox.errors import ConfigError
 from warpvox.keys import changed
+from warpvox.progress.search import SearchProgress, with_tracker
 
 
 def codesign(
@@ -89,7 +89,7 @@ def codesign(
     job = with_passed_code(job, KEYS, folder)
     kept = tempfile.TemporaryDirectory(prefix="warpvox_") if folder is None else None
     place = Path(kept.name) if kept else None if str(named) == "auto" else named
-    watching = [*([SearchProgress(Console())] if progress else []), *listeners]
+    watching = with_tracker(job, [*([SearchProgress(Console())] if progress else []), *listeners])
     made = None if isinstance(executor, str) else executor
     found = run_codesign(job, place, watching, search=own, executor=made)
     return dataclasses.replace(found, kept=kept)

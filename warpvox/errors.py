@@ -10,6 +10,8 @@ A message says what was expected, what was given, which values are valid and whi
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
 
 class WarpvoxError(Exception):
@@ -64,6 +66,20 @@ class StoredCodeError(ConfigError):
 
 class RunError(WarpvoxError, ValueError):
     """A folder that is not a run of warpvox, or a run that lacks what was asked for."""
+
+
+class ResumeError(RunError):
+    """A run that does not go on as it is, but would from another checkpoint or with other settings.
+
+    Attributes:
+        resume: the folder or checkpoint to go on from.
+        changes: settings by name that let it go on.
+    """
+
+    def __init__(self, message: str, resume: Path, **changes: Any) -> None:
+        super().__init__(message)
+        self.resume = resume
+        self.changes = changes
 
 
 class DivergenceError(RunError):

@@ -11,7 +11,6 @@ from typing import Any, cast
 
 import numpy as np
 import torch
-from rich.console import Console
 
 from warpvox.algos.candidate import Candidate, DesignEvaluator, Listener, Outcome, Search
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive
@@ -126,7 +125,6 @@ def run_codesign(
     *,
     search: Search | None = None,
     executor: Executor | None = None,
-    console: Console | None = None,
 ) -> Found:
     """Make a search, or go on with one. Nothing is written before everything has been checked.
 
@@ -169,10 +167,6 @@ def run_codesign(
                 search = make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, bodies)
             path = folder / ARCHIVE
             archive = opened.enter_context(Archive.open(path) if resumed else Archive.create(path, kept))
-            if settings.logger == "wandb":
-                from warpvox.algos.tracking import TrackedSearch
-
-                listeners = [TrackedSearch(settings), *listeners]  # first: others may make films at the end, and fail
             results = Results(folder, archive, written, settings.evaluation.pretraining_steps(known))
         run, loop = _loop(settings, search, executor, results, listeners, resumed is not None)
         opened.enter_context(ambient(settings.torch_threads))

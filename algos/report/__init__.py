@@ -11,13 +11,14 @@ from pathlib import Path
 
 from warpvox.algos.candidate import FINALIST, best_so_far
 from warpvox.algos.codesign.archive import Archive, Record
+from warpvox.algos.find import find_run
 from warpvox.algos.report.charts import Series, chart, sparkline
 from warpvox.algos.report.members import SearchResult
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.code import words_of_code
 from warpvox.errors import RunError
-from warpvox.io.console import in_html, shell_argument
-from warpvox.runs import CONFIG, find_run
+from warpvox.io.text import in_html, shell_argument
+from warpvox.runs import CONFIG
 from warpvox.view.palette import body_svg
 
 FILE, FILM = "report.html", "film.webp"

@@ -15,6 +15,7 @@ import torch
 from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.checkpoints.policy import Policy, policy_of
+from warpvox.algos.find import find_run, run_of_robot
 from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.training.bodies import lanes_of, load_bodies
 from warpvox.algos.training.metrics import COLUMNS, read_metrics
@@ -30,7 +31,7 @@ from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, DesignError
 from warpvox.robots.entry import Robot
 from warpvox.robots.replay import SEEDS, known_task, robot_env, torch_policy
-from warpvox.runs import CONFIG, Run, find_run, run_of_robot
+from warpvox.runs import CONFIG, Run
 
 if TYPE_CHECKING:
     from warpvox.algos.training.job import Job

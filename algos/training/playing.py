@@ -115,9 +115,7 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
             count = len(judged) * max(1, count // len(judged))
         judged = judged[:count]
     elif designs is not None:
-        raise ConfigError(
-            "Other bodies go with a run over many of them (warpvox train designs=...); this one has its own."
-        )
+        raise ConfigError("Other bodies go with a run over many of them (designs=...); this one has its own.")
     else:
         count = config.num_envs or len(judged) * (SHOWN if drawn else 1)
         if every:

@@ -19,7 +19,7 @@ import warpvox
 from warpvox.algos.interrupt import Terminated, terminable
 from warpvox.cli.streams import lasting_output, redirect
 from warpvox.devices.out_of_memory import enough_memory
-from warpvox.errors import ConfigError, WarpvoxError, did_you_mean
+from warpvox.errors import ConfigError, ResumeError, WarpvoxError, did_you_mean
 from warpvox.io.writing import OF_DISKS, complaint
 from warpvox.system import unquoted
 
@@ -79,6 +79,12 @@ def main(argv: Sequence[str] | None = None) -> int:
                         import_module(f"warpvox.cli.commands.{name}").run(settings, given, make_console())
                 sys.stdout.flush()  # here a full disk can still be reported
                 return code
+        except ResumeError as error:
+            from warpvox.io.text import shell_argument
+
+            changes = [f"{key}={'null' if value is None else value}" for key, value in error.changes.items()]
+            command = " ".join(["warpvox train", shell_argument("resume", error.resume), *changes])
+            return _complain(f"{error} Go on with: {command}")
         except WarpvoxError as error:
             return _complain(error)
         except Terminated as request:
@@ -112,7 +118,7 @@ def _help() -> str:
 
 
 def _complain(error: WarpvoxError | str) -> int:
-    from warpvox.io.console import escaped
+    from warpvox.io.text import escaped
 
     # one line, with the blanks of paths as they are
     text = " ".join(line.strip() for line in str(error).splitlines())

@@ -11,6 +11,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, ConfigTypeError
 
+from warpvox.algos.find import find_codesign, find_run
 from warpvox.algos.interrupt import uninterrupted
 from warpvox.cli.help import groups_of, keys_of
 from warpvox.code import with_passed_code
@@ -19,7 +20,7 @@ from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean
 from warpvox.io.reading import LARGEST_CONFIG, Unreadable, parse_yaml, read_text
 from warpvox.keys import flat
-from warpvox.runs import CODESIGN, CONFIG, TRAINING, find_codesign, find_run, without_services
+from warpvox.runs import CODESIGN, CONFIG, TRAINING, without_services
 
 ALIASES = {
     "env": "task",

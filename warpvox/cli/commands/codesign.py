@@ -10,12 +10,14 @@ from rich.console import Console
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.archive_export import FORMATS
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
+from warpvox.algos.find import find_codesign
 from warpvox.code import code_of
 from warpvox.configs.codesign import CodesignConfig
 from warpvox.errors import ConfigError, listing
-from warpvox.io.console import echo, shown
+from warpvox.io.console import echo
+from warpvox.io.text import shown
 from warpvox.io.writing import check_links, check_writable
-from warpvox.runs import CONFIG, check_unchanged, find_codesign, read_summary
+from warpvox.runs import CONFIG, check_unchanged, read_summary
 
 REPORT_KEYS = ("report", "export", "top", "output_dir")
 """Keys that a report follows from."""
@@ -39,8 +41,8 @@ def run(config: CodesignConfig, given: Collection[str], console: Console) -> Pat
     folder = _resumed(config)
     config = dataclasses.replace(config, resume=None)
     with console.status("loading"):
-        from warpvox.algos.codesign.progress import SearchProgress
         from warpvox.algos.codesign.run import run_codesign
+        from warpvox.progress.search import SearchProgress, with_tracker
 
     class Films(SearchProgress):
         def ended(self, summary: Mapping[str, Any]) -> None:  # before another process may write to the folder
@@ -52,7 +54,7 @@ def run(config: CodesignConfig, given: Collection[str], console: Console) -> Pat
                     results.report(summary)
                 _export(results.archive, results.folder, config.export, console)
 
-    return run_codesign(config, folder, [Films(console)], console=console).folder
+    return run_codesign(config, folder, with_tracker(config, [Films(console)])).folder
 
 
 def _resumed(config: CodesignConfig) -> Path | None:

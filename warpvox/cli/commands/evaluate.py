@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
+from warpvox.algos.find import find_runs
 from warpvox.algos.protocols import NOMINAL
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.cli.run_groups import group_runs
@@ -17,9 +18,10 @@ from warpvox.code import Code
 from warpvox.configs.show import EvaluateConfig
 from warpvox.design import zoo_tasks
 from warpvox.errors import ConfigError, WarpvoxError, counted
-from warpvox.io.console import echo, literal, shown
+from warpvox.io.console import echo, literal
+from warpvox.io.text import shown
 from warpvox.io.writing import to_yaml, write_table
-from warpvox.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
+from warpvox.runs import ZOO, Run, as_name, new_folder, write_summary
 
 if TYPE_CHECKING:
     from warpvox.algos.training.policy_table import EvaluatedPolicy, Judged

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
+from warpvox.algos.find import find_run
 from warpvox.algos.protocols import NOMINAL
 from warpvox.cli.exports import (
     LARGE,
@@ -24,9 +25,10 @@ from warpvox.cli.exports import (
 from warpvox.code import Code
 from warpvox.configs.show import PlayConfig
 from warpvox.errors import ConfigError, DisplayError, listing
-from warpvox.io.console import echo, escaped, shown
+from warpvox.io.console import echo
+from warpvox.io.text import escaped, shown
 from warpvox.io.writing import to_yaml
-from warpvox.runs import ZOO, as_name, find_run, new_folder, write_summary
+from warpvox.runs import ZOO, as_name, new_folder, write_summary
 from warpvox.types import FRAME_SECONDS
 from warpvox.view.window import SWITCH, Window, wanted, why_no_window
 

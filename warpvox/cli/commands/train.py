@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, cast
 
 from rich.console import Console
 
+from warpvox.algos.find import find_run
 from warpvox.configs.train import TrainConfig
-from warpvox.runs import TRAINING, find_run
+from warpvox.runs import TRAINING
 
 if TYPE_CHECKING:
     from warpvox.algos.training.job import Job
@@ -31,8 +32,8 @@ def check(config: TrainConfig, given: Collection[str]) -> None:
 
 def run(config: TrainConfig, given: Collection[str], console: Console) -> Path:
     """Make a run, and record its best policy where exports are asked for; returns its folder."""
-    from warpvox.algos.training.progress import Terminal
     from warpvox.devices.startup import prepare
+    from warpvox.progress.training import Terminal, with_tracker
 
     job = make_job(config, given)
 
@@ -52,5 +53,5 @@ def run(config: TrainConfig, given: Collection[str], console: Console) -> Path:
             write_exports(rollout, folder, config.export, console)
 
     prepare(config.torch_threads, config.seed)
-    job.train(Films(console))
+    job.train(with_tracker(config.logger, [Films(console)]))
     return cast(Path, job.folder)
