@@ -173,17 +173,20 @@ def _stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path |
             raise ConfigError(f"config must be a YAML file or the folder of a run; {path}: {error}.") from None
         if not isinstance(values, dict) or not values:
             raise ConfigError(f"config must be a YAML file or the folder of a run; {path} holds no KEY: VALUE.")
-        # What the run did that the file has come from, not with what
-        own = {key: value for key, value in values.items() if key not in ("resume", "report", "config")}
         given["config"] = None
-        return without_services(own), path
-    if given.get("resume") is not None:
+    elif given.get("resume") is not None:
         name = str(given["resume"])
         output_dir = str(given.get("output_dir", "outputs"))
         run = find_codesign(name, output_dir) if command == CODESIGN else find_run(name, output_dir, TRAINING, True)
+        path = run.folder / CONFIG
+        values = {key: value for key, value in run.config.items() if key in keys_of(command)}
         given["resume"] = str(run.checkpoint or run.folder)
-        return {key: value for key, value in run.config.items() if key in keys_of(command)}, run.folder / CONFIG
-    return {}, None
+    else:
+        return {}, None
+
+    # What a run was told to do is no setting.
+    own = {key: value for key, value in values.items() if key not in ("resume", "report", "config")}
+    return without_services(own), path
 
 
 def _set(command: str, config: DictConfig, key: str, value: Any) -> None:
