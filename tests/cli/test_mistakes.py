@@ -77,7 +77,6 @@ MISTAKES = {
     f"train pretrained={'x' * 300}": "x" * 80,  # too long for a name, by which Python 3.14 finds nothing
     f"play run={'x' * 300}": "x" * 80,
     "codesign search=random search.mutation_rate=0.2": "It is a setting of search=ga and search=map_elites",
-    "codesign training.method=sequential training.rungs=[0.5]": "training.method=population",
     "codesign evaluations=9": "Did you mean 'search.max_evaluations'",
     "play gif=true": "Did you mean 'export'",
     "codesign population=3": "Did you mean 'search.population'",
