@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -173,9 +172,7 @@ class Search(Protocol):
 class DesignEvaluator(Protocol):
     """Finds the fitness of designs, by training a policy for each of them or in another way."""
 
-    def evaluate(
-        self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
-    ) -> list[Outcome]:
+    def evaluate(self, candidates: Sequence[Candidate], parents: Parents, report: Report = None) -> list[Outcome]:
         """Outcomes in the order of the candidates.
 
         The same candidates with the same seed of the experiment give the same bits on the same machine. Among other
@@ -186,13 +183,10 @@ class DesignEvaluator(Protocol):
             parents: by their ids, for ``training.inherit``: a child starts from the policy of the best of its
                 parents that are listed here.
             report: called with progress, see :data:`Report`.
-            checkpoint: a file that training is saved to at intervals and resumed from if it exists; the outcomes are
-                those of an uninterrupted evaluation. The caller removes it once the outcomes are stored.
 
         Raises:
-            RunError: the checkpoint is that of other candidates or settings, or a policy does not fit.
-            StorageError: the checkpoint cannot be written. DeviceError: memory has run out.
-            KeyboardInterrupt: interrupted; the checkpoint has been written.
+            RunError: a policy does not fit. DeviceError: memory has run out.
+            KeyboardInterrupt: ``report`` has raised it, because somebody wants to stop.
         """
         ...
 

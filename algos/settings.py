@@ -99,11 +99,6 @@ class DesignTraining(Settings):
     ``walker`` gets to the end of the terrain within a third of them.
     """
 
-    method: str = key(
-        "population",
-        "population: all designs of a generation in one batch; sequential: one after another",
-        choices=("population", "sequential"),
-    )
     envs: int = key(32, "training environments for each design", low=1)
     iterations: int = key(250, "training iterations for each design", low=1)
     eval_interval: int = key(
@@ -114,7 +109,6 @@ class DesignTraining(Settings):
         "evaluation episodes for each design; null: 1, with fitness=robust 8, with evaluation=gaits those of a gait",
         low=1,
     )
-    save_interval: int = key(25, "iterations between checkpoints while designs are trained", low=1)
     inherit: bool = key(False, "start a child's training from the policy of its best parent")
     rungs: list[float] = key(
         [],

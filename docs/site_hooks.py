@@ -17,7 +17,7 @@ import task_pages  # noqa: E402
 PARTS = {
     "Tutorials": ("quickstart", "custom_tasks", "own_search", "task_features"),
     "How to": (
-        *("codesign", "gaits", "clusters", "universal", "common_policy"),
+        *("codesign", "gaits", "clusters", "universal"),
         *("policies", "libraries", "evaluation", "protocols", "gradients", "see", "editor", "zoo", "evogym", "faq"),
     ),
     "Reference": ("commands", "observations", "search", "archive", "formats", "results", "figures"),

@@ -2,9 +2,7 @@
 
 from .algos.codesign.evaluations import (
     Evaluation as Evaluation,
-    FewShot as FewShot,
     Gaits as Gaits,
-    Shared as Shared,
     Specialist as Specialist,
 )
 from .algos.codesign.results import Found as Found

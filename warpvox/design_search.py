@@ -46,7 +46,7 @@ def codesign(
         search: ``GA(population=25)``, ..., a name as on the command line, ``"auto"`` for instance, or a search of your
             own, which asks and tells; of a ``BaseSearch`` shape and seed are those of the search.
         evaluation: ``Specialist()``, ``Gaits(rounds=4)``, ..., a name, or an evaluator of your own with a method
-            ``evaluate(candidates, parents, report, checkpoint)``; None: ``Specialist()``, or as named by ``search``.
+            ``evaluate(candidates, parents, report)``; None: ``Specialist()``, or as named by ``search``.
         executor: ``local``, ``ray``, or one of your own.
         folder: a search that is there is gone on with; ``auto``: a new one in ``outputs/codesign``, ``None``: a
             temporary one, which goes with the process.

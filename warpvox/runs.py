@@ -35,7 +35,7 @@ from warpvox.io.writing import (
 from warpvox.robots.entry import Robot
 from warpvox.system import is_device_name, processor_name
 
-NUMBERS = ("evaluations", "steps", "elapsed_seconds", "best_fitness", "pretraining_steps")  # of a summary
+NUMBERS = ("evaluations", "steps", "elapsed_seconds", "best_fitness")  # of a summary
 ZOO = "zoo:"
 """How the name of a stored robot begins where a run or a design is expected."""
 BEST = "model_best.pt"

@@ -53,8 +53,6 @@ KINDS = {
     "stopped": int, "reused": int, "policy": str, "policy_sha256": str, "seconds": float,
 }  # fmt: skip
 """Columns of a candidate that are read, and what they hold; those from ``fitness`` on may be missing."""
-COMPARABLE = ("gaits",)
-"""Evaluations with finalists whose other designs have policies of their own, too: both are ranked by their fitness."""
 DIVERGED = 2
 """In the column ``stopped``: there was no evaluation, and the fitness is the worst of all others until then."""
 
@@ -360,14 +358,12 @@ class Archive(AbstractContextManager["Archive"]):
     def best(self, count: int = 1, until: int | None = None, *, with_parents: bool = False) -> list[Record]:
         """The designs of highest fitness (up to and including a generation), equal bodies once, ties to finalists.
 
-        Finalists come before designs that were compared by a common policy, whatever fitness these have. Those whose
-        learning diverged before there was an evaluation are not among them.
+        Those whose learning diverged before there was an evaluation are not among them.
 
         Args:
             with_parents: also the designs that finalists come from, which have the same bodies.
         """
-        first = finalists_first(self.settings)
-        order = "last DESC, fitness DESC, id" if first else "fitness DESC, last DESC, id"
+        order = "fitness DESC, last DESC, id"
         group = "body, last" if with_parents else "body"
         where, values = ("AND generation <= ?", (until,)) if until is not None else ("", ())
         query = f"""WHERE id IN (
@@ -377,19 +373,7 @@ class Archive(AbstractContextManager["Archive"]):
                 WHERE fitness IS NOT NULL AND stopped < {DIVERGED} {where})
             WHERE place = 1 ORDER BY {order} LIMIT ?)"""
         found = self._records(query, *values, count)
-
-        def rank(one: Record) -> tuple[bool, float, bool, int]:
-            last = one.candidate.origin == FINALIST
-            return first and not last, -(one.fitness or 0.0), not last, one.id
-
-        return sorted(found, key=rank)
-
-    def winners(self, count: int, until: int | None = None) -> list[Record]:
-        """The best designs; finalists alone, once there are some, where all others were only compared."""
-        best = self.best(count, until)
-        if not finalists_first(self.settings):
-            return best
-        return [record for record in best if record.candidate.origin == FINALIST] or best
+        return sorted(found, key=lambda one: (-(one.fitness or 0.0), one.candidate.origin != FINALIST, one.id))
 
     def lineage(self, number: int) -> list[Record]:
         """A candidate and all that it descends from, by id."""
@@ -448,12 +432,6 @@ def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, 
     known = {name: row[name] for name in KINDS if name in Record.__dataclass_fields__}
     known |= {"stopped": None if stopped is None else bool(stopped), "diverged": stopped == DIVERGED}
     return Record(candidate, **known, curve=curve)
-
-
-def finalists_first(settings: Mapping[str, Any]) -> bool:
-    """Return whether finalists rank before all other designs of a search, whose fitness is that of a common policy."""
-    how = settings.get("evaluation")
-    return not (isinstance(how, Mapping) and how.get("name") in COMPARABLE)
 
 
 def repair_hint(path: Path) -> str:

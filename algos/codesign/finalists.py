@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Outcome, Parents, Report, Search, best_so_far
@@ -54,37 +53,26 @@ class Finalists:
 
 @dataclasses.dataclass(frozen=True)
 class TwoStages:
-    """Evaluates finalists in one way and all other candidates in another."""
+    """Evaluates all candidates by gaits, and finalists by more gaits and a training of their own.
 
-    screening: DesignEvaluator
-    final: DesignEvaluator
-
-    def evaluate(
-        self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
-    ) -> list[Outcome]:
-        evaluator = self.final if candidates[0].origin == FINALIST else self.screening
-        return evaluator.evaluate(candidates, parents, report, checkpoint)
-
-
-@dataclasses.dataclass(frozen=True)
-class BestOf:
-    """Evaluates candidates by gaits and by a training of their own; the better of both counts."""
+    Of finalists the better of both counts. Gaits come from the parents; the trainings begin with new networks.
+    """
 
     gaits: DesignEvaluator
+    final_gaits: DesignEvaluator
     training: DesignEvaluator
 
-    def evaluate(
-        self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
-    ) -> list[Outcome]:
-        """Gaits come from the parents; the trainings begin with new networks."""
-        moved = self.gaits.evaluate(candidates, parents, report, checkpoint)
+    def evaluate(self, candidates: Sequence[Candidate], parents: Parents, report: Report = None) -> list[Outcome]:
+        if candidates[0].origin != FINALIST:
+            return self.gaits.evaluate(candidates, parents, report)
+        moved = self.final_gaits.evaluate(candidates, parents, report)
         spent = sum(outcome.steps for outcome in moved)
 
-        def tell(event: dict[str, Any]) -> None:
+        def report_training(event: dict[str, Any]) -> None:
             if report is not None:
                 report(event | {"steps": spent + event["steps"]})
 
-        trained = self.training.evaluate(candidates, {}, report and tell, checkpoint)
+        trained = self.training.evaluate(candidates, {}, report_training)
         return [_better(*pair) for pair in zip(moved, trained, strict=True)]
 
 

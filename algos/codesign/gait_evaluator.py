@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
 from warpvox.algos.candidate import START, Candidate, Outcome, Parents, Report, candidate_seed
-from warpvox.algos.checkpoints.files import PolicySpec, damaged, spec_dict
+from warpvox.algos.checkpoints.files import PolicySpec, spec_dict
 from warpvox.algos.codesign.gait_actions import continued, play
 from warpvox.algos.codesign.gait_beam import beam_search
 from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait, with_stages
-from warpvox.algos.codesign.population_evaluator import AGAIN, describe, read_evaluation, save_evaluation
 from warpvox.algos.disturbance import SEARCHED, Draws
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.policies.gait import AMPLITUDE
@@ -63,17 +60,14 @@ class GaitEvaluator:
     episodes: int = 1
     known: Mapping[bytes, Gait] = field(default_factory=dict)
 
-    def evaluate(
-        self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
-    ) -> list[Outcome]:
-        """Rounds that take seconds are not saved."""
+    def evaluate(self, candidates: Sequence[Candidate], parents: Parents, report: Report = None) -> list[Outcome]:
         most = max(self.settings.gaits, self.settings.beam if self.settings.passes else 0)
         hint = (
             f"Take less at once: {most} gaits are tried with each of {len(candidates)} designs (evaluation.gaits,"
             " evaluation.beam, batch)."
         )
         with enough_memory(hint):
-            return _Rounds(self, candidates, parents).run(report, checkpoint and checkpoint.with_suffix(".gaits.pt"))
+            return _Rounds(self, candidates, parents).run(report)
 
 
 class _Rounds:
@@ -81,7 +75,6 @@ class _Rounds:
 
     def __init__(self, how: GaitEvaluator, candidates: Sequence[Candidate], parents: Parents) -> None:
         self.how, self.settings, self.bodies = how, how.settings, [candidate.body for candidate in candidates]
-        self.about = describe(how.factory, how.settings, how.seed, candidates)
         self.seeds = [candidate_seed(how.seed, candidate.id) for candidate in candidates]
         self.random = [np.random.default_rng([STREAM, how.seed, candidate.id]) for candidate in candidates]
         self.origins = [candidate.origin for candidate in candidates]
@@ -100,12 +93,8 @@ class _Rounds:
         envs = count * self.how.episodes
         return self.how.factory.make(self.bodies, envs, self.seeds, auto_reset=False, shared=True)
 
-    def run(self, report: Report, checkpoint: Path | None) -> list[Outcome]:
-        if content := read_evaluation(checkpoint, self.about):
-            with damaged(checkpoint, AGAIN):
-                self._restore(content)
+    def run(self, report: Report) -> list[Outcome]:
         self._tell(report)
-        saved = time.monotonic()
         while self.round < self.rounds:
             found, steps = self._pass() if self.round < self.settings.passes else self._try()
             self.best = [max(pair, key=lambda one: one[0]) for pair in zip(self.best or found, found, strict=True)]
@@ -113,24 +102,8 @@ class _Rounds:
                 self.spent[place] += int(steps[place])
                 self.curves[place].append((self.spent[place], value))
             self.round += 1
-            if checkpoint is not None and time.monotonic() - saved >= SAVE_INTERVAL:
-                save_evaluation(checkpoint, self._state())
-                saved = time.monotonic()
             self._tell(report)
         return [self._outcome(place) for place in range(len(self.bodies))]
-
-    def _state(self) -> dict[str, Any]:
-        best = [
-            (value, {name: torch.as_tensor(array) for name, array in vars(gait).items()}) for value, gait in self.best
-        ]
-        own = {"about": self.about, "round": self.round, "best": best, "curves": self.curves, "spent": self.spent}
-        return own | {"random": [rng.bit_generator.state for rng in self.random]}
-
-    def _restore(self, content: dict[str, Any]) -> None:
-        self.round, self.curves, self.spent = (content[name] for name in ("round", "curves", "spent"))
-        self.best = [(value, _gait_of(state)) for value, state in content["best"]]
-        for rng, state in zip(self.random, content["random"], strict=True):
-            rng.bit_generator.state = state
 
     def _inherited(self, candidate: Candidate, parents: Parents) -> list[Gait]:
         """The gaits that a candidate begins with: those of its parents, the best first, or the one it is known by."""

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, cast
 
 import numpy as np
 import torch
 from rsl_rl.models import MLPModel
 from torch import nn
 
-from warpvox.algos.policies.model import VoxelModel
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.envs.worlds import ROBOT
 from warpvox.errors import RunError
@@ -93,18 +90,6 @@ def copy_weights(
     actor.load_state_dict(state)
     moments = {name: value for name, value in state.items() if name.startswith("obs_normalizer.")}
     critic.load_state_dict(critic.state_dict() | moments)
-
-
-def copy_voxel_policy(actor: VoxelModel, policy: Mapping[str, torch.Tensor]) -> None:
-    """Initialise a child's policy for voxels with all of its parent's, whose weights are about no body.
-
-    The value function, of which a policy's state holds nothing, keeps its initial weights.
-    """
-    try:
-        actor.load_state_dict(policy)
-    except RuntimeError as error:
-        raise RunError(f"A parent's policy has another architecture: {str(error).splitlines()[-1].strip()}") from None
-    cast(Any, actor).obs_normalizer.count.clamp_(max=MAX_COUNT)
 
 
 def _matches(child: tuple[tuple, ...], parent: tuple[tuple, ...]) -> tuple[list[int], list[int]]:

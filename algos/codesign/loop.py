@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Any, Protocol, cast
 
 from warpvox.algos.candidate import (
@@ -41,7 +40,6 @@ class Loop:
         search: must not have been asked yet.
         archive: new or of an experiment to go on with; open for writing.
         policies: where policies go; None: they are not kept.
-        checkpoints: folder in which trainings are saved now and then, to go on from; None: they are not.
         batch: designs trained together; None: all of a generation.
         reuse: a body that was evaluated before is not trained again.
         inherit: a training may start from the policies of the parents.
@@ -53,7 +51,6 @@ class Loop:
     _: KW_ONLY
     seed: int
     policies: StoredPolicies | None = None
-    checkpoints: Path | None = None
     batch: int | None = None
     reuse: bool = True
     inherit: bool = False
@@ -63,7 +60,8 @@ class Loop:
     def run(self) -> None:
         """Go on until the search has spent its evaluations.
 
-        The first interrupt waits until the evaluation has come to a point at which it can be left.
+        The first interrupt waits until the evaluation next reports; the batch under way is evaluated again, to the
+        same bits, when the search goes on.
 
         Raises:
             KeyboardInterrupt: interrupted; all that was finished is in the archive.
@@ -72,7 +70,6 @@ class Loop:
         """
         with deferred_interrupts() as interrupt:
             self._replay()
-            self._clear()
             while asked := self.search.ask():
                 known = self.archive.records(self.generation)
                 if known:
@@ -88,7 +85,6 @@ class Loop:
                 self.archive.back_up()
                 self._tell("told", self.generation, True)
                 self.generation += 1
-                self._clear()
                 if interrupt:
                     interrupt.stop()
 
@@ -127,7 +123,7 @@ class Loop:
         done = {record.id for record in self.archive.records(self.generation) if record.finished}
         originals = self._originals(asked)
         # batches are cut before what is done is left out: a resumed generation trains the same designs together
-        work = batches([item for item in asked if item.id not in originals], self.batch, self.checkpoints)
+        work = batches([item for item in asked if item.id not in originals], self.batch)
         work = [batch for batch in work if any(item.id not in done for item in batch.candidates)]
         self._tell("proposed", self.generation, [item for batch in work for item in batch.candidates], len(asked))
         self._train(work, interrupt)
@@ -191,19 +187,9 @@ class Loop:
             now = time.perf_counter()
             self.archive.finish(results, seconds=now - began)
             began = now
-            if batch.checkpoint is not None:
-                batch.checkpoint.unlink(missing_ok=True)
             self._tell("finished", [self.archive.record(result.id) for result in results])
             if interrupt:
                 interrupt.stop()
-
-    def _clear(self) -> None:
-        """Remove checkpoints of finished trainings, which a killed process may have left."""
-        if self.checkpoints is None or not self.checkpoints.is_dir():
-            return
-        if all(row["evaluated"] == row["designs"] for row in self.archive.generations()):
-            for file in filter(Path.is_file, self.checkpoints.iterdir()):  # folders hold what lasts
-                file.unlink()
 
     def _parents(self, work: Sequence[Batch]) -> Parents:
         if not self.inherit or self.policies is None:
@@ -223,10 +209,9 @@ Report = Callable[[int, dict[str, Any]], None]
 
 @dataclass(frozen=True)
 class Batch:
-    """Candidates that are trained together, and the checkpoint file of their training."""
+    """Candidates that are evaluated together."""
 
     candidates: Sequence[Candidate]
-    checkpoint: Path | None = None
 
 
 class Executor(Protocol):
@@ -257,16 +242,15 @@ class LocalExecutor(Executor):
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
         for place, batch in enumerate(work):
             with own_torch() if self.alone else nullcontext():
-                outcomes = self.evaluator.evaluate(batch.candidates, parents, partial(report, place), batch.checkpoint)
+                outcomes = self.evaluator.evaluate(batch.candidates, parents, partial(report, place))
             yield place, outcomes
 
 
-def batches(candidates: Sequence[Candidate], size: int | None, folder: Path | None = None) -> list[Batch]:
+def batches(candidates: Sequence[Candidate], size: int | None) -> list[Batch]:
     """The candidates of a generation cut into batches that are trained together; None: one batch.
 
     The cut depends on nothing but the candidates, so that a resumed experiment, or one on other machines, trains the
     same designs together.
     """
     size = size or len(candidates)
-    cut = [candidates[start : start + size] for start in range(0, len(candidates), size or 1)]
-    return [Batch(part, folder / f"training_{part[0].id}.pt" if folder else None) for part in cut]
+    return [Batch(candidates[start : start + size]) for start in range(0, len(candidates), size or 1)]

@@ -2,27 +2,16 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any, cast
+from dataclasses import dataclass
+from typing import Any
 
 from warpvox.algos.candidate import Candidate, Outcome, Parent, Parents, Report, candidate_seed
-from warpvox.algos.checkpoints.files import damaged, read_tensors, save_checkpoint
 from warpvox.algos.codesign.inheritance import BodyLayout, copy_weights
 from warpvox.algos.env_factory import EnvFactory
-from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.population.training import Networks, PopulationTraining
 from warpvox.algos.settings import DesignTraining
 from warpvox.devices.out_of_memory import enough_memory
-from warpvox.envs.registry import get_task
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.errors import RunError
-from warpvox.io.writing import writing
-
-AGAIN = " Remove it: these designs are then evaluated again, to the same end."
-"""Advice for a checkpoint that cannot be used."""
-VERSION = 3
-"""Of the checkpoints of trainings under way; others are refused."""
 
 
 @dataclass(frozen=True)
@@ -41,23 +30,13 @@ class PopulationEvaluator:
     settings: DesignTraining
     seed: int = 0
 
-    def evaluate(
-        self, candidates: Sequence[Candidate], parents: Parents, report: Report = None, checkpoint: Path | None = None
-    ) -> list[Outcome]:
+    def evaluate(self, candidates: Sequence[Candidate], parents: Parents, report: Report = None) -> list[Outcome]:
         with enough_memory(memory_hint(self.settings, len(candidates))):
             generation = _Generation(self, candidates, parents)
-            generation.restore(checkpoint)
-            with deferred_interrupts() as interrupted:
-                while generation.going:
-                    generation.advance()
-                    if report is not None:
-                        report(generation.progress())
-                    due = generation.training.iteration % self.settings.save_interval == 0 and generation.going
-                    stop = bool(interrupted)  # an interrupt from here on waits for the next iteration
-                    if due or stop:
-                        generation.save(checkpoint)
-                    if stop:
-                        interrupted.stop()
+            while generation.active and generation.training.iteration < self.settings.iterations:
+                generation.advance()
+                if report is not None:
+                    report(generation.progress())
         return generation.outcomes
 
 
@@ -65,28 +44,23 @@ class _Generation:
     """The state of an evaluation."""
 
     def __init__(self, evaluator: PopulationEvaluator, candidates: Sequence[Candidate], parents: Parents) -> None:
-        self.factory, self.settings, self.seed = evaluator.factory, evaluator.settings, evaluator.seed
-        self.candidates, self.parents = list(candidates), parents
+        self.factory = evaluator.factory
+        self.settings = evaluator.settings
+        self.seed = evaluator.seed
+        self.candidates = list(candidates)
+        self.parents = parents
         self.seeds = [candidate_seed(evaluator.seed, candidate.id) for candidate in candidates]
-        self.about = describe(evaluator.factory, evaluator.settings, evaluator.seed, candidates)
         self.outcomes = [Outcome(-math.inf) for _ in candidates]
         self.halvings = self.settings.halvings()
         self.active = list(range(len(candidates)))
-        self.training = self._start()
-
-    def _start(self) -> PopulationTraining:
+        bodies = [candidate.body for candidate in candidates]
         inherit = self._inherit if self.settings.inherit else None
-        bodies, seeds = zip(*((self.candidates[k].body, self.seeds[k]) for k in self.active), strict=True)
-        return PopulationTraining(self.factory, bodies, seeds, self.settings, inherit, self.seed)
+        self.training = PopulationTraining(self.factory, bodies, self.seeds, self.settings, inherit, self.seed)
 
     def _inherit(self, design: int, env: VoxelVecEnv, networks: Networks) -> None:
         parent = best_parent(self.candidates[self.active[design]], self.parents)
         if parent is not None:
             inherit_policy(self.factory, parent, env, design, networks)
-
-    @property
-    def going(self) -> bool:
-        return bool(self.active) and self.training.iteration < self.settings.iterations
 
     def advance(self) -> None:
         """One iteration, then evaluation and halving as scheduled."""
@@ -127,78 +101,14 @@ class _Generation:
 
     def progress(self) -> dict[str, Any]:
         """The content of a report, see :data:`warpvox.algos.candidate.Report`."""
+        finished = self.training.iteration == self.settings.iterations
         return {
             "iteration": self.training.iteration,
             "iterations": self.settings.iterations,
             "steps": sum(outcome.steps for outcome in self.outcomes),
             "best": [outcome.fitness if outcome.curve else math.nan for outcome in self.outcomes],
-            "training": [k in self.active and self.going for k in range(len(self.candidates))],
+            "training": [k in self.active and not finished for k in range(len(self.candidates))],
         }
-
-    def save(self, path: Path | None) -> None:
-        if path is not None:
-            content = {"about": self.about, "active": self.active, "outcomes": list(map(asdict, self.outcomes))}
-            save_evaluation(path, content | {"training": self.training.state()})
-
-    def restore(self, path: Path | None) -> None:
-        content = read_evaluation(path, self.about)
-        if content is None:
-            return
-        with damaged(path, AGAIN):
-            self.outcomes = list(map(outcome_of, content["outcomes"]))
-            if content["active"] != self.active:
-                self.active = content["active"]
-                if not self.active:  # all have diverged: nothing is left to train
-                    return
-                self.training = self._start()
-            self.training.set_state(content["training"])
-
-
-def describe(factory: EnvFactory, settings: Any, seed: int, candidates: Sequence[Candidate]) -> dict[str, Any]:
-    """All that determines the outcomes, as plain values, to recognise a checkpoint; ``settings``: a dataclass."""
-    irrelevant, sim = {"save_interval", "method"}, factory.sim
-    return {
-        "version": VERSION,
-        "task": get_task(factory.task).id,
-        "simulation": repr((factory.rules, sim.physics, sim.dtype, sim.arithmetic, factory.fitness)),
-        "settings": {key: value for key, value in asdict(settings).items() if key not in irrelevant},
-        "seed": seed,
-        "candidates": [[candidate.id, candidate.body.tolist(), list(candidate.parents)] for candidate in candidates],
-    }
-
-
-def save_evaluation(path: Path, content: dict[str, Any]) -> None:
-    """Write the checkpoint of an evaluation.
-
-    StorageError: it cannot be written, or the run's folder no longer exists.
-    """
-    with writing(path):
-        path.parent.mkdir(exist_ok=True)
-    save_checkpoint(path, content)
-
-
-def read_evaluation(path: Path | None, about: dict[str, Any]) -> dict[str, Any] | None:
-    """Read the checkpoint of an evaluation; None: there is none.
-
-    RunError: it is damaged, or ``about`` (:func:`describe`) differs.
-    """
-    if path is None or not path.exists():
-        return None
-    try:
-        content = read_tensors(path)
-    except RunError as error:
-        raise RunError(f"{str(error).rstrip('.')}.{AGAIN}") from None
-    if content.get("about") != about:
-        raise RunError(
-            f"{path} is the checkpoint of other candidates or settings, or of another version of warpvox; remove it to"
-            " begin again."
-        )
-    return content
-
-
-def outcome_of(values: dict[str, Any]) -> Outcome:
-    """An outcome of the values that a checkpoint has of it."""
-    return Outcome(**cast(Any, values | {"curve": [tuple(point) for point in values["curve"]]}))
 
 
 def memory_hint(settings: DesignTraining, count: int) -> str:

@@ -41,14 +41,11 @@ class _Worker:
         """The process is up; its id."""
         return os.getpid()
 
-    def evaluate(self, candidates: Sequence[Candidate], parents: Parents, checkpoint: Path | None) -> list[Outcome]:
-        """Outcomes of the candidates; not saved on the way where the run's folder is not on this machine's disks."""
+    def evaluate(self, candidates: Sequence[Candidate], parents: Parents) -> list[Outcome]:
         self._events.clear()  # what nobody has asked for of the batch before
-        if checkpoint is not None and not checkpoint.parent.parent.is_dir():
-            checkpoint = None
         # made in this thread: some settings of torch belong to the thread that sets them
         self._evaluator = self._evaluator or self._make()
-        return self._evaluator.evaluate(candidates, parents, self._events.append, checkpoint)
+        return self._evaluator.evaluate(candidates, parents, self._events.append)
 
     def events(self) -> list[dict[str, Any]]:
         """Reports since the last call."""
@@ -137,8 +134,7 @@ class RayExecutor:
             batch = work[worker.place]
             own = {parent: parents[parent] for item in batch.candidates for parent in item.parents if parent in parents}
             method = worker.actor.evaluate.options(concurrency_group="train")
-            checkpoint = batch.checkpoint and batch.checkpoint.absolute()  # a worker has a current folder of its own
-            worker.task = method.remote(list(batch.candidates), own, checkpoint)
+            worker.task = method.remote(list(batch.candidates), own)
 
     def _collect(self, worker: _Handle) -> list[Outcome] | None:
         """The outcomes of a finished task; None and a new worker if it was lost."""

@@ -57,11 +57,12 @@ class Results(Listener):
     """Keeps ``generations/<n>.png``, ``report.html`` and ``summary.json`` up to date.
 
     Args:
-        pretraining: control steps of the pretrained policy that it begins with; None: not known, or there is none.
     """
 
-    def __init__(self, folder: Path, archive: Archive, settings: Codesign, pretraining: int | None = None) -> None:
-        self.folder, self.archive, self.settings, self.pretraining = folder, archive, settings, pretraining
+    def __init__(self, folder: Path, archive: Archive, settings: Codesign) -> None:
+        self.folder = folder
+        self.archive = archive
+        self.settings = settings
         self.search = NAMES.get(settings.search.algorithm, settings.search.algorithm)
         summary = read_summary(folder)
         self.fresh = summary.get("fresh_seeds")
@@ -75,7 +76,7 @@ class Results(Listener):
     def draw(self, generation: int, keep: bool = True) -> Path:
         """The best designs up to and including a generation as PNG; ``keep``: one that is there already stays."""
         path = self.folder / "generations" / f"{generation:03}.png"
-        best = self.archive.winners(self.settings.top, generation)
+        best = self.archive.best(self.settings.top, generation)
         if not best or (keep and path.is_file()):
             return path
         captions = [(f"{one.fitness:.3f}", f"#{one.id}  generation {one.candidate.generation}") for one in best]
@@ -116,7 +117,6 @@ class Results(Listener):
             "finalists": self.archive.finalists(),
             "screened_fitness": max(known, default=None),
             "screening_steps": sum(record.steps or 0 for record in screened),
-            "pretraining_steps": self.pretraining,
         }
 
     def report(self, summary: Mapping[str, Any]) -> None:
@@ -133,8 +133,6 @@ class Results(Listener):
             facts["winner on fresh seeds"] = fresh_text(summary["fresh_seeds"])
         if self.settings.evaluation.finalists:
             facts["evaluation"] = self.settings.evaluation.name
-        if self.pretraining is not None:
-            facts["pretraining"] = f"{self.pretraining:,} control steps, not counted"
         write_text(self.folder / REPORT, report_page(self.archive, facts, self.folder))
 
     def film(self, settings: Any) -> None:
@@ -143,7 +141,7 @@ class Results(Listener):
         Designs without a policy, or whose policy is gone or damaged, are left out. ``settings`` have the code that the
         user has named.
         """
-        for one in self.archive.winners(self.settings.top):
+        for one in self.archive.best(self.settings.top):
             policy = self.folder / str(one.policy)
             file = policy.with_name(FILM)
             if file.is_file() or not policy.is_file():

@@ -95,7 +95,7 @@ def _of_search(folder: Path, choose: Callable[[Archive], list[Record]]) -> list[
 
 def _trained(archive: Archive) -> list[Record]:
     """The designs with a policy of their own, the best first; finalists alone, where others were only compared."""
-    return [record for record in archive.winners(max(1, archive.count())) if record.policy is not None]
+    return [record for record in archive.best(max(1, archive.count())) if record.policy is not None]
 
 
 def _of_run(path: Path) -> Robot:

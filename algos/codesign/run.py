@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import json
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.protocols import episodes_of
 from warpvox.algos.search import BaseSearch, make_search
 from warpvox.algos.search.factory import start_with
-from warpvox.algos.settings import MLP, sim_of
+from warpvox.algos.settings import sim_of
 from warpvox.algos.training.job import task_name
 from warpvox.algos.training.metrics import check_logger
 from warpvox.algos.training.pretrained import observed_by
@@ -43,10 +44,13 @@ from warpvox.keys import flat
 from warpvox.runs import CONFIG, END, keep_code, run_folder
 
 OF_DESIGNS = (
-    "task", "rules", "seed", "device", "dtype", "arithmetic", "threads", "torch_threads", "output_dir", "policy",
-    "network",
+    "task", "rules", "seed", "device", "dtype", "arithmetic", "threads", "torch_threads", "output_dir",
 )  # fmt: skip
 """Settings that the training of a design has from its search."""
+USUAL_BEFORE = {"training.method": "population", "policy": "mlp"}
+"""Values of keys that settings had before: searches with these go on as they were."""
+MAX_BATCH_STEPS = 20e6
+"""Control steps of a batch by default: about ten minutes of a core."""
 BEFORE = (CONFIG, "log.txt", "training", "code", "designs", f"{ARCHIVE}.lock")
 """Files and folders that a search has before its archive."""
 
@@ -111,11 +115,11 @@ def _ask_for_memory(settings: Codesign) -> None:
     worlds = [task_world(spec, full_body(settings.shape))]
     for batch in settings.evaluation.workloads(settings):
         designs, envs, value = batch.designs, batch.envs, batch.value
-        each = environment_bytes(spec, worlds, designs * envs, sim, obs=batch.obs, ppo=batch.ppo)
+        each = environment_bytes(spec, worlds, designs * envs, sim, ppo=batch.ppo)
         if fitting(each * envs, sim.device) < 1 or designs == 1:
             what = f"({batch.key}) for each of {designs} designs"
             ask(each * designs * envs / value, value, sim.device, batch.key, what)
-        ask(each * envs, designs, sim.device, batch.fewer, f"designs of {envs:,} environments each")
+        ask(each * envs, designs, sim.device, "batch", f"designs of {envs:,} environments each")
 
 
 def run_codesign(
@@ -153,13 +157,11 @@ def run_codesign(
             written = dataclasses.replace(settings, task=task_name(settings.task))
             plain = dataclasses.asdict(Codesign.of(vars(written)))  # without the keys of the command line
             kept = {name: value for name, value in plain.items() if name not in CHANGEABLE}
-            kept["training"].pop("save_interval")
             kept = json.loads(json.dumps(kept))  # as an archive has it
             if resumed:
                 _check_same(known_settings, kept, resumed)
             folder = opened.enter_context(run_folder(resumed, written, "codesign", to_yaml(written), place, BEFORE))
             if not resumed:
-                settings.evaluation.keep(known, folder)
                 keep_start(start, folder)
             keep_code(settings, folder)
             if search is None:
@@ -167,7 +169,7 @@ def run_codesign(
                 search = make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, bodies)
             path = folder / ARCHIVE
             archive = opened.enter_context(Archive.open(path) if resumed else Archive.create(path, kept))
-            results = Results(folder, archive, written, settings.evaluation.pretraining_steps(known))
+            results = Results(folder, archive, written)
         run, loop = _loop(settings, search, executor, results, listeners, resumed is not None)
         opened.enter_context(ambient(settings.torch_threads))
         torch.manual_seed(settings.seed)  # of code of the user's
@@ -192,7 +194,6 @@ def _loop(
         results.archive,
         seed=settings.seed,
         policies=StoredPolicies(folder, settings.training.ppo, run_of_design),
-        checkpoints=folder / "training",
         batch=settings.batch,
         reuse=settings.reuse,
         inherit=how.inherits(settings),
@@ -232,17 +233,31 @@ def _check_same(known: Mapping[str, Any], values: Mapping[str, Any], folder: Pat
     before, now = flat(known), flat(values)
     for key in now | before:
         old, new = before.get(key), now.get(key)
-        if old != new and key not in CHANGEABLE and not same_code(old, new):
+        if key in now and old != new and key not in CHANGEABLE and not same_code(old, new):
             raise RunError(f"{folder} is a search with {key}={old}, asked for {key}={new}: give that another folder.")
+        if key not in now and old not in (None, USUAL_BEFORE.get(key)):
+            raise RunError(f"{folder} is a search of warpvox 0.1.0 with {key}={old}, which later versions do not have.")
 
 
 def _batch(settings: Codesign, executor: Executor, known: Mapping[str, Any]) -> int | None:
-    """How many designs are trained together, see the key ``batch``; ``known``: settings of a search that is resumed."""
+    """How many designs are evaluated together, see the key ``batch``; None: a whole generation.
+
+    Args:
+        known: settings of a search that is resumed, which keeps its size; empty: it is new.
+    """
     if settings.batch is not None or known:
         return settings.batch or known.get("batch")
-    if settings.training.method == "sequential" and not settings.evaluation.finalists:
-        return 1
-    return -(-settings.search.population // cast(Any, executor).size) if settings.executor == "ray" else None
+
+    # A killed search repeats what its last batch has taken.
+    size = settings.search.population
+    cost = settings.evaluation.cost(settings, get_task(settings.task))
+    if cost is not None:
+        size = min(size, max(1, int(MAX_BATCH_STEPS / max(cost[0], 1))))
+
+    # All workers have something to do.
+    if settings.executor == "ray":
+        size = min(size, math.ceil(settings.search.population / cast(Any, executor).size))
+    return None if size == settings.search.population else size
 
 
 def _run_of_design(settings: Codesign, task: str, candidate: Candidate, outcome: Outcome) -> str:
@@ -257,10 +272,18 @@ def _run_of_design(settings: Codesign, task: str, candidate: Candidate, outcome:
         "physics": dataclasses.asdict(settings.physics),
         "ppo": dataclasses.asdict(training.ppo),
     }
+    voxels = (outcome.spec or {}).get("voxels")
+    if voxels is not None:  # of an evaluation of the user's own
+        body = candidate.body.tolist()
+        values |= {
+            "policy": voxels["network"],
+            "network": voxels["settings"],
+            "obs": observed_by(outcome.spec),
+            "designs": {"bodies": [body], "refresh": "none", "held_out": [body]},
+        }
     values |= settings.evaluation.run_of(settings, candidate, outcome)
     # as where the fitness was found
     values.setdefault("lanes", lanes_for(episodes_of(values["eval_envs"], settings.fitness)))
-    values.setdefault("obs", "task" if values["policy"] == MLP else observed_by(outcome.spec))
     return to_yaml(Training(design=candidate.body, **values)) + END
 
 

@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from warpvox.algos.env_factory import EnvFactory
 
 CHANGEABLE = (
-    "executor", "address", "workers", "device", "threads", "torch_threads", "top", "name", "training.save_interval",
-    "evaluation.save_interval", "memory_check", "logger", "export", "resume", "output_dir",
+    "executor", "address", "workers", "device", "threads", "torch_threads", "top", "name", "memory_check", "logger",
+    "export", "resume", "output_dir",
 )  # fmt: skip
 """Settings that do not change what is found: they may differ when a search is resumed.
 
-But for rounding: another device, or other ``torch_threads`` with ``training.method=sequential``.
+But for rounding on another device.
 """
 
 
@@ -59,12 +59,6 @@ class Codesign(Settings):
         choices=FITNESS,
     )
     training: DesignTraining = key(DesignTraining, "how a design's own policy is trained")
-    policy: str = key(
-        "mlp",
-        "network of a design's own policy: mlp (layers: training.ppo.hidden); with training.method=sequential"
-        " also grid, transformer, module:Class, file.py:Class",
-    )
-    network: Any = key(None, "settings of a network other than mlp, {width:32} for instance; null: its defaults")
     start: list[str] = key(
         [],
         "robots whose bodies the first generation contains, with evaluation=gaits also their gaits: zoo:TASK, zoo:FILE,"
@@ -73,7 +67,10 @@ class Codesign(Settings):
     )
     reuse: bool = key(True, "take the result of a body that was evaluated before instead of training it again")
     batch: int | None = key(
-        None, "designs trained in one batch; null: a whole generation (executor=ray: a worker's share of it)", low=1
+        None,
+        "designs evaluated in one batch, whose results are stored together; null: a whole generation (executor=ray: a"
+        " worker's share of it), or as many as take about 20 million control steps",
+        low=1,
     )
     seed: int = key(0, "seed of all random numbers", low=0)
     device: str = key("auto", DEVICES)
@@ -110,7 +107,6 @@ class Codesign(Settings):
         else:
             self.start = [_start_name(self.start)]
         super().__post_init__()
-        self.network = plain(self.network, "network")
 
     def factory(self, obs: str = "task") -> EnvFactory:
         """Makes the environments; ``device`` may still be auto."""

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.algos.candidate import FINALIST
-from warpvox.algos.codesign.archive import FILE, Archive, Record, finalists_first
+from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.algos.statistics import Interval
 from warpvox.keys import flat
 from warpvox.runs import read_summary
@@ -55,29 +54,18 @@ class SearchResult:
         return self.settings.get("seed")
 
     @cached_property
-    def _screened(self) -> list[Record]:
-        """Designs that a common policy has compared, where finalists were trained; no curve shows their fitness."""
-        if not finalists_first(self.settings):
-            return []
-        done = [record for record in self.records if record.fitness is not None and record.reused is None]
-        screened = [record for record in done if record.candidate.origin != FINALIST]
-        return screened if len(screened) < len(done) else []
-
-    @cached_property
     def _trained(self) -> list[Record]:
-        known = {record.id for record in self._screened}
-        return [r for r in self.records if r.fitness is not None and r.reused is None and r.id not in known]
+        return [record for record in self.records if record.fitness is not None and record.reused is None]
 
     @cached_property
     def evaluations(self) -> np.ndarray:
-        """1, 2, ... to the number of designs trained; those that were screened before are counted."""
-        return len(self._screened) + np.arange(1, len(self._trained) + 1)
+        """1, 2, ... to the number of designs evaluated."""
+        return np.arange(1, len(self._trained) + 1)
 
     @cached_property
     def steps(self) -> np.ndarray:
         """Control steps spent when each of them was done."""
-        spent = np.cumsum([record.steps or 0 for record in self._trained], dtype=np.int64)
-        return spent + sum(record.steps or 0 for record in self._screened)
+        return np.cumsum([record.steps or 0 for record in self._trained], dtype=np.int64)
 
     @cached_property
     def best(self) -> np.ndarray:

@@ -54,9 +54,9 @@ class Playing:
 
 def own_code(settings: Any) -> dict[str, Any]:
     """Task and policy that the user has named in ``settings`` of a run, for :class:`Playing`."""
-    policies = settings.policy, getattr(getattr(settings, "evaluation", None), "policy", None)
+    policy = getattr(settings, "policy", None)
     task = settings.task if is_code(settings.task) or isinstance(settings.task, TaskSpec) else None
-    return {"task": task, "policy": next(filter(is_code, policies), None)}
+    return {"task": task, "policy": policy if is_code(policy) else None}
 
 
 class SampledController:

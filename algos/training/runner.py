@@ -117,7 +117,6 @@ class Runner(OnPolicyRunner):
         env: see :func:`adapt`.
         folder: of the run; must exist.
         evaluator: says how good the policy is without exploration; None: no evaluations.
-        on_save: called where ``state.pt`` would be written, instead; :meth:`state` is what there is to save.
         logger: where metrics go besides ``metrics.csv``, :data:`warpvox.algos.settings.LOGGERS`.
         group: the processes that train this policy together, each with its own ``env``. The first evaluates, writes
             and reports; its ``evaluator`` and ``report`` are the only ones that are used.
@@ -139,7 +138,6 @@ class Runner(OnPolicyRunner):
         folder: Path | None = None,
         evaluator: Evaluator | None = None,
         group: ProcessGroup = SINGLE_PROCESS,
-        on_save: Callable[[], None] | None = None,
         voxels: Mapping[str, Any] | None = None,
         logger: str = "tensorboard",
         bodies: Bodies | None = None,
@@ -153,7 +151,6 @@ class Runner(OnPolicyRunner):
         self.folder = folder
         self.evaluator = evaluator
         self.group = group
-        self.on_save = on_save
         self.report: Callable[[Mapping[str, float]], None] | None = None
         self.bodies = bodies
         self.trained_on = dict(trained_on or {})
@@ -421,9 +418,7 @@ class Runner(OnPolicyRunner):
         self.save_state()
 
     def save_state(self) -> None:
-        if self.on_save is not None:
-            self.on_save()
-        elif self.folder is not None:
+        if self.folder is not None:
             check_folder(self.folder)
             save_checkpoint(self.state_file(self.folder / STATE), self.state())
         self.saved_iteration = self.current_learning_iteration

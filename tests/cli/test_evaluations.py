@@ -1,4 +1,4 @@
-"""Design searches whose designs one policy compares, and policies for voxels, from end to end."""
+"""Design searches with each evaluation, from end to end."""
 
 import dataclasses
 from collections.abc import Callable
@@ -26,12 +26,9 @@ pytestmark = pytest.mark.usefixtures("narrow_packs")
 OF = {
     "specialist": [],
     "gaits": ["evaluation.finalists=2"],
-    "shared": ["evaluation.finalists=2", "evaluation.envs=8", "evaluation.iterations=1"],
 }
-OF["few_shot"] = OF["shared"]
 ROUNDING = 1e-6
 ROUNDS = "evaluation.final_passes=0"  # finalists of evaluation=gaits have rounds alone
-TRAINED = "designs=random:4:3x3", "policy=grid", "num_envs=8", "max_iterations=2", "network={width:8}", "lanes=8"
 
 
 def tiny_search(*words: str) -> list[str]:
@@ -65,47 +62,6 @@ def played(warpvox: Callable, run: Path | str, episodes: int = 2) -> float:
     return read_summary(folder)["mean_return"]
 
 
-def test_a_search_by_one_shared_policy(warpvox: Callable) -> None:
-    folder = search(warpvox, "evaluation=shared", "evaluation.ppo={epochs:2}")
-    records = records_of(folder)
-    screened, finals = records[:5], records[5:]
-    assert [record.candidate.origin == FINALIST for record in records] == [False] * 5 + [True] * 2
-    figures = read_summary(folder)
-    best = max(finals, key=lambda record: record.fitness)
-    assert (figures["best_design"], figures["best_fitness"]) == (best.id, best.fitness)
-    assert figures["screened_fitness"] == max(record.fitness for record in screened)
-    assert figures["steps"] == sum(record.steps for record in records)
-    assert all(record.steps == 8 * 4 for record in finals)
-    assert all(record.steps > 8 * 4 for record in screened)  # with their evaluations
-    config = yaml.safe_load((folder / "config.yaml").read_text())
-    assert (config["evaluation"]["ppo"]["epochs"], config["evaluation"]["ppo"]["steps"]) == (2, 4)
-    assert "policy of its own" in (folder / "report.html").read_text(encoding="utf-8")
-    # playing finds both kinds of fitness again
-    assert played(warpvox, folder) == pytest.approx(best.fitness, abs=ROUNDING)
-    one = max(screened, key=lambda record: abs(record.fitness))
-    assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
-    # and a search that is done stays so
-    outcome = warpvox("codesign", f"resume={folder}", "evaluation.save_interval=7")
-    assert "nothing is left to do" in outcome.out
-
-
-def test_a_search_from_a_pretrained_policy(warpvox: Callable, train: Callable) -> None:
-    run = train(*TRAINED, "designs.held_out=random:2:3x3", "obs=timed")
-    assert yaml.safe_load((run / "config.yaml").read_text())["obs"] == "timed_voxel"
-    words = "evaluation=few_shot", "evaluation.pretrained=latest", "evaluation.iterations=0"
-    folder = search(warpvox, *words, "search.max_evaluations=3")
-    assert read_summary(folder)["pretraining_steps"] == 2 * 8 * 4
-    config = yaml.safe_load((folder / "config.yaml").read_text())
-    assert Path(config["evaluation"]["pretrained"]) == (run / "model_best.pt").absolute()
-    assert config["evaluation"]["network"] == {"width": 8}
-    (run / "model_best.pt").unlink()  # the search has a copy
-    (folder / "summary.json").unlink()
-    warpvox("codesign", f"resume={folder}")
-    screened = records_of(folder)[:3]
-    one = max(screened, key=lambda record: abs(record.fitness))
-    assert played(warpvox, folder / "designs" / str(one.id)) == pytest.approx(one.fitness, abs=ROUNDING)
-
-
 def test_a_search_by_gaits(warpvox: Callable) -> None:
     folder = search(
         warpvox, "evaluation=gaits", "evaluation.gaits=8", "evaluation.rounds=1", ROUNDS, "evaluation.final_rounds=2"
@@ -128,7 +84,6 @@ def test_a_search_by_gaits(warpvox: Callable) -> None:
     "words",
     [
         f"evaluation=gaits evaluation.gaits=4 evaluation.rounds=2 evaluation.final_rounds=1 {ROUNDS}",
-        "evaluation=shared evaluation.eval_envs=3 training.eval_envs=2",
     ],
 )
 def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(warpvox, monkeypatch, words: str) -> None:
@@ -216,8 +171,6 @@ def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path
     ("words", "count"),
     [
         ("", 3 * 8),
-        ("evaluation=shared evaluation.envs=16", 3 * 16),
-        ("evaluation=few_shot evaluation.envs=16 batch=2", 2 * 16),
         ("evaluation=gaits evaluation.gaits=7 evaluation.final_passes=0", 3 * 7),
         (
             "evaluation=gaits evaluation.gaits=7 task=Catcher-v0 evaluation.final_passes=0",
@@ -246,43 +199,18 @@ def test_environments_that_are_stepped_together(words: str, count: int) -> None:
 )
 def test_a_training_is_compared_with_a_gait_by_as_many_episodes(words: str, count: int) -> None:
     job = settings(*tiny_search("evaluation=gaits", *words.split())[1:])
-    training = job.evaluation.build(job, {}).final.training
+    training = job.evaluation.build(job, {}).training
     assert training.factory.episodes(training.settings.eval_envs) == count
     finalist = Candidate(0, example_design("walker"), (), FINALIST)
     assert job.evaluation.run_of(job, finalist, Outcome(1.0))["eval_envs"] == count
 
 
-@pytest.mark.slow
-def test_specialists_with_a_policy_for_voxels(warpvox: Callable) -> None:
-    words = "policy=grid", "network={width:8}", "training.method=sequential", "training.inherit=true"
-    folder = search(warpvox, *words, "search.max_evaluations=3")
-    with Archive.read(folder / FILE) as archive:
-        best = archive.best()[0]
-    assert played(warpvox, folder) == pytest.approx(best.fitness, abs=ROUNDING)
-
-
-RNN = "training.method=sequential training.ppo.rnn={rnn_type:gru}"
-
-
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        ("policy=grid", "policy=grid needs training.method=sequential"),
-        ("network={width:8}", "mlp has training.ppo.hidden"),
-        ("training.ppo.rnn={rnn_type:gru}", "training.ppo.rnn and training.ppo.extra need training.method=sequential"),
-        ("training.ppo.rnn={}", "training.ppo.rnn and training.ppo.extra need training.method=sequential"),
-        (f"{RNN} training.inherit=true", "recurrent layers are not inherited"),
-        (f"{RNN} policy=grid", "ppo.rnn goes with policy=mlp"),
-        (f"{RNN} training.ppo.extra={{gama:1}}", "ppo.extra has the settings .*got 'gama'"),
-        (f"{RNN} evaluation=shared", "ppo.rnn goes with policy=mlp"),
-        ("evaluation=few_shot", "evaluation=few_shot needs evaluation.pretrained"),
-        ("evaluation=shared training.inherit=true", "training.inherit does not go with evaluation=shared"),
-        ("evaluation=shared executor=ray", "one policy that learns in one process"),
-        ("evaluation=shared batch=2", "leave batch away"),
-        ("evaluation=shared evaluation.policy=mlp", "evaluation.policy must see voxels"),
-        ("evaluation=shared evaluation.ppo={epochs:two}", "evaluation.ppo: epochs must be an integer, got 'two'"),
-        ("evaluation=shared training=paper", "cannot decay linearly"),
-        ("evaluation=shared evaluation.iterations=0", "evaluation.iterations must be at least 1"),
+        ("training.ppo.rnn={rnn_type:gru}", "are for one policy"),
+        ("training.ppo.extra={gama:1}", "are for one policy"),
+        ("evaluation=gaits training.inherit=true", "training.inherit does not go with evaluation=gaits"),
     ],
 )
 def test_keys_that_do_not_go_together_are_refused(words: str, says: str) -> None:

@@ -21,9 +21,7 @@ def free(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
         (20, "num_envs", "train num_envs=10000000"),
         (1, "num_envs", "train designs=random:64 policy=transformer num_envs=200000"),
         (1, "batch", "codesign training.envs=4096 training.ppo.steps=64"),
-        (2, "search.population", "codesign evaluation=shared evaluation.envs=4096"),
         (8, "training.eval_envs", "codesign training.eval_envs=10000000"),
-        (8, "evaluation.eval_envs", "codesign evaluation=shared evaluation.eval_envs=10000000"),
         (8, "evaluation.beam", "codesign evaluation=gaits evaluation.beam=10000000 evaluation.passes=1"),
     ],
 )

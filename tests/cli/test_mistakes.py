@@ -49,7 +49,6 @@ MISTAKES = {
     "train num_envs=3 design=[mini,worm]": "multiple of the number of designs",
     "train num_envs=3 design=mini lanes=8 threads=1 ppo.minibatches=100": "environments make 48 in 16 steps",
     "train task=Climber-v0 design=random:12x12": "does not fit",
-    "codesign training.method=sequential training.rungs=[0.5]": "training.method=population",
     "codesign executor=local address=auto": "executor=ray",
     "codesign report=latest seed=4 search=bo": "seed, search cannot change a report",
     "play zoo=Walker-v0 run=mine": "run and zoo both say what is shown",

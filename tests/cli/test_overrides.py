@@ -73,16 +73,15 @@ def test_a_stored_configuration_runs_again(tmp_path: Path) -> None:
     assert (again.seed, again.ppo.gamma, again.num_envs, again.physics.gravity) == (4, 0.5, 4, 80.0)
     other = load("train", [f"config={file}", "ppo=parallel", "num_envs=16"])
     assert (other.ppo, other.num_envs, other.seed) == (load("train", []).ppo, 16, 3)
-    assert load("train", [f"config={file}", "ppo=parallel"]).num_envs == 4  # of the file: it is not in the section
-    mappings = ["network={width:8}", "evaluation.network={width:16}", "evaluation.ppo={epochs:2}"]
-    search = load("codesign", ["search=map_elites", "search.bins=3", "evaluation=shared", *mappings])
+    assert load("train", [f"config={file}", "ppo=parallel"]).num_envs == 4  # of the file: the group has its default
+    search = load("codesign", ["search=map_elites", "search.bins=3", "evaluation=gaits", "evaluation.beam=3"])
     file.write_text(to_yaml(search))
     assert load("codesign", [f"config={file}"]) == search
-    assert load("codesign", [f"config={file}", "evaluation.envs=3"]).evaluation == replace(search.evaluation, envs=3)
-    gaits = load("codesign", [f"config={file}", "evaluation=gaits"])
-    assert gaits == replace(search, evaluation=load("codesign", ["evaluation=gaits"]).evaluation)
-    file.write_text(to_yaml(search).replace("name: shared", "name: shard"))
-    with pytest.raises(ConfigError, match=r"evaluation must be one of .*got 'shard'"):
+    assert load("codesign", [f"config={file}", "evaluation.gaits=3"]).evaluation == replace(search.evaluation, gaits=3)
+    other = load("codesign", [f"config={file}", "evaluation=specialist"])
+    assert other == replace(search, evaluation=load("codesign", ["evaluation=specialist"]).evaluation)
+    file.write_text(to_yaml(search).replace("name: gaits", "name: gates"))
+    with pytest.raises(ConfigError, match=r"evaluation must be one of .*got 'gates'"):
         load("codesign", [f"config={file}"])
 
 

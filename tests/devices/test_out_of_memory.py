@@ -95,14 +95,11 @@ def test_environments_that_do_not_fit_leave_nothing_behind(warpvox: Callable, tm
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["population", "sequential"])
-def test_a_search_says_what_to_take_less_of_and_goes_on(method: str, warpvox: Callable, tmp_path, monkeypatch) -> None:
-    words = [*CODESIGN, f"training.method={method}"]
-    warpvox(*words, f"output_dir={tmp_path / 'whole' / 'outputs'}")
-    place = {"population": "population.ppo.PopulationPPO.update", "sequential": "training.ppo.PPO.update"}[method]
-    with raised_at(monkeypatch, f"warpvox.algos.{place}", 2, ERRORS["torch on CUDA"]):
-        advice = "batch=1 trains 1" if method == "population" else ""
-        outcome = warpvox(*words, fails=("Memory has run out", "training.envs is 8", advice))
+def test_a_search_says_what_to_take_less_of_and_goes_on(warpvox: Callable, tmp_path, monkeypatch) -> None:
+    warpvox(*CODESIGN, f"output_dir={tmp_path / 'whole' / 'outputs'}")
+    place = "warpvox.algos.population.ppo.PopulationPPO.update"
+    with raised_at(monkeypatch, place, 2, ERRORS["torch on CUDA"]):
+        outcome = warpvox(*CODESIGN, fails=("Memory has run out", "training.envs is 8", "batch=1 trains 1"))
     assert "go on: warpvox codesign resume=" in outcome.out
     run = only(tmp_path, "codesign")
     warpvox("codesign", f"resume={run}")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import gc
-import math
 import warnings
 import weakref
 from collections.abc import Callable, Iterator
@@ -25,8 +24,6 @@ from simulated_cuda import SimulatedCuda, Stream
 from tiny import tiny
 
 from warpvox.algos import evaluate as evaluation
-from warpvox.algos.candidate import Candidate
-from warpvox.algos.codesign import sequential_evaluator
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.population.training import PopulationTraining
 from warpvox.algos.training.ppo import PPO
@@ -302,21 +299,6 @@ def test_a_population_is_trained_and_evaluated_on_one_device(cuda: SimulatedCuda
     assert waits[0] == waits[1], "more steps, and as many waits"
     assert training.env.device == training._judge.device == "cuda:0"
     assert bool(torch.isfinite(training.evaluate()).all())
-
-
-def test_designs_that_are_trained_one_by_one_are_evaluated_on_the_cpu(cuda: SimulatedCuda, monkeypatch) -> None:
-    made: list[str] = []
-    judge = sequential_evaluator.evaluator
-    monkeypatch.setattr(
-        sequential_evaluator, "evaluator", lambda env, *how: made.append(env.device) or judge(env, *how)
-    )
-    settings = training_preset("fast", {"steps": 2}, envs=8, iterations=1, eval_interval=1)
-    factory = EnvFactory(replace(get_task("Walker-v0"), max_episode_steps=3), sim=SimOptions("cuda:0", threads=1))
-    outcomes = sequential_evaluator.SequentialEvaluator(factory, settings).evaluate([Candidate(0, BODY)], {})
-    assert made == ["cpu"]
-    assert math.isfinite(outcomes[0].fitness)
-    assert {value.device.type for value in outcomes[0].policy.values()} == {"cpu"}
-    assert cuda.launches["group_step"] == 2
 
 
 def test_what_a_gpu_does_not_allow_is_refused(cuda: SimulatedCuda) -> None:

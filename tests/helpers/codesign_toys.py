@@ -89,7 +89,6 @@ class ToyEvaluator:
         candidates: Sequence[Candidate],
         parents: Mapping[int, Parent],
         report: Callable[[dict[str, Any]], None] | None = None,
-        checkpoint: Path | None = None,
     ) -> list[Outcome]:
         outcomes = []
         for candidate in candidates:

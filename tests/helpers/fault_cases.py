@@ -17,7 +17,7 @@ from warpvox.algos.training.metrics import read_metrics
 from warpvox.io.writing import MARK
 
 TRAIN = tiny("train", "max_iterations=3", "save_interval=1")
-CODESIGN = tiny("codesign", *"batch=2 training.iterations=2 training.eval_interval=2 training.save_interval=1".split())
+CODESIGN = tiny("codesign", *"batch=2 training.iterations=2 training.eval_interval=2".split())
 
 
 def same(one: Any, other: Any) -> bool:

@@ -217,7 +217,7 @@ class SearchProgress(Listener):
         self._live.update(Group(*parts, *([Text(), self._bodies()] if best else [])))
 
     def _bodies(self) -> Text:
-        best = self.archive.winners(self.run.results.settings.top)
+        best = self.archive.best(self.run.results.settings.top)
         captions = [f"{record.fitness:.3f} #{record.id}" for record in best]
         return body_rows([record.candidate.body for record in best], captions, self.console)
 

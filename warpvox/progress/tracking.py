@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, cast
 
 from warpvox.algos.candidate import Listener
-from warpvox.algos.codesign.archive import finalists_first
 from warpvox.algos.find import find_run
 from warpvox.algos.training import job as training
 from warpvox.algos.training.metrics import tagged
@@ -94,11 +93,7 @@ class TrackedSearch(Listener):
         if fresh:
             archive = self._results.archive
             rows = archive.generations()
-            figures = {"mean": rows[generation]["mean"]}
-            if archive.finalists() and finalists_first(archive.settings):  # not to be compared with those before
-                figures["best_finalist"] = archive.best()[0].fitness
-            else:
-                figures["best"] = archive.best()[0].fitness
+            figures = {"mean": rows[generation]["mean"], "best": archive.best()[0].fitness}
             figures |= {"evaluations": archive.trained(), "steps": sum(row["steps"] or 0 for row in rows)}
             tagged = {f"Search/{name}": value for name, value in figures.items()}
             self._tracker.log(tagged, generation, self._results.draw(generation))

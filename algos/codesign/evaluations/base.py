@@ -16,9 +16,7 @@ from warpvox.types import Cell
 if TYPE_CHECKING:
     from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
     from warpvox.algos.codesign.settings import Codesign
-    from warpvox.algos.env_factory import EnvFactory
     from warpvox.envs.spec import TaskSpec
-    from warpvox.envs.vec_env import VoxelVecEnv
     from warpvox.robots.entry import Robot
 
 
@@ -26,17 +24,15 @@ if TYPE_CHECKING:
 class Workload:
     """Designs that are simulated together, for estimates of memory.
 
-    ``envs`` environments for each of ``designs``; ``key`` with its ``value`` sets ``envs``, and ``fewer`` the
-    number of designs; ``ppo``: of a policy that learns.
+    ``envs`` environments for each of ``designs``; ``key`` with its ``value`` sets ``envs``; ``ppo``: of a policy that
+    learns.
     """
 
     designs: int
     envs: int
     key: str
     value: int
-    obs: str = "task"
     ppo: Ppo | None = None
-    fewer: str = "batch"
 
 
 @dataclass
@@ -75,14 +71,7 @@ class Evaluation(Settings):
         return self
 
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
-        """Knowledge from before the search that the evaluator needs, such as a pretrained policy; can be pickled."""
-        return None
-
-    def keep(self, known: Any, folder: Path) -> None:
-        """Write what :meth:`begins_with` has returned into the folder of a search, where a resumed one finds it."""
-
-    def pretraining_steps(self, known: Any) -> int | None:
-        """Control steps that were spent before the search; None: not known, or none."""
+        """Knowledge from before the search that the evaluator needs, such as gaits of ``start``; can be pickled."""
         return None
 
     def inherits(self, search: Codesign) -> bool:
@@ -109,11 +98,6 @@ def steps_of_training(training: DesignTraining, designs: int) -> float:
         iterations += left * (end - before)
         left, before = training.kept(left), end
     return iterations * training.envs * training.ppo.steps / designs
-
-
-def probe(factory: EnvFactory, shape: Sequence[int]) -> VoxelVecEnv:
-    """One environment with the largest body, to try on what a search will need."""
-    return factory.computed(device="cpu", threads=1).make([full_body(shape)], 1, [0], auto_reset=False)
 
 
 def full_body(shape: Sequence[int]) -> np.ndarray:

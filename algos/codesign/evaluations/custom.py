@@ -47,6 +47,6 @@ class Custom(Evaluation):
         if not callable(getattr(made, "evaluate", None)):
             raise ConfigError(
                 f"'{self.make}' makes a {type(made).__name__}, which has no method"
-                " evaluate(candidates, parents, report, checkpoint)."
+                " evaluate(candidates, parents, report)."
             )
         return made

@@ -10,16 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.evaluations.base import Workload, steps_of_training
-from warpvox.algos.codesign.evaluations.specialist import Screened
+from warpvox.algos.codesign.evaluations.specialist import Specialist
 from warpvox.algos.protocols import ROBUST
-from warpvox.algos.settings import MLP
 from warpvox.errors import ConfigError
 from warpvox.keys import key
 from warpvox.robots.gait import Gait as RobotGait
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
-    from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
     from warpvox.algos.codesign.settings import Codesign
     from warpvox.envs.spec import TaskSpec
     from warpvox.robots.entry import Robot
@@ -29,10 +27,11 @@ COPIES = 4
 
 
 @dataclass
-class Gaits(Screened):
+class Gaits(Specialist):
     """The fitness of a design is the best return of some open-loop gaits, which are handed on to its descendants."""
 
     name: str = key("gaits", "open-loop gaits evolve with the designs", choices=("gaits",))
+    finalists: int = key(4, "number of best designs that get a training of their own at the end", low=1)
     gaits: int = key(8, "open-loop gaits that each design tries in a round", low=1)
     rounds: int = key(2, "number of rounds; from the second on mutants of the best gait so far are tried", low=0)
     stages: int = key(4, "parts of an episode in which a gait has a motion each", low=1, high=100)
@@ -51,6 +50,11 @@ class Gaits(Screened):
 
     def check(self, search: Codesign) -> None:
         super().check(search)
+        if search.training.inherit:
+            raise ConfigError(
+                "training.inherit does not go with evaluation=gaits: the trainings of the finalists begin with new"
+                " networks."
+            )
         for prefix, passes, rounds in ("", self.passes, self.rounds), ("final_", self.final_passes, self.final_rounds):
             if passes + rounds == 0:
                 raise ConfigError(
@@ -101,20 +105,25 @@ class Gaits(Screened):
     def _final_gaits(self) -> int:
         return self.final_gaits or self.gaits
 
-    def screening(self, search: Codesign, known: Any) -> GaitEvaluator:
+    def build(self, search: Codesign, known: Any) -> DesignEvaluator:
+        """Gaits for all designs; for finalists more gaits, and a training that is judged by as many episodes."""
+        from warpvox.algos.codesign.finalists import TwoStages
         from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 
-        return GaitEvaluator(search.factory(), self, search.seed, self._episodes(search), known)
-
-    def final(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """More gaits, and a training that is judged by as many episodes: the better of both counts."""
-        from warpvox.algos.codesign.finalists import BestOf
-
-        counts = {"rounds": self.final_rounds, "passes": self.final_passes, "beam": self.final_beam}
-        more = dataclasses.replace(self, gaits=self._final_gaits, **counts)
+        factory = search.factory()
+        episodes = self._episodes(search)
+        more = dataclasses.replace(
+            self,
+            gaits=self._final_gaits,
+            rounds=self.final_rounds,
+            passes=self.final_passes,
+            beam=self.final_beam,
+        )
         training = dataclasses.replace(search.training, eval_envs=self._final_episodes(search))
-        return BestOf(
-            more.screening(search, known), super().final(dataclasses.replace(search, training=training), known)
+        return TwoStages(
+            GaitEvaluator(factory, self, search.seed, episodes, known),
+            GaitEvaluator(factory, more, search.seed, episodes, known),
+            super().build(dataclasses.replace(search, training=training), known),
         )
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
@@ -123,4 +132,4 @@ class Gaits(Screened):
             return {"eval_envs": self._final_episodes(search)}
         count = self._final_gaits if candidate.origin == FINALIST else self.gaits
         lanes = search.factory().shared_lanes(count * self._episodes(search))
-        return {"policy": MLP, "network": None, "obs": "timed", "lanes": lanes, "eval_envs": self._episodes(search)}
+        return {"obs": "timed", "lanes": lanes, "eval_envs": self._episodes(search)}

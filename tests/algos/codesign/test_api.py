@@ -115,7 +115,7 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
         ({"evaluation": {"name": "gaits", "round": 3}}, "Did you mean 'rounds'"),
         ({"training": {"iterations": "many"}}, "training.iterations must be an integer"),
         ({"seed": -1}, "seed must be at least 0"),
-        ({"evaluation": wv.Shared(), "training": {**TRAINING, "inherit": True}}, "training.inherit does not go with"),
+        ({"evaluation": wv.Gaits(), "training": {**TRAINING, "inherit": True}}, "training.inherit does not go with"),
     ]:
         with pytest.raises(wv.ConfigError, match=says):
             wv.codesign(**{**SMALL, **wrong})
@@ -151,7 +151,7 @@ class Actuators:
     def __init__(self, search, weight=1):
         self.weight, self.task = weight, search.task
 
-    def evaluate(self, candidates, parents, report=None, checkpoint=None):
+    def evaluate(self, candidates, parents, report=None):
         return [Outcome(float(self.weight * np.isin(one.body, (3, 4)).sum()), steps=1) for one in candidates]
 '''
 

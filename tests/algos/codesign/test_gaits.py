@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,18 +10,15 @@ import pytest
 import torch
 from population_cases import LIMIT, candidates, factory
 
-from warpvox.algos.candidate import START, Candidate, Outcome, Parent
-from warpvox.algos.checkpoints.files import read_tensors
-from warpvox.algos.codesign import gait_evaluator
+from warpvox.algos.candidate import FINALIST, START, Candidate, Outcome, Parent
 from warpvox.algos.codesign.evaluations import Gaits
-from warpvox.algos.codesign.finalists import BestOf
+from warpvox.algos.codesign.finalists import TwoStages
 from warpvox.algos.codesign.gait_actions import actions_of_gaits
 from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 from warpvox.algos.codesign.gaits import LONGEST, SHORTEST, Gait, draw_gait, mutate_gait, mutate_motion, with_stages
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.gait import gait_outputs
-from warpvox.errors import RunError
 from warpvox.robots import Gait as RobotGait
 from warpvox.types import Cell
 
@@ -121,7 +117,7 @@ class Fixed:
     def __init__(self, *fitness: float) -> None:
         self.outcomes = [Outcome(value, [(10, value)], 10) for value in fitness]
 
-    def evaluate(self, candidates, parents, report=None, checkpoint=None):
+    def evaluate(self, candidates, parents, report=None):
         self.parents = parents
         if report is not None:
             report({"steps": 20})
@@ -132,7 +128,8 @@ def test_of_gait_and_training_the_better_one_counts() -> None:
     found, events = candidates(2), []
     gaits, training = Fixed(1.0, 4.0), Fixed(3.0, 2.0)
     parents = {0: Parent(found[0].body, {}, 0.0)}
-    outcomes = BestOf(gaits, training).evaluate(found, parents, events.append)
+    found = [dataclasses.replace(candidate, origin=FINALIST) for candidate in found]
+    outcomes = TwoStages(Fixed(0.0, 0.0), gaits, training).evaluate(found, parents, events.append)
     assert [outcome.fitness for outcome in outcomes] == [3.0, 4.0]
     assert [outcome.steps for outcome in outcomes] == [20, 20]
     assert outcomes[0].curve == [(10, 1.0), (20, 3.0)]
@@ -201,39 +198,9 @@ def test_a_known_gait_is_kept_unless_a_better_one_is_found() -> None:
     assert other.fitness < first.fitness
 
 
-def test_passes_come_before_rounds_and_go_on_after_an_interrupt(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(gait_evaluator, "SAVE_INTERVAL", 0.0)
-    found, checkpoint = candidates(2), tmp_path / "batch.pt"
-    how = staged(factory(), passes=2, beam=2 * COUNT, rounds=1)
-
-    def stop_in(iteration: int):
-        def stop(event: dict) -> None:
-            assert event["iterations"] == 3
-            if event["iteration"] == iteration:
-                raise KeyboardInterrupt
-
-        return stop
-
-    whole = how.evaluate(found, {})
+def test_passes_come_before_rounds() -> None:
+    whole = staged(factory(), passes=2, beam=2 * COUNT, rounds=1).evaluate(candidates(2), {})
     assert [steps for steps, _ in whole[0].curve] == [2 * COUNT * LIMIT, 4 * COUNT * LIMIT, 5 * COUNT * LIMIT]
-    for iteration in 1, 2:
-        with pytest.raises(KeyboardInterrupt):
-            how.evaluate(found, {}, stop_in(iteration), checkpoint)
-    resumed = how.evaluate(found, {}, None, checkpoint)
-    for one, other in zip(whole, resumed, strict=True):
-        assert (one.fitness, one.curve, one.steps) == (other.fitness, other.curve, other.steps)
-        assert all(torch.equal(value, other.policy[name]) for name, value in one.policy.items())
-    (saved,) = tmp_path.iterdir()
-    assert read_tensors(saved)["round"] == 3
-    others = staged(factory(), passes=2, beam=2 * COUNT, rounds=2), staged(factory("Balancer-v0"), passes=2)
-    for evaluator, designs in (how, found[:1]), *((other, found) for other in others):
-        with pytest.raises(RunError, match="other candidates or settings"):
-            evaluator.evaluate(designs, {}, None, checkpoint)
-    content = saved.read_bytes()
-    for damage in content[:-100], b"", content.replace(b"round", b"rOund", 1):
-        saved.write_bytes(damage)
-        with pytest.raises(RunError, match=r"not a readable checkpoint .* Remove it: these designs are then evaluated"):
-            how.evaluate(found, {}, None, checkpoint)
 
 
 def test_gaits_with_different_numbers_of_stages_act_together() -> None:

@@ -11,7 +11,6 @@ from population_cases import factory, small
 from warpvox.algos.candidate import Candidate, Parent
 from warpvox.algos.codesign.inheritance import BodyLayout
 from warpvox.algos.codesign.population_evaluator import PopulationEvaluator, best_parent, inherit_policy
-from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
 from warpvox.algos.population.training import Networks, fresh_networks
 from warpvox.errors import RunError
 
@@ -151,33 +150,15 @@ def test_another_architecture_is_one_clear_error() -> None:
         child_of(Parent(PARENT, policy, 0.0), GROWN)
 
 
-@pytest.mark.parametrize("evaluator", [PopulationEvaluator, SequentialEvaluator])
-def test_inheritance_is_an_option_and_children_of_nobody_start_afresh(evaluator: type) -> None:
+def test_inheritance_is_an_option_and_children_of_nobody_start_afresh() -> None:
     parents = {0: parent_of(PARENT)}
     child, orphan = Candidate(1, GROWN, (0,)), Candidate(2, GROWN)
     how = small(iterations=1, eval_interval=1)
     how.ppo.learning_rate, how.ppo.schedule = 1e-12, "fixed"  # what comes out is what went in
-    plain = evaluator(factory(), how, 0).evaluate([child, orphan], parents)
+    plain = PopulationEvaluator(factory(), how, 0).evaluate([child, orphan], parents)
     how.inherit = True
-    heirs = evaluator(factory(), how, 0).evaluate([child, orphan], parents)
+    heirs = PopulationEvaluator(factory(), how, 0).evaluate([child, orphan], parents)
     expected = child_of(parents[0], GROWN).actor.state_dict()
     torch.testing.assert_close(heirs[0].policy["mlp.0.weight"], expected["mlp.0.weight"])
     assert not torch.equal(heirs[0].policy["mlp.0.weight"], plain[0].policy["mlp.0.weight"])
     assert heirs[1].curve == plain[1].curve
-
-
-def test_a_child_takes_over_all_of_a_policy_for_voxels() -> None:
-    voxels = dataclasses.replace(factory(), obs="voxel")
-    how = small(iterations=1, eval_interval=1, inherit=True)
-    how.ppo.learning_rate, how.ppo.schedule = 0.0, "fixed"  # what it begins with is what is left
-    evaluator = SequentialEvaluator(voxels, how, 0, "grid", {"width": 8})
-    (parent,) = evaluator.evaluate([Candidate(0, PARENT)], {})
-    child = Candidate(1, GROWN, (0,))
-    known = {0: Parent(PARENT, parent.policy, parent.fitness)}
-    for parents, same in ((known, True), ({}, False)):
-        (outcome,) = evaluator.evaluate([child], parents)
-        names = [name for name in outcome.policy if not name.startswith("obs_normalizer.")]
-        assert all(torch.equal(outcome.policy[name], parent.policy[name]) for name in names) == same
-    other = SequentialEvaluator(voxels, how, 0, "grid", {"width": 4})
-    with pytest.raises(RunError, match="another architecture"):
-        other.evaluate([child], known)

@@ -1,22 +1,18 @@
-"""A generation trained at once: in any company, however often it is killed or halved."""
+"""A generation trained at once: in any company, and halved."""
 
 import dataclasses
 import math
-import signal
-from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from codesign_toys import Killed
+from one_by_one import outcomes_one_by_one
 from population_cases import candidates, factory, small, training_preset
 
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.checkpoints.files import Controller, PolicySpec, build_actor
 from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
-from warpvox.algos.codesign.sequential_evaluator import SequentialEvaluator
 from warpvox.algos.evaluate import evaluate
-from warpvox.errors import RunError
 from warpvox.keys import MISSING
 
 TASKS = pytest.mark.parametrize("task", ["Walker-v0", "Catcher-v0"])
@@ -27,14 +23,6 @@ SAME = 1e-6
 How they are rounded is up to the library and the CPU. Contacts and Adam let differences grow by orders of magnitude."""
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-
-
-def assert_equal(one: Outcome, other: Outcome) -> None:
-    """Bit for bit."""
-    assert (one.fitness, one.curve, one.steps, one.stopped) == (other.fitness, other.curve, other.steps, other.stopped)
-    assert one.policy.keys() == other.policy.keys()
-    for name, value in one.policy.items():
-        assert torch.equal(value, other.policy[name]), name
 
 
 def assert_close(one: Outcome, other: Outcome) -> None:
@@ -74,12 +62,10 @@ def test_fitness_is_the_best_of_the_evaluations_and_the_policy_earns_it(task: st
 
 @DOUBLE
 @pytest.mark.parametrize("preset", ["paper", "fast"])
-def test_the_batched_evaluator_equals_the_sequential_one(preset: str) -> None:
+def test_the_batch_equals_trainings_one_by_one(preset: str) -> None:
     found, how = candidates(3), small(preset)
-    batched, separate = (
-        evaluator(factory(dtype="float64"), how, 7).evaluate(found, {})
-        for evaluator in (PopulationEvaluator, SequentialEvaluator)
-    )
+    batched = PopulationEvaluator(factory(dtype="float64"), how, 7).evaluate(found, {})
+    separate = outcomes_one_by_one(factory(dtype="float64"), how, 7, found)
     for ours, theirs in zip(batched, separate, strict=True):
         assert_close(ours, theirs)
 
@@ -117,95 +103,8 @@ def test_randomness_follows_from_seed_and_id() -> None:
 
 def test_the_global_random_numbers_are_left_alone() -> None:
     before = torch.get_rng_state()
-    for evaluator in (PopulationEvaluator, SequentialEvaluator):
-        evaluator(factory(), small(iterations=2), 0).evaluate(candidates(1), {})
-        assert torch.equal(torch.get_rng_state(), before)
-
-
-def killed_at(iteration: int):
-    def report(event: dict[str, Any]) -> None:
-        if event["iteration"] == iteration:
-            raise Killed
-
-    return report
-
-
-@pytest.mark.parametrize(
-    ("preset", "changes", "task"),
-    [("paper", {}, "Catcher-v0"), ("fast", {"rungs": [0.34, 0.67]}, "Walker-v0")],
-    ids=["plain", "halving"],
-)
-def test_a_killed_evaluation_goes_on_to_the_same_outcomes(tmp_path, preset: str, changes: dict, task: str) -> None:
-    found, file = candidates(4), tmp_path / "state.pt"
-    how = small(preset, save_interval=1, **changes)
-    whole = PopulationEvaluator(factory(task), how, 2).evaluate(found, {})
-    for iteration in (1, 3, 5):
-        with pytest.raises(Killed):
-            PopulationEvaluator(factory(task), how, 2).evaluate(found, {}, killed_at(iteration), file)
-        torch.manual_seed(iteration)  # whatever happens between
-    for ours, theirs in zip(
-        PopulationEvaluator(factory(task), how, 2).evaluate(found, {}, None, file), whole, strict=True
-    ):
-        assert_equal(ours, theirs)
-
-
-def test_an_interrupted_evaluation_is_saved_and_goes_on(tmp_path: Path) -> None:
-    found, file, seen = candidates(2), tmp_path / "state.pt", []
-    how = small(save_interval=100)
-
-    def interrupt(event: dict[str, Any]) -> None:
-        seen.append(event["iteration"])
-        if event["iteration"] == 3:
-            signal.raise_signal(signal.SIGINT)
-
-    with pytest.raises(KeyboardInterrupt):
-        PopulationEvaluator(factory(), how, 0).evaluate(found, {}, interrupt, file)
-    assert seen == [1, 2, 3]
-    whole = PopulationEvaluator(factory(), how, 0).evaluate(found, {})
-    resumed = PopulationEvaluator(factory(), how, 0).evaluate(
-        found, {}, lambda event: seen.append(event["iteration"]), file
-    )
-    assert seen == [1, 2, 3, 4, 5, 6]
-    for ours, theirs in zip(resumed, whole, strict=True):
-        assert_equal(ours, theirs)
-
-
-@pytest.mark.parametrize("evaluator", [PopulationEvaluator, SequentialEvaluator])
-def test_the_checkpoint_of_others_is_refused(tmp_path: Path, evaluator: type) -> None:
-    file, found = tmp_path / "state.pt", candidates(2)
-    how = small(save_interval=1, iterations=2)
-    evaluator(factory(), how, 0).evaluate(found, {}, None, file)
-    assert file.exists()
-    others = ((how, 1, found), (small(save_interval=1, iterations=3), 0, found), (how, 0, found[:1]))
-    for settings, seed, part in others:
-        with pytest.raises(RunError, match="other candidates or settings"):
-            evaluator(factory(), settings, seed).evaluate(part, {}, None, file)
-
-
-@pytest.mark.parametrize("iteration", [4, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 6))])
-def test_one_by_one_a_killed_training_goes_on_within_a_design(tmp_path: Path, monkeypatch, iteration: int) -> None:
-    """The second design of two is killed after so many of its 6 iterations, saved every 2."""
-    from warpvox.algos.training.runner import Runner
-
-    file, found, how = tmp_path / "training" / "state.pt", candidates(2), small(save_interval=2)
-    whole = SequentialEvaluator(factory(), how, 0).evaluate(found, {})
-    report, count = Runner._report, []
-
-    def counted(runner: Runner, row: dict[str, float], end: int) -> None:
-        report(runner, row, end)
-        count.append(runner.current_learning_iteration)
-        if len(count) == 6 + iteration:
-            raise Killed
-
-    monkeypatch.setattr(Runner, "_report", counted)
-    with pytest.raises(Killed):
-        SequentialEvaluator(factory(), how, 0).evaluate(found, {}, None, file)
-    torch.manual_seed(iteration)  # whatever happens between
-    count.clear()
-    for ours, theirs in zip(SequentialEvaluator(factory(), how, 0).evaluate(found, {}, None, file), whole, strict=True):
-        assert_equal(ours, theirs)
-    saved = {1: 0, 4: 4, 6: 4}[iteration]
-    assert count == list(range(saved + 1, 7))  # and nothing is done twice but what was not saved
+    PopulationEvaluator(factory(), small(iterations=2), 0).evaluate(candidates(1), {})
+    assert torch.equal(torch.get_rng_state(), before)
 
 
 @DOUBLE
@@ -293,18 +192,8 @@ def test_divergence_before_the_first_evaluation_is_a_fitness_of_its_own(monkeypa
         assert_close(results[k], whole[k])
 
 
-@pytest.mark.parametrize("evaluator", [PopulationEvaluator, SequentialEvaluator])
-def test_a_learning_rate_that_is_much_too_high_ends_no_evaluation(evaluator: type) -> None:
+def test_a_learning_rate_that_is_much_too_high_ends_no_evaluation() -> None:
     how = small(iterations=4)
     how.ppo.learning_rate, how.ppo.schedule = 1e30, "fixed"
-    results = evaluator(factory(), how, 0).evaluate(candidates(2), {})
+    results = PopulationEvaluator(factory(), how, 0).evaluate(candidates(2), {})
     assert [(outcome.diverged, outcome.stopped, outcome.steps) for outcome in results] == [(True, True, 16)] * 2
-
-
-def test_an_interrupt_while_the_last_designs_diverge_is_saved_as_well(tmp_path: Path) -> None:
-    how = small(iterations=4)
-    how.ppo.learning_rate, how.ppo.schedule = 1e30, "fixed"
-    evaluate, file = PopulationEvaluator(factory(), how, 0).evaluate, tmp_path / "state.pt"
-    with pytest.raises(KeyboardInterrupt):
-        evaluate(candidates(2), {}, lambda event: signal.raise_signal(signal.SIGINT), file)
-    assert evaluate(candidates(2), {}, None, file) == evaluate(candidates(2), {})

@@ -83,7 +83,7 @@ def _report(config: CodesignConfig, console: Console) -> Path:
     summary: dict[str, Any] = {"status": "running"} | read_summary(source.folder)
     with Archive.read(source.folder / FILE) as archive:
         settings = dataclasses.replace(stored, top=config.top)
-        results = Results(source.folder, archive, settings, summary.get("pretraining_steps"))
+        results = Results(source.folder, archive, settings)
         for row in archive.generations():
             if row["evaluated"] == row["designs"]:
                 results.draw(row["generation"], keep=False)
