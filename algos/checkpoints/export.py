@@ -165,7 +165,7 @@ def _compare(policy: Policy, run: Runner, written: Path, path: object) -> str:
     """
     generator, apart = torch.Generator().manual_seed(0), 0.0
     for rows in ROWS:
-        obs = policy.random_obs(rows, generator)
+        obs = policy.network.random_obs(rows, generator)
         theirs, ours = run(obs.numpy()), policy.act(obs.numpy())
         if theirs.shape != ours.shape or not np.isfinite(theirs).all():
             raise RunError(f"{path} is not kept: it gives {theirs.shape} where the policy gives {ours.shape} actions.")

@@ -7,13 +7,12 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from itertools import chain
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import torch
 from rsl_rl.modules import MLP, EmpiricalNormalization
 from torch import nn
-from torch.nn import functional
 
 from warpvox.algos.checkpoints.files import (
     Controller,
@@ -25,11 +24,11 @@ from warpvox.algos.checkpoints.files import (
     with_code,
 )
 from warpvox.algos.generators import Generators
+from warpvox.algos.policies.model import VoxelModel
 from warpvox.checks import is_number
 from warpvox.design import Design, load_design
 from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
-from warpvox.envs.voxels import FEATURES, NUM_FEATURES
 from warpvox.errors import ConfigError, RunError, first_line
 from warpvox.io.reading import Unreadable, parse_json
 from warpvox.robots.network import HIGH, LOW
@@ -38,6 +37,49 @@ from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
 FORMAT, VERSION = "warpvox policy", 2
 LARGEST = 1 << 28
 """Bytes that the text of a policy may have."""
+
+
+class Layers(nn.Module):
+    """Fully connected layers behind normalised observations; TorchScript compiles them."""
+
+    mean: torch.Tensor
+    deviation: torch.Tensor
+
+    def __init__(self, spec: PolicySpec) -> None:
+        super().__init__()
+        self.mlp = nn.Sequential(*MLP(spec.num_obs, spec.num_actions, list(spec.hidden), spec.activation))
+        self.register_buffer("mean", torch.zeros(spec.num_obs))
+        self.register_buffer("deviation", torch.ones(spec.num_obs))
+        # added where it is used, so that in float64 the sum is that of training
+        self.eps = EmpiricalNormalization(1).eps if spec.normalize_obs else 0.0
+
+    def forward(self, obs: torch.Tensor) -> torch.Tensor:
+        """Outputs ``[..., num_actions]`` of observations ``[..., num_obs]``."""
+        return self.mlp((obs.to(self.mean.dtype) - self.mean) / (self.deviation + self.eps))
+
+    def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
+        """Observations ``[rows, num_obs]`` farther apart than those of training."""
+        return self.mean + 3 * (self.deviation + self.eps) * torch.randn((rows, len(self.mean)), generator=generator)
+
+
+class Actor(nn.Module):
+    """The very model of a checkpoint: a network for voxels, an open-loop gait or recurrent layers."""
+
+    def __init__(self, spec: PolicySpec) -> None:
+        super().__init__()
+        self.num_obs, self.num_actions = spec.num_obs, spec.num_actions
+        self.model: Any = build_actor(spec)
+
+    def forward(self, obs: torch.Tensor) -> torch.Tensor:
+        """Outputs ``[..., num_actions]`` of observations ``[..., num_obs]``."""
+        rows = obs.to(next(chain(self.parameters(), self.buffers())).dtype).reshape(-1, self.num_obs)
+        return self.model({OBS_GROUP: rows}).reshape((*obs.shape[:-1], self.num_actions))
+
+    def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
+        """Observations ``[rows, num_obs]`` of random bodies or at random times."""
+        if isinstance(self.model, VoxelModel):
+            return self.model.layout.random_obs(rows, generator)
+        return torch.randint(0, 1000, (rows, self.num_obs), generator=generator).float()
 
 
 class Policy(nn.Module):
@@ -60,9 +102,6 @@ class Policy(nn.Module):
     __jit_unused_properties__: ClassVar = ["design"]
     __jit_ignored_attributes__: ClassVar = ["design"]
 
-    mean: torch.Tensor
-    deviation: torch.Tensor
-
     def __init__(self, spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> None:
         super().__init__()
         self.spec, self.metadata = spec, dict(metadata or {})
@@ -72,16 +111,8 @@ class Policy(nn.Module):
         step = self.metadata.get("action_step")
         self.step = float(step) if is_number(step) else 0.0
         self.lowest, self.highest = LOW, HIGH
-        self._build()
+        self.network = Layers(spec) if spec.voxels is None and spec.gait is None and spec.rnn is None else Actor(spec)
         self.eval().requires_grad_(False)
-
-    def _build(self) -> None:
-        spec = self.spec
-        self.mlp = nn.Sequential(*MLP(spec.num_obs, spec.num_actions, list(spec.hidden), spec.activation))
-        self.register_buffer("mean", torch.zeros(spec.num_obs))
-        self.register_buffer("deviation", torch.ones(spec.num_obs))
-        # added where it is used, so that in float64 the sum is that of training
-        self.eps = EmpiricalNormalization(1).eps if spec.normalize_obs else 0.0
 
     def __call__(self, obs: torch.Tensor | np.ndarray, *more: Any) -> Any:
         """:meth:`forward` of a tensor, :meth:`act` of an array.
@@ -99,15 +130,11 @@ class Policy(nn.Module):
 
         In float64 the policy of a stored robot gives float64: the very actions of the robot.
         """
-        outputs = self.outputs(obs)
+        outputs = self.network(obs)
         if self.step > 0.0 and outputs.dtype == torch.float64:
             steps = torch.round((self.center + self.scale * outputs) / self.step)
             return (steps * self.step).clamp(self.lowest, self.highest)
         return (self.center + self.scale * outputs.float()).clamp(self.low, self.high)
-
-    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
-        """The network's outputs ``[..., num_actions]`` for observations ``[..., num_obs]``."""
-        return self.mlp((obs.to(self.mean.dtype) - self.mean) / (self.deviation + self.eps))
 
     @property
     def design(self) -> Design | dict[str, Design] | None:
@@ -127,7 +154,19 @@ class Policy(nn.Module):
 
         See :class:`warpvox.algos.checkpoints.files.Controller`, which gives the same actions.
         """
-        return copy.deepcopy(self).double()
+        if self.spec.rnn is None:
+            return copy.deepcopy(self).double()
+        model: Any = self.network.model
+        memory = model.get_hidden_state()
+        self.reset()  # it may have a history of derivatives, which cannot be copied
+        copied = copy.deepcopy(self).double()
+        model.reset(None, memory)
+        return copied
+
+    def reset(self, done: torch.Tensor | None = None) -> None:
+        """Begin new episodes, where ``done`` (bool ``[n]``) says so or everywhere; only recurrent layers remember."""
+        if self.spec.rnn is not None:
+            cast(Any, self.network.model).reset(done)
 
     def act(self, obs: np.ndarray) -> np.ndarray:
         """:meth:`forward` for numpy arrays, as gymnasium's environments have them."""
@@ -135,83 +174,24 @@ class Policy(nn.Module):
             device = next(iter(self.state_dict().values())).device
             return self(torch.as_tensor(np.asarray(obs), device=device)).cpu().numpy()
 
-    def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
-        """Observations ``[rows, num_obs]`` farther apart than those of training."""
-        return self.mean + 3 * (self.deviation + self.eps) * torch.randn((rows, self.num_obs), generator=generator)
-
-
-class ModelPolicy(Policy):
-    """A policy that runs the very model of its checkpoint."""
-
-    def _build(self) -> None:
-        self.model: Any = build_actor(self.spec)
-
-    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
-        rows = obs.to(next(chain(self.parameters(), self.buffers())).dtype).reshape(-1, self.num_obs)
-        return self.model({OBS_GROUP: rows}).reshape((*obs.shape[:-1], self.num_actions))
-
-
-class VoxelPolicy(ModelPolicy):
-    """A policy for voxels: as :class:`Policy`, for bodies of any shape that fits its grid."""
-
-    def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
-        """Observations ``[rows, num_obs]`` of random bodies that move at random."""
-        layout = self.model.layout
-        cells = 0.1 * torch.randn((rows, layout.cells, NUM_FEATURES), generator=generator)
-        kinds = torch.randint(0, 5, (rows, layout.cells), generator=generator)
-        cells[..., FEATURES["type"]] = functional.one_hot(kinds, 5).to(cells.dtype)
-        cells[..., FEATURES["neighbours"]] = (cells[..., FEATURES["neighbours"]] > 0).to(cells.dtype)
-        rest = torch.randn((rows, layout.scaled), generator=generator)
-        time = torch.randint(0, 1000, (rows, int(layout.timed)), generator=generator)
-        return torch.cat([cells.flatten(1), rest, time.float()], dim=1)
-
-
-class GaitPolicy(ModelPolicy):
-    """An open-loop gait: as :class:`Policy`, of observations whose last number is the time (``obs=timed``)."""
-
-    def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
-        """Observations ``[rows, num_obs]`` at random times."""
-        return torch.randint(0, 1000, (rows, self.num_obs), generator=generator).float()
-
-
-class RecurrentPolicy(ModelPolicy):
-    """A policy with recurrent layers: as :class:`Policy`, for observations ``[n, num_obs]`` one step after another."""
-
-    def reset(self, done: torch.Tensor | None = None) -> None:
-        """New episodes begin, where ``done`` (bool ``[n]``) says so or everywhere."""
-        self.model.reset(done)
-
-    def in_float64(self) -> "Policy":
-        """A copy as :meth:`Policy.in_float64` makes it, at the beginning of episodes."""
-        memory = self.model.get_hidden_state()
-        self.reset()  # it may have a history of derivatives, which cannot be copied
-        copied = super().in_float64()
-        self.model.reset(None, memory)
-        return copied
-
-
-KINDS = {"gait": GaitPolicy, "rnn": RecurrentPolicy, "voxels": VoxelPolicy}
-"""Policies by the entry of a specification that they have."""
-
 
 def make_policy(spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> Policy:
     """A policy of the kind that ``spec`` describes, with weights that are to be replaced."""
-    kind = next((kind for name, kind in KINDS.items() if getattr(spec, name) is not None), Policy)
     with own_torch(), Generators(0):
-        return kind(spec, metadata)
+        return Policy(spec, metadata)
 
 
 def policy_of(controller: Controller, metadata: Mapping[str, Any] | None = None) -> Policy:
     """The policy of a checkpoint's controller; its numbers are copies."""
     policy, state = make_policy(controller.spec, metadata), controller.actor.state_dict()
-    if isinstance(policy, ModelPolicy):
-        policy.model.load_state_dict(state)
+    if isinstance(policy.network, Actor):
+        policy.network.model.load_state_dict(state)
     else:
         weights = {name: value for name, value in state.items() if name.startswith("mlp.")}
         normalizer = controller.actor.obs_normalizer
         if isinstance(normalizer, EmpiricalNormalization):
             weights |= {"mean": normalizer.mean, "deviation": normalizer.std}
-        policy.load_state_dict(policy.state_dict() | weights)
+        policy.network.load_state_dict(policy.network.state_dict() | weights)
     return policy.to(next(iter(state.values())).device)
 
 
@@ -219,7 +199,7 @@ def policy_text(policy: Policy) -> str:
     """A policy as one line of JSON; its numbers are float32, little-endian, in base64."""
     weights = {
         name: base64.b64encode(value.detach().cpu().numpy().astype("<f4").tobytes()).decode()
-        for name, value in getattr(policy, "model", policy).state_dict().items()
+        for name, value in getattr(policy.network, "model", policy.network).state_dict().items()
     }
     content = {"format": FORMAT, "version": VERSION, "policy": asdict(policy.spec), "metadata": policy.metadata}
     return json.dumps(content | {"weights": weights})
@@ -241,12 +221,12 @@ def parse_policy(text: str, source: object, network: str | None = None) -> Polic
         spec = with_code(spec_of(given), network)
         check_sizes(spec)
         with torch.device("meta"):  # without memory for the weights
-            special = any(getattr(spec, name) is not None for name in KINDS)
-            model = build_actor(spec, "meta") if special else Policy(spec)
+            is_mlp = spec.voxels is None and spec.gait is None and spec.rnn is None
+            model = Layers(spec) if is_mlp else build_actor(spec, "meta")
         weights = _weights(model.state_dict(), content.get("weights"))
         check_spec(spec, weights, model)
         policy = make_policy(spec, metadata)
-        getattr(policy, "model", policy).load_state_dict(weights)
+        getattr(policy.network, "model", policy.network).load_state_dict(weights)
     except (Unreadable, TypeError, ValueError, RuntimeError, LookupError, AttributeError) as error:
         raise RunError(f"{source} holds no policy that can be read ({first_line(error):.200}).") from None
     return policy

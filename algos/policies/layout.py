@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 from torch import nn
+from torch.nn import functional
 
 from warpvox.algos.policies.gait import phase_at
 from warpvox.envs.terms.observations import is_timed
@@ -76,6 +77,19 @@ class VoxelLayout:
     @property
     def num_obs(self) -> int:
         return self.cells * NUM_FEATURES + self.scaled + self.timed
+
+    def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
+        """Observations ``[rows, num_obs]`` of random bodies that move at random."""
+        # features of the voxels: what says yes or no is 0 or 1, as it is in an environment
+        cells = 0.1 * torch.randn((rows, self.cells, NUM_FEATURES), generator=generator)
+        kinds = torch.randint(0, 5, (rows, self.cells), generator=generator)
+        cells[..., OBSERVED["type"]] = functional.one_hot(kinds, 5).to(cells.dtype)
+        cells[..., OBSERVED["neighbours"]] = (cells[..., OBSERVED["neighbours"]] > 0).to(cells.dtype)
+
+        # what follows the grid
+        rest = torch.randn((rows, self.scaled), generator=generator)
+        time = torch.randint(0, 1000, (rows, int(self.timed)), generator=generator)
+        return torch.cat([cells.flatten(1), rest, time.float()], dim=1)
 
     def dict(self) -> dict[str, Any]:
         """The layout as stored in a checkpoint; without the usual periods."""

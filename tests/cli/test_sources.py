@@ -136,7 +136,7 @@ def test_episodes_of_a_stored_robot_are_those_of_its_name() -> None:
 def test_a_trained_robot_that_was_changed_acts_as_it_is_now() -> None:
     policy = wv.load_policy("zoo:Walker-v0")
     with torch.no_grad():
-        policy.mlp[-1].weight.mul_(0)
+        policy.network.mlp[-1].weight.mul_(0)
     env = wv.make_vec("Walker-v0", policy, 1, **EXACT)
     assert wv.record(env, policy).rewards.sum() != wv.record(env, "zoo:Walker-v0").rewards.sum()
 

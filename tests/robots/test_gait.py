@@ -131,7 +131,7 @@ def test_as_a_torch_module_it_acts_the_same() -> None:
     policy = torch_policy(robot_of(gait))
     assert policy.metadata["obs"] == "timed"
     assert policy.num_obs == VoxelEnv("Walker-v0", BODY, obs="timed").observation_space.shape[0]
-    obs = policy.random_obs(64, torch.Generator().manual_seed(0)).numpy()
+    obs = policy.network.random_obs(64, torch.Generator().manual_seed(0)).numpy()
     np.testing.assert_array_equal(policy.act(obs), gait(obs))  # as the search that found it
     again = parse_policy(policy_text(policy), "a file")  # what exports hold
     np.testing.assert_array_equal(again.act(obs), gait(obs))

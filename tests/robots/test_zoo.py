@@ -51,7 +51,7 @@ def test_a_stored_robot_is_a_design_and_a_policy() -> None:
     robot = zoo(TASKS[0])
     np.testing.assert_array_equal(load_design(f"zoo:{TASKS[0]}"), robot.body)
     policy = load_policy(f"zoo:{TASKS[0]}")
-    obs = policy.random_obs(16, torch.Generator().manual_seed(0)).numpy()
+    obs = policy.network.random_obs(16, torch.Generator().manual_seed(0)).numpy()
     np.testing.assert_allclose(policy.act(obs), robot.policy(obs), atol=5e-5)  # the step of actions is 1.5e-5
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from warpvox.algos.checkpoints.files import PolicySpec, load_controller
-from warpvox.algos.checkpoints.policy import Policy, make_policy, policy_of
+from warpvox.algos.checkpoints.policy import Layers, Policy, make_policy, policy_of
 from warpvox.algos.policies.gait import AMPLITUDE
 from warpvox.design import Design
 from warpvox.envs.registry import task_ids
@@ -58,17 +58,18 @@ def policy_of_checkpoint(checkpoint: Path) -> Network | Gait:
     """The policy of a checkpoint file, as a stored robot has it."""
     policy = policy_of(load_controller(checkpoint))
     if policy.spec.gait is not None:
-        state = {name: value.numpy() for name, value in cast(Any, policy.model).state_dict().items()}
+        state = {name: value.numpy() for name, value in cast(Any, policy.network.model).state_dict().items()}
         by_cell = {name: state[name].reshape(len(state["begin"]), -1)[:, state["cells"]] for name in BY_CELL}
         return Gait(state["begin"], state["period"], **by_cell)
     if policy.spec.voxels is not None or policy.spec.rnn is not None:
         kind = "recurrent policy" if policy.spec.rnn else "policy for voxels"
         raise RunError(f"{checkpoint} holds a {kind}; the zoo has gaits and policies of fully connected layers (mlp).")
-    state = {name: value.numpy() for name, value in policy.state_dict().items()}
+    network = cast(Layers, policy.network)
+    state = {name: value.numpy() for name, value in network.state_dict().items()}
     layers = sorted((name for name in state if name.endswith(".weight")), key=lambda name: int(name.split(".")[1]))
     weights = tuple(state[name] for name in layers)
     biases = tuple(state[name.removesuffix("weight") + "bias"] for name in layers)
-    spec, deviation = policy.spec, (policy.deviation + policy.eps).numpy()
+    spec, deviation = policy.spec, (network.deviation + network.eps).numpy()
     return Network(weights, biases, state["mean"], deviation, spec.activation, float(spec.action_scale), ACTION_CENTER)
 
 
@@ -101,7 +102,7 @@ def torch_policy(robot: Robot, device: str = "cpu") -> Policy:
         # Policy's centre is fixed: another one goes into the last bias
         moved = bias + (network.center - ACTION_CENTER) / network.scale if last else bias
         state |= {f"mlp.{2 * layer}.weight": weight, f"mlp.{2 * layer}.bias": moved}
-    policy.load_state_dict({name: torch.as_tensor(value, dtype=torch.float32) for name, value in state.items()})
+    policy.network.load_state_dict({name: torch.as_tensor(value, dtype=torch.float32) for name, value in state.items()})
     return policy.to(device)
 
 
@@ -120,5 +121,5 @@ def _gait_module(robot: Robot, gait: Gait, about: dict[str, Any]) -> Policy:
     cells = np.flatnonzero(robot.body >= Cell.H_ACT)
     state = {"begin": gait.begin, "period": gait.period, "cells": cells}
     state |= by_cell(gait, robot.body)
-    cast(Any, policy.model).load_state_dict({name: torch.as_tensor(values) for name, values in state.items()})
+    cast(Any, policy.network.model).load_state_dict({name: torch.as_tensor(values) for name, values in state.items()})
     return policy
