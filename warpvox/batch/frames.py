@@ -149,9 +149,9 @@ class _Rows:
 class _PackTables:
     """Fills the tables of :data:`warpvox.kernels.state.MODEL` for packs of one frame.
 
-    The rows of robots come first in each table, then those of the other objects, which all packs and lanes have alike.
-    ``arrays`` holds the tables by name with packs first, and besides ``object_points``, int ``[packs, objects, lanes]``:
-    how many points each object has.
+    The rows of robots come first in each table, then those of the other objects, which are the same in all packs and
+    lanes. ``arrays`` holds the tables by name with packs first, and besides ``object_points``, int ``[packs, objects,
+    lanes]``: how many points each object has.
     """
 
     def __init__(self, frame: Frame, meshes: list[GridMesh], packs: int, lanes: int) -> None:
@@ -200,7 +200,7 @@ class _PackTables:
         self.arrays[name] = (robots + others).astype(np.int32)
 
     def _table(self, count: str, *more: int, kind: type = np.int32, fill: int = 0) -> np.ndarray:
-        """A table ``[packs, rows, *more]`` of ``fill``, with rows for the pack that has most of what ``count`` counts."""
+        """A table ``[packs, rows, *more]`` of ``fill``, with the largest ``count`` of a pack as its rows."""
         rows = max(1, int(self.arrays[count].max()))
         return np.full((self.packs, rows, *more), fill, kind)
 
