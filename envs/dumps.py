@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,9 +14,6 @@ from torch.nn.functional import pad
 from warpvox.errors import RolloutError
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 from warpvox.view.rollout import Rollout, facts_of, scenes_of
-
-if TYPE_CHECKING:
-    from warpvox.envs.vec_env import VoxelVecEnv
 
 STEPS = 64
 """Control steps that a file holds at most."""
@@ -38,10 +35,12 @@ class DivergenceDump:
     On the CPU it is written in the step of the divergence. On CUDA, where reading flags waits for the device, files are
     written every :data:`STEPS` steps, for the first divergence of an environment since the last time.
 
-    ``folder`` is made when there is a file, and may be changed later.
+    Args:
+        env: the :class:`warpvox.envs.vec_env.VoxelVecEnv`, which calls this object in its steps and resets.
+        folder: made when there is a file; may be changed later.
     """
 
-    def __init__(self, env: VoxelVecEnv, folder: str | os.PathLike[str]) -> None:
+    def __init__(self, env: Any, folder: str | os.PathLike[str]) -> None:
         self.env, self.folder = env, Path(folder)
         self.pause = 1 if torch.device(env.sim.device).type == "cpu" else STEPS
         self._scenes, self._points = scenes_of(env.sim)

@@ -23,8 +23,8 @@ from warpvox.errors import WorldError, did_you_mean, listing
 from warpvox.io.reading import Missing, Unreadable, parse_json, read_text
 from warpvox.io.world_files import LARGEST_GRID, read_objects
 from warpvox.io.writing import check_suffix, write_text
+from warpvox.palette import body_svg
 from warpvox.types import ACTUATORS, Cell
-from warpvox.view.palette import body_svg
 
 LARGEST_FILE = 16_000_000
 """Bytes that a world file, or the text of one, may have."""

@@ -16,9 +16,9 @@ from warpvox.algos.report.members import SearchResult
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.errors import RunError
 from warpvox.io.console import in_html, shell_argument
+from warpvox.palette import body_svg
 from warpvox.runs import CONFIG, find_run
 from warpvox.trust import again
-from warpvox.view.palette import body_svg
 
 FILE, FILM = "report.html", "film.webp"
 """The report in the folder of a search, and an episode of a robot in that of its design."""

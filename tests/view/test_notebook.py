@@ -12,8 +12,8 @@ import warpvox as wv
 from warpvox.design import example_design, sample_design
 from warpvox.envs.registry import get_task
 from warpvox.envs.worlds import task_world
+from warpvox.palette import body_svg, cell_colour
 from warpvox.view.body_picture import draw_bodies
-from warpvox.view.palette import body_svg, cell_colour
 
 
 @pytest.fixture(scope="module")

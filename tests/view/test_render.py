@@ -13,10 +13,10 @@ from hypothesis import given, strategies as st
 from PIL import Image, ImageSequence
 
 from warpvox.errors import RolloutError
+from warpvox.palette import LEVELS, colour_index, palette
 from warpvox.types import MATERIALS, Cell
 from warpvox.view import gif, render
 from warpvox.view.painter import camera_path
-from warpvox.view.palette import LEVELS, colour_index, palette
 from warpvox.view.rollout import Rollout
 
 

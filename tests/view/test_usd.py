@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 
 from warpvox.errors import RolloutError
-from warpvox.view.palette import colour_index
+from warpvox.palette import colour_index
 from warpvox.view.rollout import Rollout
 from warpvox.view.usd import write_usd
 

@@ -10,9 +10,9 @@ from warpvox.checks import check_integer
 from warpvox.compile import compile_world
 from warpvox.design import Design, as_grid
 from warpvox.errors import DesignError
+from warpvox.palette import cell_colour
 from warpvox.types import Physics
 from warpvox.view.painter import BELOW, INK, Canvas, font
-from warpvox.view.palette import cell_colour
 from warpvox.view.scene import Scene, scene_of
 from warpvox.world import World
 

@@ -10,8 +10,8 @@ from rich.style import Style
 from rich.text import Text
 
 from warpvox.io.console import echo
+from warpvox.palette import cell_colour
 from warpvox.types import EMPTY_LETTER, MATERIALS, Cell
-from warpvox.view.palette import cell_colour
 from warpvox.world import World
 
 UPPER, LOWER = "▀", "▄"

@@ -20,8 +20,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from warpvox.errors import RolloutError
 from warpvox.io.writing import atomic_path
+from warpvox.palette import colour_index, palette
 from warpvox.types import VOXEL, Cell
-from warpvox.view.palette import colour_index, palette
 from warpvox.view.rollout import Rollout, scenes_of
 from warpvox.view.scene import Scene, stretch
 

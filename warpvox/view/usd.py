@@ -17,9 +17,9 @@ from warpvox.checks import check_integer
 from warpvox.devices.out_of_memory import free_memory
 from warpvox.errors import RolloutError
 from warpvox.io.writing import atomic_path, check_suffix
+from warpvox.palette import cell_colour, colour_index, palette
 from warpvox.types import ACTUATORS, FRAME_SECONDS, MATERIALS, VOXEL, Cell
 from warpvox.view.painter import camera_path
-from warpvox.view.palette import cell_colour, colour_index, palette
 from warpvox.view.rollout import Rollout
 
 SUFFIXES = (".usdc", ".usd", ".usda")

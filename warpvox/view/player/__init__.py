@@ -23,7 +23,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -34,9 +34,6 @@ from warpvox.io.writing import check_suffix, write_text
 from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, MATERIALS, VOXEL
 from warpvox.view.scene import Scene
 
-if TYPE_CHECKING:
-    from warpvox.view.rollout import Rollout
-
 PRECISION = 4096  # steps per simulator unit: 0.24 % of a voxel
 MOST_NUMBERS = 1 << 28
 """Coordinates of all points in all frames of a page, for which a browser takes about 2 GB."""
@@ -44,7 +41,7 @@ SCRIPTS = ("data.js", "view.js", "player.js")
 
 
 def write_html(
-    rollout: Rollout,
+    rollout: Any,
     path: str | os.PathLike[str],
     envs: Sequence[int] | None = None,
     title: str | None = None,
@@ -53,7 +50,7 @@ def write_html(
     """Write a rollout as a page that plays it in a browser; return the path.
 
     Args:
-        rollout: what was recorded.
+        rollout: the :class:`warpvox.view.rollout.Rollout`; it shows itself by this module, which does not import it.
         path: where to; written whole or not at all.
         envs: environments to show; None: all.
         title: heading of the page; None: the task.
@@ -68,7 +65,7 @@ def write_html(
     return Path(path)
 
 
-def page_of(rollout: Rollout, envs: Sequence[int] | None = None, title: str | None = None, every: int = 1) -> str:
+def page_of(rollout: Any, envs: Sequence[int] | None = None, title: str | None = None, every: int = 1) -> str:
     """The page that :func:`write_html` writes, as text."""
     chosen = rollout.check_envs(envs)
     _check_length(rollout, chosen, every)
@@ -99,7 +96,7 @@ def asset(name: str, package: str = __name__) -> str:
     return files(package).joinpath(name).read_text(encoding="utf-8")
 
 
-def _describe(rollout: Rollout, envs: list[int], scale: int, every: int) -> dict[str, Any]:
+def _describe(rollout: Any, envs: list[int], scale: int, every: int) -> dict[str, Any]:
     """All but the trajectories, as JSON values."""
     used = sorted({int(rollout.design_index[env]) for env in envs})
     known = {key: rollout.metadata.get(key) for key in ("rules", "physics", "agent", "seed", "iteration")}
@@ -140,7 +137,7 @@ def _describe_scene(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _pack(rollout: Rollout, envs: list[int], every: int) -> tuple[int, bytes]:
+def _pack(rollout: Any, envs: list[int], every: int) -> tuple[int, bytes]:
     """Steps per simulator unit, and the compressed arrays; environment by environment, so that it takes little."""
 
     def track(env: int) -> np.ndarray:
@@ -170,7 +167,7 @@ def _pack(rollout: Rollout, envs: list[int], every: int) -> tuple[int, bytes]:
     return scale, b"".join([*(packer.compress(array.tobytes()) for array in arrays()), packer.flush()])
 
 
-def _check_length(rollout: Rollout, envs: list[int], every: int) -> None:
+def _check_length(rollout: Any, envs: list[int], every: int) -> None:
     """Raise RolloutError if a browser could not hold the page."""
     check_integer("every", every, 1, error=RolloutError)
     points = sum(rollout.scene(env).num_points for env in envs)
