@@ -17,9 +17,6 @@ from warpvox.view.rollout import Rollout, facts_of, scenes_of
 
 STEPS = 64
 """Control steps that a file holds at most."""
-LIMIT = 10
-"""Files that a folder holds at most."""
-PATTERN = "diverged_*.npz"
 
 
 class DivergenceDump:
@@ -89,8 +86,8 @@ class DivergenceDump:
 
     def _write(self, env: int) -> Path | None:
         """Write the file of one environment; if that fails, warn once and write no more."""
-        taken = [int(number) for p in self.folder.glob(PATTERN) if (number := p.stem.split("_")[1]).isdigit()]
-        if not self._open or len(taken) >= LIMIT:
+        taken = [int(number) for p in self.folder.glob("diverged_*.npz") if (number := p.stem.split("_")[1]).isdigit()]
+        if not self._open or len(taken) >= 10:
             return None
         path = self.folder / f"diverged_{max(taken, default=0) + 1:03}_env{env}.npz"
         try:

@@ -9,9 +9,6 @@ from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.spec import Observation
 from warpvox.simulation import Simulation
 
-LEAST_POINTS = 4
-"""Points of the smallest body, a single voxel."""
-
 
 class ObservationLayout:
     """Concatenates observation terms; each design's real entries come first, the rest of its row is 0.
@@ -43,7 +40,7 @@ class ObservationLayout:
                 if robot:
                     least[k] = 0
                 elif value.ndim == 3 and dict(term.params).get("name") in sim.action_columns[0]:
-                    least[k] = 2 * LEAST_POINTS
+                    least[k] = 2 * 4  # x and y of a single voxel's points
         starts = [0, *accumulate(least)]
         stops = accumulate(most)
         self.places = {term.name: slice(start, stop) for term, start, stop in zip(terms, starts, stops, strict=False)}
