@@ -15,7 +15,7 @@ import numpy as np
 
 from warpvox.contact_order import order_arrays
 from warpvox.errors import SimulationError
-from warpvox.types import VOXEL, Cell, Physics
+from warpvox.types import ACTUATORS, VOXEL, Cell, Physics
 from warpvox.world import World, WorldObject
 
 # Corners and sides of a voxel in clockwise order; side k runs from corner k to corner k + 1.
@@ -250,7 +250,7 @@ def _set_drives(body: Body, kinds: list[list[int]]) -> None:
     action = 0
     for (row, column), (top, right, bottom, left) in body.sides.items():
         kind = kinds[row][column]
-        if kind in (Cell.H_ACT, Cell.V_ACT):
+        if kind in ACTUATORS:
             for s in (top, bottom) if kind == Cell.H_ACT else (left, right):
                 body.drives.setdefault(s, []).append(action)
             action += 1

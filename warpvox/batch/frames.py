@@ -179,9 +179,9 @@ class _PackTables:
         self.voxels: list[_Rows] = []
         self.first_point = self.first_spring = self.first_voxel = np.zeros(self.packs, int)
         for mesh in self.meshes:
-            points = _Rows(mesh.point.any(-1), self.first_point)
-            springs = _Rows(mesh.spring.any(-1), self.first_spring)
-            voxels = _Rows(mesh.side.any((2, 3)), self.first_voxel)
+            points = _Rows(np.any(mesh.point, -1), self.first_point)
+            springs = _Rows(np.any(mesh.spring, -1), self.first_spring)
+            voxels = _Rows(np.any(mesh.side, (2, 3)), self.first_voxel)
             self.points.append(points)
             self.springs.append(springs)
             self.voxels.append(voxels)
@@ -265,7 +265,7 @@ class _PackTables:
 
         # Pairs of which some lane has none are left out.
         follows = np.concatenate(all_follows, axis=1)
-        rows = _Rows(follows.any(-1), np.zeros(self.packs, int))
+        rows = _Rows(np.any(follows, -1), np.zeros(self.packs, int))
         self._count("twins", rows.stop, 0)
         twin = self._table("twins", 2)
         twin_lanes = self._table("twins")
