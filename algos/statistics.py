@@ -1,8 +1,10 @@
 """Means with their confidence intervals, by Student's t distribution."""
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -28,16 +30,22 @@ class Interval:
 
 
 def mean_interval(values: Sequence[float] | np.ndarray, level: float = LEVEL) -> Interval:
-    """The mean of independent values, with Student's interval: ``mean -+ t(n - 1) * deviation / sqrt(n)``.
+    """The mean of independent values with Student's interval.
 
     ValueError: there are no values.
     """
-    data = _data(values)
-    n, mean = len(data), float(data.mean())
+    from scipy import stats  # slow to import
+
+    data = _checked(values)
+    n = len(data)
+    mean = float(data.mean())
     if n < 2:
         return Interval(mean, math.nan, math.nan, n)
-    half = _quantile(n - 1, level) * float(data.std(ddof=1)) / math.sqrt(n)
-    return Interval(mean, mean - half, mean + half, n)
+    error = float(data.std(ddof=1)) / math.sqrt(n)
+    if error == 0:
+        return Interval(mean, mean, mean, n)
+    low, high = stats.t.interval(level, n - 1, mean, error)
+    return Interval(mean, float(low), float(high), n)
 
 
 def difference(first: Sequence[float], second: Sequence[float], level: float = LEVEL) -> Interval:
@@ -45,29 +53,25 @@ def difference(first: Sequence[float], second: Sequence[float], level: float = L
 
     ``n`` is the smaller number of values. ValueError: there are no values.
     """
-    a, b = _data(first), _data(second)
-    n, mean = min(len(a), len(b)), float(a.mean() - b.mean())
+    from scipy import stats  # slow to import
+
+    a, b = _checked(first), _checked(second)
+    n = min(len(a), len(b))
+    mean = float(a.mean() - b.mean())
     if n < 2:
         return Interval(mean, math.nan, math.nan, n)
-    parts = [float(data.var(ddof=1)) / len(data) for data in (a, b)]
-    total = sum(parts)
-    if total == 0:
+    if a.std() == b.std() == 0:
         return Interval(mean, mean, mean, n)
-    shares = (part / total for part in parts)  # whose squares do not vanish as those of tiny variances do
-    freedom = 1 / sum(share**2 / (len(data) - 1) for share, data in zip(shares, (a, b), strict=True))
-    half = _quantile(freedom, level) * math.sqrt(total)
-    return Interval(mean, mean - half, mean + half, n)
+    with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
+        # About the test of nearly equal values, whose p value is not used.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        test: Any = stats.ttest_ind(a, b, equal_var=False)
+        low, high = test.confidence_interval(level)
+    return Interval(mean, float(low), float(high), n)
 
 
-def _data(values: Sequence[float] | np.ndarray) -> np.ndarray:
+def _checked(values: Sequence[float] | np.ndarray) -> np.ndarray:
     data = np.asarray(values, dtype=np.float64)
     if data.ndim != 1 or not len(data):
         raise ValueError(f"a mean needs a list of values, got an array of shape {data.shape}")
     return data
-
-
-def _quantile(freedom: float, level: float) -> float:
-    """Standard errors that the interval reaches to each side."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(freedom, 0.5 + level / 2))

@@ -13,7 +13,7 @@ from warpvox.types import RULES
 from warpvox.view.rollout import AGENTS
 
 POLICY_EXPORTS = ("onnx", "jit")
-OWN_TASK = "For a run of a task of your own: its code, file.py:NAME, or stored for the copy in the run"
+OWN_TASK = "For a run of a task of your own: its code, file.py:NAME"
 """Meaning of ``task`` beside ``run``."""
 
 
@@ -24,7 +24,7 @@ class _PolicyConfig:
     stochastic: bool = key(False, "sample actions from the policy as in training, instead of taking their mean")
     policy: str | None = key(
         None,
-        "for a run with a network of your own: its code, file.py:Class, or stored for the copy in the run",
+        "for a run with a network of your own: its code, file.py:Class",
         path="read",
     )
     device: str = key("auto", DEVICES)

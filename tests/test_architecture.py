@@ -2,6 +2,7 @@
 
 import ast
 import io
+import re
 import tokenize
 from collections.abc import Iterable, Iterator
 from functools import cache
@@ -9,6 +10,8 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import api_pages
+
+from warpvox import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 NO_CODE = {
@@ -106,6 +109,26 @@ def test_no_file_imports_itself_by_way_of_others() -> None:
     # The package itself loads its names on demand, and a package's own file may name what is in its folder.
     graph = {name: {t for t in targets if not f"{name}.".startswith(f"{t}.")} for name, targets in graph.items()}
     TopologicalSorter(graph).prepare()  # raises CycleError, which names the files
+
+
+def test_the_library_does_not_speak_shell() -> None:
+    command = re.compile(rf"warpvox ({'|'.join(cli.COMMANDS)})\b")
+    wrong = []
+    for module, path in SOURCES.items():
+        # The report is a page for people, with the command that plays a design beside it.
+        if module == "warpvox.algos.report" or not module.startswith(
+            ("warpvox.algos", "warpvox.envs", "warpvox.kernels")
+        ):
+            continue
+        tree = parse(path)
+        for line, target in imports(tree):
+            if target.split(".")[0] == "rich":
+                wrong.append(f"{place(path, line)} imports rich")
+        docstrings = [node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)]
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and node not in docstrings and command.search(str(node.value)):
+                wrong.append(f"{place(path, node.lineno)} writes a command to type")
+    assert not wrong, "\n".join(wrong)
 
 
 def test_linked_folders_are_imported_by_their_full_name() -> None:

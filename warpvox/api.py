@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
@@ -66,13 +67,14 @@ def train(
         ConfigError: an unknown setting, or a value that it does not take. WarpvoxError: as the command, in words.
         KeyboardInterrupt: interrupted; the state has been saved, if there is a folder.
     """
-    from warpvox.algos.training.job import Job, Listener
+    from warpvox.algos.find import find_run
+    from warpvox.algos.training.job import Job
     from warpvox.algos.training.loading import TrainedRun
-    from warpvox.algos.training.progress import listener
     from warpvox.algos.training.settings import Training
     from warpvox.batch.options import SimOptions
-    from warpvox.runs import TRAINING, find_run
-    from warpvox.trust import check_services, typed, with_code
+    from warpvox.code import KEYS, with_passed_code
+    from warpvox.progress.training import Notebook, Terminal, with_tracker
+    from warpvox.runs import TRAINING
 
     given = settings | {key: value for key, value in {"task": task, "design": design}.items() if value is not None}
     base = given.pop("task") if isinstance(task, Training) else None
@@ -107,15 +109,16 @@ def train(
             if isinstance(part := getattr(base, key), Settings) and isinstance(value, Mapping):
                 given[key] = changed(part, value, key)
     config = Training(**given) if base is None else dataclasses.replace(base, **given)
-    if source is None:
-        config = with_code(config, typed(config))
-    else:
-        check_services(config, source.config, given)
-        config = with_code(config, typed(config, given), source.config, source.folder)
+    # What the user's own settings name was passed; of the settings of a run only what is given beside it.
+    passed = given if base is not None and not isinstance(task, Training) else KEYS
+    config = with_passed_code(config, passed, resume)
     job = Job(config, named, source)
     write = place is not None
     place = None if str(place) == "auto" else place
-    job.train(listener() if progress else Listener(), listeners, write=write, place=place)
+    shows = []
+    if progress:
+        shows = [Notebook() if "ipykernel" in sys.modules else Terminal()]
+    job.train(with_tracker(config.logger, shows), listeners, write=write, place=place)
     return TrainedRun.of(job)
 
 
@@ -186,6 +189,7 @@ def evaluate(
         RunError: no such run. ConfigError: a function without a task, an unknown option or value. WarpvoxError: as
             :func:`warpvox.make_vec`.
     """
+    from warpvox.algos.find import find_runs, matches
     from warpvox.algos.protocols import NOMINAL, parts_of
     from warpvox.algos.settings import physics_of
     from warpvox.algos.training.bodies import load_bodies
@@ -200,8 +204,7 @@ def evaluate(
     from warpvox.devices.startup import own_torch
     from warpvox.envs.registry import get_task
     from warpvox.envs.vec_env import make_vec
-    from warpvox.runs import Run, find_runs, matches
-    from warpvox.trust import STORED
+    from warpvox.runs import Run
 
     check_known(options, evaluate, Playing, without=("num_envs",))
     config = EvaluateConfig(stochastic=stochastic, episodes=episodes, protocol=protocol, seed=seed, level=level)
@@ -228,7 +231,7 @@ def evaluate(
         for number, one in enumerate(found):
             # Runs and stored robots
             if isinstance(one, list):
-                if isinstance(own, str) and not (beside or isinstance(own, Code) or own == STORED):
+                if isinstance(own, str) and not (beside or isinstance(own, Code)):
                     raise ConfigError(f"task={own!r} goes with functions, or is the code of a run's own task.")
                 for run in one:
                     rows.extend(evaluate_run(run, how, None if beside and not run.is_many else design, level))

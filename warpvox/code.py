@@ -1,37 +1,30 @@
 """Code of the user's own, ``FILE.py:NAME`` or ``MODULE:NAME``: the only module that imports any.
 
-It takes a :class:`Code`, text that the user has typed. What a file holds is a plain string, and a string is never code.
-
-A file is imported with its folder first on the search path. If the folder is a package (it holds ``__init__.py``), the
-file is a module of that package. The modules beside it are forgotten afterwards, so that two files may have neighbours
-of the same name. A module is looked for in the current folder and among what is installed, and stays imported.
+A file names code, it never makes it run. What the user passes is a :class:`Code`; what a file holds is a plain string,
+which :func:`load_code` refuses. To go on with a run that names code, the user passes the key again.
 """
 
-import ast
+import dataclasses
+import functools
 import importlib
 import os
+import shlex
 import sys
-import sysconfig
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import dataclass
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.errors import ConfigError, StoredCodeError, did_you_mean, listing
 
-invocation: ContextVar[tuple[str, ...]] = ContextVar("invocation", default=())
-"""The command line without the program's name, for advice that can be pasted."""
-
-INSTALLED = tuple({sysconfig.get_paths()[name] for name in ("stdlib", "platstdlib", "purelib", "platlib")})
-"""Folders of Python's own and of installed modules."""
+KEYS = ("task", "policy", "search.make", "evaluation.make", "evaluation.policy")
+"""Settings whose values may name code."""
 
 
 class Code(str):
-    """``FILE.py:NAME`` or ``MODULE:NAME`` that the user has typed, on the command line or in Python.
+    """``FILE.py:NAME`` or ``MODULE:NAME`` that the user has passed, on the command line or in Python.
 
     A text like any other, but that :func:`load_code` takes it. Stored and read again it is a plain string.
     """
@@ -40,7 +33,7 @@ class Code(str):
 
 
 def is_code(text: object) -> bool:
-    """True if a text names code, typed or not: ``FILE.py:NAME`` or ``MODULE:NAME``."""
+    """True if a text names code, passed by the user or not: ``FILE.py:NAME`` or ``MODULE:NAME``."""
     return isinstance(text, str) and ":" in text
 
 
@@ -59,7 +52,7 @@ def load_code(code: str, is_wanted: Callable[[Any], bool] = callable, kind: str 
         is_wanted, kind: whether an object is of the kind that is expected, and what this is called.
 
     Raises:
-        ConfigError: the user has not typed it, it cannot be imported, or it is of another kind.
+        ConfigError: the user has not passed it, it cannot be imported, or it is of another kind.
     """
     if not isinstance(code, Code):
         raise ConfigError(
@@ -67,7 +60,7 @@ def load_code(code: str, is_wanted: Callable[[Any], bool] = callable, kind: str 
             " policy=, search.make=), or in Python as warpvox.Code('FILE.py:NAME')."
         )
     place, _, name = code.rpartition(":")
-    module = _loaded(place).module
+    module = _import(place)
     found = getattr(module, name, None)
     if found is None or not is_wanted(found):
         names = [key for key, value in vars(module).items() if not key.startswith("_") and is_wanted(value)]
@@ -76,85 +69,57 @@ def load_code(code: str, is_wanted: Callable[[Any], bool] = callable, kind: str 
     return found
 
 
-def sources_of(code: Code) -> tuple[Path, list[Path]]:
-    """The files that imported code consists of, to be copied, and the folder that they lie below.
-
-    These are its source, the modules beside it that are imported, and files beside these that they name by a text.
-    Nothing for an installed module.
-    """
-    loaded = _loaded(code.rpartition(":")[0])
-    return loaded.root, [*loaded.files, *sorted(_named_in(loaded.files) - set(loaded.files))]
-
-
-@dataclass(frozen=True)
-class _Loaded:
-    """A module, the folder that it is imported from, and the files below it that were imported."""
-
-    module: ModuleType
-    root: Path
-    files: list[Path]
-
-
-_cache: dict[tuple[str, ModuleType | None], _Loaded] = {}
-
-
-def _loaded(place: str) -> _Loaded:
-    is_file = place.endswith(".py")
+def _import(place: str) -> ModuleType:
+    """The module or file of this name. ConfigError: there is none, or it cannot be imported."""
     path = Path(place).expanduser().resolve()
+    is_file = place.endswith(".py")
     if is_file and not path.is_file():
         raise ConfigError(f"There is no file {place}.")
-    key = (str(path), None) if is_file else (place, sys.modules.get(place))
-    if key not in _cache:
-        try:
-            loaded = _load_file(path) if is_file else _load_module(place)
-        except (Exception, SystemExit) as error:  # code may raise anything
-            missing = error.name if isinstance(error, ModuleNotFoundError) else None
-            if missing and not is_file and f"{place}.".startswith(f"{missing}."):
-                raise ConfigError(f"There is no module {place!r}, neither in {os.getcwd()} nor installed.") from None
-            reason = f"{type(error).__name__}: {str(error).rstrip('.')}"
-            raise ConfigError(f"{place!r} cannot be imported: {reason}.") from error
-        key = key if is_file else (place, loaded.module)
-        _cache[key] = loaded
-    return _cache[key]
-
-
-def _load_file(path: Path) -> _Loaded:
-    root, names = path.parent, [path.stem]
-    while (root / "__init__.py").is_file() and root != root.parent:
-        root, names = root.parent, [root.name, *names]
-    before = set(sys.modules)
-    with _first_on_the_path(root):
-        try:
-            module = importlib.import_module(".".join(names)) if len(names) > 1 else _run(path)
-            return _Loaded(module, root, sorted({path, *(_own(root).values())}))
-        finally:
-            for name in _own(root).keys() - before:
-                del sys.modules[name]
-
-
-def _run(path: Path) -> ModuleType:
-    name = f"_code_{path.stem}"  # json.py must not stand in for what everybody uses
-    spec: Any = spec_from_file_location(name, path)  # there is one for every .py
-    module = sys.modules[name] = module_from_spec(spec)  # dataclasses look their module up
     try:
-        spec.loader.exec_module(module)
-    finally:
-        del sys.modules[name]
-    return module
+        if is_file:
+            return _import_file(path)
+        # A program that is started by its name does not look into the current folder.
+        with _first_on_path(Path.cwd()):
+            return importlib.import_module(place)
+    except (Exception, SystemExit) as error:  # code may raise anything
+        missing = error.name if isinstance(error, ModuleNotFoundError) else None
+        if missing and not is_file and f"{place}.".startswith(f"{missing}."):
+            raise ConfigError(f"There is no module {place!r}, neither in {os.getcwd()} nor installed.") from None
+        reason = f"{type(error).__name__}: {str(error).rstrip('.')}"
+        raise ConfigError(f"{place!r} cannot be imported: {reason}.") from error
 
 
-def _load_module(name: str) -> _Loaded:
-    with _first_on_the_path(Path.cwd()):  # a program that is started by its name does not look into the current folder
-        module = importlib.import_module(name)
-    source = Path(getattr(module, "__file__", None) or "").resolve()
-    if name not in _own(Path("/")) or not source.is_file():
-        return _Loaded(module, source.parent, [])
-    root = source.parents[len(name.split(".")) - (source.name != "__init__.py")]
-    return _Loaded(module, root, sorted({source, *_own(root).values()}))
+@functools.cache
+def _import_file(path: Path) -> ModuleType:
+    """Import a file with its folder first on the search path; in a package, as a module of it."""
+    root = path.parent
+    name = path.stem
+    while (root / "__init__.py").is_file():
+        name = f"{root.name}.{name}"
+        root = root.parent
+    before = set(sys.modules)
+    with _first_on_path(root):
+        try:
+            if "." in name:
+                return importlib.import_module(name)
+            # json.py must not stand in for what everybody imports by that name.
+            spec: Any = spec_from_file_location(f"_code_{name}", path)
+            module = module_from_spec(spec)
+            sys.modules[spec.name] = module  # where dataclasses look for it
+            spec.loader.exec_module(module)
+            return module
+        finally:
+            # Another file may have neighbours of the same names.
+            for other in set(sys.modules) - before:
+                file = Path(str(getattr(sys.modules[other], "__file__", None)))
+                installed = {"site-packages", "dist-packages"}.intersection(file.parts)
+                known = other.partition(".")[0] in ("warpvox", *sys.stdlib_module_names)
+                if file.is_relative_to(root) and not installed and not known:
+                    del sys.modules[other]
 
 
 @contextmanager
-def _first_on_the_path(folder: Path) -> Iterator[None]:
+def _first_on_path(folder: Path) -> Iterator[None]:
     importlib.invalidate_caches()
     sys.path.insert(0, str(folder))
     try:
@@ -163,28 +128,54 @@ def _first_on_the_path(folder: Path) -> Iterator[None]:
         sys.path.remove(str(folder))
 
 
-def _own(root: Path) -> dict[str, Path]:
-    """The user's own among the imported modules: those whose sources lie below ``root``, by name."""
+def passed_code(key: str, stored: Any, given: Any, place: object) -> Any:
+    """The stored value of a key or, where that names code, the code that the user has passed.
+
+    Raises:
+        StoredCodeError: the user has passed none.
+    """
+    if not is_code(stored) or isinstance(stored, Code):
+        return stored
+    if not isinstance(given, Code):
+        raise StoredCodeError(key, stored, place)
+    return given
+
+
+def with_passed_code(settings: Any, given: Collection[str], place: object) -> Any:
+    """Settings in which the code of the keys that the user has ``given`` can be imported.
+
+    Raises:
+        StoredCodeError: another key names code, in ``place``.
+    """
+    for key, text in code_of(settings).items():
+        code = passed_code(key, text, Code(text) if key in given else None, place)
+        part, _, name = key.rpartition(".")
+        if part:
+            settings = dataclasses.replace(
+                settings, **{part: dataclasses.replace(getattr(settings, part), **{name: code})}
+            )
+        else:
+            settings = dataclasses.replace(settings, **{name: code})
+    return settings
+
+
+def code_of(settings: Any) -> dict[str, str]:
+    """The values of settings, or of a stored configuration, that name code, by dotted key."""
     found = {}
-    for name, module in list(sys.modules.items()):
-        file = getattr(module, "__file__", None)
-        if name.partition(".")[0] in (*sys.stdlib_module_names, "warpvox", "__main__") or not isinstance(file, str):
-            continue
-        if not file.endswith(".py") or not os.path.isabs(file) or file.startswith(INSTALLED):
-            continue
-        if Path(file).resolve().is_relative_to(root):
-            found[name] = Path(file).resolve()
+    for key in KEYS:
+        value = settings
+        for name in key.split("."):
+            value = value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
+        if is_code(value):
+            found[key] = value
     return found
 
 
-def _named_in(sources: list[Path]) -> set[Path]:
-    """Files beside ``sources`` that a text in them names, such as a world."""
-    texts = {
-        (source.parent, node.value)
-        for source in sources
-        for node in ast.walk(ast.parse(source.read_bytes()))
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and 0 < len(node.value) < 200
-    }
-    found = {folder / text for folder, text in texts if not text.startswith(("/", "."))}
-    # os.path's test takes any text, also with NUL or of more bytes than a name may have
-    return {file for file in found if ".." not in file.parts and os.path.isfile(file) and not file.is_symlink()}
+def words_of_code(settings: Any) -> str:
+    """The words of a command that pass the code of settings again, each after a blank, as a shell takes them."""
+    return "".join(f" {shlex.quote(f'{key}={text}')}" for key, text in code_of(settings).items())
+
+
+def same_code(one: object, other: object) -> bool:
+    """Whether both are code of the same name, which may have moved to another place."""
+    return is_code(one) and is_code(other) and str(one).rpartition(":")[2] == str(other).rpartition(":")[2]

@@ -11,17 +11,16 @@ from rich.console import Console
 from warpvox.algos.candidate import DesignEvaluator, Listener, Search
 from warpvox.algos.codesign.evaluations import EVALUATIONS, Custom, Evaluation
 from warpvox.algos.codesign.loop import Executor
-from warpvox.algos.codesign.progress import SearchProgress
 from warpvox.algos.codesign.results import Found
 from warpvox.algos.codesign.run import run_codesign
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.search.base import BaseSearch
 from warpvox.algos.search.settings import ALGORITHMS, CustomSearch, SearchSettings
 from warpvox.checks import check_flag, check_known, check_path, is_integer, is_list
-from warpvox.code import Code
+from warpvox.code import KEYS, Code, with_passed_code
 from warpvox.errors import ConfigError
 from warpvox.keys import changed
-from warpvox.trust import typed, with_code
+from warpvox.progress.search import SearchProgress, with_tracker
 
 
 def codesign(
@@ -87,10 +86,10 @@ def codesign(
             f"The search was made with shape={list(own.shape)} and seed={own.seed}, asked for {job.shape} and"
             f" {job.seed}: leave them away, or make the search with them."
         )
-    job = with_code(job, typed(job))
+    job = with_passed_code(job, KEYS, folder)
     kept = tempfile.TemporaryDirectory(prefix="warpvox_") if folder is None else None
     place = Path(kept.name) if kept else None if str(named) == "auto" else named
-    watching = [*([SearchProgress(Console())] if progress else []), *listeners]
+    watching = with_tracker(job, [*([SearchProgress(Console())] if progress else []), *listeners])
     made = None if isinstance(executor, str) else executor
     found = run_codesign(job, place, watching, search=own, executor=made)
     return dataclasses.replace(found, kept=kept)

@@ -10,6 +10,8 @@ A message says what was expected, what was given, which values are valid and whi
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
 
 class WarpvoxError(Exception):
@@ -40,8 +42,44 @@ class UnknownArgumentError(ConfigError, TypeError):
     """An argument that the function does not have: a TypeError in Python's words, by which other libraries know it."""
 
 
+class StoredCodeError(ConfigError):
+    """A file names code, which is imported only if the user passes its key again.
+
+    Attributes:
+        key: such as ``task``.
+        text: the code as the file names it.
+        place: of the file, or its folder.
+    """
+
+    def __init__(self, key: str, text: str, place: object) -> None:
+        super().__init__(key, text, place)
+        self.key = key
+        self.text = text
+        self.place = place
+
+    def __str__(self) -> str:
+        return (
+            f"{self.place} names code, {self.key}={self.text!r:.200}, which is imported only if you name it yourself:"
+            f" {self.key}=FILE.py:NAME."
+        )
+
+
 class RunError(WarpvoxError, ValueError):
     """A folder that is not a run of warpvox, or a run that lacks what was asked for."""
+
+
+class ResumeError(RunError):
+    """A run that does not go on as it is, but would from another checkpoint or with other settings.
+
+    Attributes:
+        resume: the folder or checkpoint to go on from.
+        changes: settings by name that let it go on.
+    """
+
+    def __init__(self, message: str, resume: Path, **changes: Any) -> None:
+        super().__init__(message)
+        self.resume = resume
+        self.changes = changes
 
 
 class DivergenceError(RunError):

@@ -3,7 +3,6 @@
 import dataclasses
 import errno
 import functools
-import glob
 import os
 import re
 import shutil
@@ -18,13 +17,22 @@ from pathlib import Path
 from typing import Any
 
 from warpvox import __version__
-from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, archives_in, repair_hint
 from warpvox.checks import is_number
+from warpvox.code import code_of, same_code
 from warpvox.errors import ConfigError, RunError, StorageError, listing
-from warpvox.io.reading import CONFIG, END, SUMMARY, read_config, read_facts
-from warpvox.io.writing import MARK, check_encodable, check_writable, claimed, complaint, sweep, to_json, write_text
-from warpvox.robots.entry import Robot, zoo
-from warpvox.robots.gait import Gait
+from warpvox.io.reading import CONFIG, END, SUMMARY, read_facts
+from warpvox.io.writing import (
+    MARK,
+    check_encodable,
+    check_writable,
+    claimed,
+    complaint,
+    sweep,
+    to_json,
+    write_bytes,
+    write_text,
+)
+from warpvox.robots.entry import Robot
 from warpvox.system import is_device_name, processor_name
 
 NUMBERS = ("evaluations", "steps", "elapsed_seconds", "best_fitness", "pretraining_steps")  # of a summary
@@ -35,11 +43,6 @@ STATE = "state.pt"
 """Everything that learning depends on, from before the first iteration on; only the newest is kept."""
 TRAINING = ("train",)
 CODESIGN = "codesign"
-NEEDED = {
-    "train": ("a run of `warpvox train`", {"task", "design", "ppo"}),
-    CODESIGN: ("a design search", {"task", "search", "training"}),
-}
-"""What the run of a command is, and keys that its configuration has."""
 label: ContextVar[str] = ContextVar("label", default="")
 """Label of a run of a sweep: the values that others have otherwise, for the name of its folder."""
 STAMP, STAMP_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
@@ -93,128 +96,15 @@ class Run:
         return self.folder / f"model_{which}.pt"
 
 
-def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, CODESIGN), resume: bool = False) -> Run:
-    """The run that ``text`` names: ``latest``, a folder, a checkpoint file in one, or a robot, ``zoo:Walker-v0``.
+def without_services(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Stored settings but for those by which a program connects to a service: to have them, they are given again.
 
-    A design search stands for its best design; the folders ``designs/<id>`` in it are runs of their own.
-
-    Args:
-        commands: whose runs ``latest`` may be.
-        resume: ``latest`` may be a run that was stopped before it had a checkpoint to play.
+    A logger may send figures to the user's own account, and who connects to a Ray cluster can be made to run code.
     """
-    if text.startswith(ZOO) and not resume:
-        return run_of_robot(zoo(text.removeprefix(ZOO)))
-    path = _latest(Path(output_dir), commands, resume) if text == "latest" else Path(text).expanduser()
-    if not path.exists():
-        raise RunError(f"There is no run at {path}: expected latest, the folder of a run or a checkpoint in it.")
-    folder = _folder_of(path)
-    if (folder / ARCHIVE).is_file():
-        with Archive.read(folder / ARCHIVE) as archive:
-            best = [record for record in archive.best() if record.policy is not None]
-        if not best:
-            raise RunError(f"The design search {folder} has no design with a policy yet.")
-        path = folder = (folder / str(best[0].policy)).parent
-    return Run(folder, _config_of(folder, "train"), path if path.is_file() else None)
-
-
-def run_of_robot(robot: Robot) -> Run:
-    """The run that stands for a stored robot."""
-    policy = "gait" if isinstance(robot.policy, Gait) else "mlp"
-    known = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "obs": robot.obs}
-    return Run(Path(robot.source or f"{ZOO}{robot.task}"), known | {"policy": policy}, robot=robot)
-
-
-def _folder_of(path: Path) -> Path:
-    """The folder of a run that is named by itself or by a file in it."""
-    if path.is_dir():
-        return path
-    if not (path.parent / CONFIG).is_file():
-        raise RunError(f"{path} is a file in a folder that is no run: there is no {CONFIG} beside it.")
-    return path.parent
-
-
-def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
-    """The runs that ``texts`` name, each once: as for :func:`find_run`, patterns of folders or checkpoints, or sweeps.
-
-    What a pattern (``outputs/train/*/*``) matches, or a sweep has made, and is neither is left out.
-    """
-    found: dict[tuple[Path, Path | None], Run] = {}
-    for text in texts:
-        names = [text]
-        if (paths := matches(text)) is not None:
-            homes = ((path, path.parent if path.match("model_*.pt") else path) for path in paths)
-            runs, keys = ((path, home) for path, home in homes if (home / CONFIG).is_file()), NEEDED["train"][1]
-            names = [str(path) for path, home in runs if keys <= read_config(home).keys() or (home / ARCHIVE).is_file()]
-            if not names:
-                raise RunError(f"No run of `warpvox train` or `warpvox codesign` matches {text}.")
-        found |= {(run.folder.resolve(), run.checkpoint): run for run in (find_run(one, output_dir) for one in names)}
-    if not found:
-        raise RunError("There are no runs: runs=[] names none.")
-    return list(found.values())
-
-
-def matches(text: str) -> list[Path] | None:
-    """Paths that match a pattern, or that a sweep, named by its folder or table, has made; None: ``text`` is a name."""
-    pattern = os.path.expanduser(text)
-    sweep = Path(pattern.removesuffix(".csv"))
-    if sweep.name.startswith("sweep_") and sweep.is_dir():  # a run's place seen from it; else the one it says
-        places = [str(read_facts(file).get("folder", "")) for file in sorted(sweep.glob("run_*.json"))]
-        beside = {Path(place): sweep.parent.joinpath(*Path(place).parts[-2:]) for place in places if place}
-        return [near if near.exists() else place for place, near in beside.items()]
-    if not any(mark in text for mark in "*?[") or Path(pattern).exists():
-        return None
-    return sorted(map(Path, glob.glob(pattern, recursive=True)))
-
-
-def find_codesign(text: str, output_dir: str) -> Run:
-    """The design search that ``text`` names: ``latest`` or a folder."""
-    path = _latest(Path(output_dir), (CODESIGN,)) if text == "latest" else Path(text).expanduser()
-    if not path.exists():
-        raise RunError(f"There is no design search at {path}: expected latest or the folder of one.")
-    folder = _folder_of(path)
-    content = _config_of(folder, CODESIGN)
-    if not (folder / ARCHIVE).is_file():
-        hint = repair_hint(folder / ARCHIVE)
-        why = f".{hint}" if hint else ": the search was stopped before its first design; start it again."
-        raise RunError(f"{folder} has no {ARCHIVE}{why}")
-    return Run(folder, content)
-
-
-def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
-    """The folders of the design searches that ``texts`` name, each once; none if they name anything else.
-
-    A text is ``latest``, the folder of a search, one that searches lie in (a sweep), or a pattern of such.
-    """
-    found: dict[Path, Path] = {}
-    others = []
-    for text in texts:
-        named = _latest(Path(output_dir), (*TRAINING, CODESIGN)) if text == "latest" else Path(text).expanduser()
-        paths = matches(text) or [named]
-        folders = [folder for path in paths for folder in archives_in(path)]
-        found |= {folder.resolve(): folder for folder in folders}
-        others += [] if folders else [text]
-    if found and others:
-        raise RunError(f"Some of what is named are design searches; {listing(others)} is none and has none in it.")
-    return list(found.values())
-
-
-def _config_of(folder: Path, command: str) -> dict[str, Any]:
-    if not (folder / CONFIG).is_file():
-        raise RunError(f"{folder} is not a run: it has no {CONFIG}. Runs are made by `warpvox {command}`.")
-    content, (what, keys) = read_config(folder), NEEDED[command]
-    if not keys <= content.keys():
-        raise RunError(f"{folder} is not {what}: its {CONFIG} is that of another run.")
-    return content
-
-
-def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
-    found = [(command, file.parent) for command in commands for file in root.glob(f"{command}/*/*/{CONFIG}")]
-    signs = {name: ("model_*.pt", *[STATE] * resume) for name in commands} | {CODESIGN: (ARCHIVE, BACKUP)}
-    folders = [folder for command, folder in found if any(any(folder.glob(sign)) for sign in signs[command])]
-    if not folders:
-        raise RunError(f"There is no run in {root / commands[0]} yet; `warpvox {commands[0]}` makes one.")
-    # names begin with the date and time of the start; what started within one second differs by its first file
-    return max(folders, key=lambda folder: (folder.name[:STAMP_LENGTH], (folder / CONFIG).stat().st_mtime_ns))
+    kept = {key: value for key, value in stored.items() if key != "address"}
+    if kept.get("logger") not in ("tensorboard", "none"):
+        kept.pop("logger", None)
+    return kept
 
 
 @contextmanager
@@ -334,6 +224,17 @@ def going_on(folder: Path, config: str, check: Callable[[], object] = lambda: No
             sweep(folder)
 
 
+def keep_code(settings: Any, folder: Path) -> None:
+    """Copy the files that settings name as code into the folder of a run, for readers: nothing imports the copies."""
+    for key, text in code_of(settings).items():
+        place = text.rpartition(":")[0]
+        if not place.endswith(".py"):
+            place = getattr(sys.modules.get(place), "__file__", None) or ""
+        source = Path(place).expanduser()
+        if source.is_file():
+            write_bytes(folder / "code" / key / source.name, source.read_bytes())
+
+
 def read_summary(folder: Path) -> dict[str, Any]:
     """Content of ``summary.json``, but for what is damaged; nothing if there is none, or one that cannot be read."""
     known = read_facts(folder / SUMMARY)
@@ -388,5 +289,5 @@ def _changes(before: Mapping[str, Any], config: Any, prefix: str = "") -> Iterat
         old, new = before.get(item.name), getattr(config, item.name)
         if dataclasses.is_dataclass(new) and isinstance(old, Mapping):
             yield from _changes(old, new, f"{prefix}{item.name}.")
-        elif item.name in before and old != new:
+        elif item.name in before and old != new and not same_code(old, new):
             yield prefix + item.name, old, new

@@ -17,6 +17,7 @@ from warpvox.algos.candidate import FINALIST, Listener
 from warpvox.algos.checkpoints.policy import Policy
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.find import find_run
 from warpvox.algos.protocols import NOMINAL
 from warpvox.algos.report import FILE as REPORT, FILM, report_page
 from warpvox.algos.report.charts import picture
@@ -26,10 +27,10 @@ from warpvox.algos.training.policy_table import evaluate_run
 from warpvox.design import Design
 from warpvox.envs.registry import get_task
 from warpvox.errors import WarpvoxError, counted
-from warpvox.io.console import duration
+from warpvox.io.text import duration
 from warpvox.io.writing import atomic_path, write_text
 from warpvox.palette import body_svg
-from warpvox.runs import find_run, read_summary, write_summary
+from warpvox.runs import read_summary, write_summary
 from warpvox.view.body_picture import draw_bodies
 from warpvox.view.painter import Painter, save_png
 from warpvox.view.rollout import record

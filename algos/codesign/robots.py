@@ -8,12 +8,13 @@ import numpy as np
 
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.find import find_codesign, find_run
 from warpvox.algos.training.bodies import has_designs, read_bodies
 from warpvox.design import check_design, full_connections
 from warpvox.errors import ConfigError, RunError
 from warpvox.robots.entry import Robot, read_robot, save_robot, zoo
 from warpvox.robots.replay import policy_of_checkpoint
-from warpvox.runs import ZOO, find_codesign, find_run
+from warpvox.runs import ZOO
 
 COPIES = Path("training") / "start"
 """In a search's folder: a search that is resumed does not depend on a zoo or on other files."""

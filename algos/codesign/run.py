@@ -11,7 +11,6 @@ from typing import Any, cast
 
 import numpy as np
 import torch
-from rich.console import Console
 
 from warpvox.algos.candidate import Candidate, DesignEvaluator, Listener, Outcome, Search
 from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive
@@ -32,6 +31,7 @@ from warpvox.algos.training.metrics import check_logger
 from warpvox.algos.training.pretrained import observed_by
 from warpvox.algos.training.settings import Training
 from warpvox.batch.options import lanes_for
+from warpvox.code import same_code
 from warpvox.devices.names import resolve_device
 from warpvox.devices.startup import ambient, own_torch, start_warp
 from warpvox.envs.memory import ask, environment_bytes, fitting
@@ -40,8 +40,7 @@ from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.writing import to_yaml
 from warpvox.keys import flat
-from warpvox.runs import CONFIG, END, run_folder
-from warpvox.trust import as_stored, keep_code
+from warpvox.runs import CONFIG, END, keep_code, run_folder
 
 OF_DESIGNS = (
     "task", "rules", "seed", "device", "dtype", "arithmetic", "threads", "torch_threads", "output_dir", "policy",
@@ -126,7 +125,6 @@ def run_codesign(
     *,
     search: Search | None = None,
     executor: Executor | None = None,
-    console: Console | None = None,
 ) -> Found:
     """Make a search, or go on with one. Nothing is written before everything has been checked.
 
@@ -152,7 +150,7 @@ def run_codesign(
             with Archive.read(resumed / ARCHIVE) if resumed else nullcontext() as archive:
                 known_settings = archive.settings if archive else {}
             settings = dataclasses.replace(settings, batch=_batch(settings, executor, known_settings))
-            written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), known_settings)
+            written = dataclasses.replace(settings, task=task_name(settings.task))
             plain = dataclasses.asdict(Codesign.of(vars(written)))  # without the keys of the command line
             kept = {name: value for name, value in plain.items() if name not in CHANGEABLE}
             kept["training"].pop("save_interval")
@@ -163,16 +161,12 @@ def run_codesign(
             if not resumed:
                 settings.evaluation.keep(known, folder)
                 keep_start(start, folder)
-            keep_code(settings, folder, console or Console(quiet=True))
+            keep_code(settings, folder)
             if search is None:
                 bodies = [robot.body for robot in start]
                 search = make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, bodies)
             path = folder / ARCHIVE
             archive = opened.enter_context(Archive.open(path) if resumed else Archive.create(path, kept))
-            if settings.logger == "wandb":
-                from warpvox.algos.tracking import TrackedSearch
-
-                listeners = [TrackedSearch(settings), *listeners]  # first: others may make films at the end, and fail
             results = Results(folder, archive, written, settings.evaluation.pretraining_steps(known))
         run, loop = _loop(settings, search, executor, results, listeners, resumed is not None)
         opened.enter_context(ambient(settings.torch_threads))
@@ -238,7 +232,7 @@ def _check_same(known: Mapping[str, Any], values: Mapping[str, Any], folder: Pat
     before, now = flat(known), flat(values)
     for key in now | before:
         old, new = before.get(key), now.get(key)
-        if old != new and key not in CHANGEABLE:
+        if old != new and key not in CHANGEABLE and not same_code(old, new):
             raise RunError(f"{folder} is a search with {key}={old}, asked for {key}={new}: give that another folder.")
 
 

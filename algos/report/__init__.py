@@ -11,14 +11,15 @@ from pathlib import Path
 
 from warpvox.algos.candidate import FINALIST, best_so_far
 from warpvox.algos.codesign.archive import Archive, Record
+from warpvox.algos.find import find_run
 from warpvox.algos.report.charts import Series, chart, sparkline
 from warpvox.algos.report.members import SearchResult
 from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
+from warpvox.code import words_of_code
 from warpvox.errors import RunError
-from warpvox.io.console import in_html, shell_argument
+from warpvox.io.text import in_html, shell_argument
 from warpvox.palette import body_svg
-from warpvox.runs import CONFIG, find_run
-from warpvox.trust import again
+from warpvox.runs import CONFIG
 
 FILE, FILM = "report.html", "film.webp"
 """The report in the folder of a search, and an episode of a robot in that of its design."""
@@ -99,7 +100,7 @@ def _card(record: Record, folder: Path) -> str:
     place = (folder / str(record.policy)).parent
     if record.policy is not None and (place / CONFIG).is_file():
         try:
-            keys = again(find_run(str(place), "").config)
+            keys = words_of_code(find_run(str(place), "").config)
             more += f"<code>warpvox play {in_html(shell_argument('run', place) + keys)}</code>"
         except RunError as error:  # of this design alone
             more += f'<p class="faint">{in_html(str(error))}</p>'

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from warpvox.algos.report.page import text
-from warpvox.io.console import in_html
+from warpvox.io.text import in_html
 
 SIZE, SMALL = (920, 340), (440, 250)
 """Pixels of a chart on a page, and of one in a notebook."""

@@ -13,7 +13,7 @@ from warpvox.algos.report.members import SearchResult, progress
 from warpvox.algos.statistics import mean_interval
 from warpvox.algos.training.metrics import read_metrics
 from warpvox.errors import ConfigError
-from warpvox.io.console import escaped
+from warpvox.io.text import escaped
 from warpvox.io.writing import atomic_path, check_suffix, write_table
 from warpvox.runs import Run
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 
 from warpvox.algos.codesign.archive import Record
-from warpvox.io.console import in_html
+from warpvox.io.text import in_html
 from warpvox.palette import body_svg
 from warpvox.view.player import asset, fill_template
 

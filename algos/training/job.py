@@ -5,12 +5,10 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-from rich.console import Console
 
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.checkpoints.policy import Policy, policy_of
@@ -29,7 +27,7 @@ from warpvox.algos.training.bodies import (
 )
 from warpvox.algos.training.distributed import ProcessGroup, join_process_group
 from warpvox.algos.training.held_out import HeldOut
-from warpvox.algos.training.metrics import SERVICES, check_logger, tagged
+from warpvox.algos.training.metrics import SERVICES, check_logger
 from warpvox.algos.training.pretrained import OBS_OF_VOXELS, adopted
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.algos.training.settings import Designs, Training
@@ -43,14 +41,12 @@ from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.envs.worlds import task_world
-from warpvox.errors import ConfigError, RunError, StorageError
-from warpvox.io.console import shell_argument
+from warpvox.errors import ConfigError, ResumeError, RunError, StorageError
 from warpvox.io.writing import check_writable, to_yaml
 from warpvox.robots.entry import zoo
 from warpvox.robots.replay import known_task
-from warpvox.runs import STATE, ZOO, Run, check_unchanged, read_summary, run_folder, write_summary
+from warpvox.runs import STATE, ZOO, Run, check_unchanged, keep_code, read_summary, run_folder, write_summary
 from warpvox.system import usable_cores
-from warpvox.trust import as_stored, keep_code
 
 CHANGEABLE = (
     "max_iterations", "eval_interval", "stop_return", "save_interval", "device", "threads", "torch_threads", "logger",
@@ -65,10 +61,11 @@ PREPARING = "preparing the simulation (the first time on a machine its kernels a
 
 
 class Listener:
-    """Listens to a training; this one says nothing."""
+    """Callbacks of a training; the methods of this class do nothing."""
 
-    def __init__(self, console: Console | None = None) -> None:
-        self.console = console or Console(quiet=True, force_jupyter=False)  # whose spinners want widgets
+    def preparing(self, what: str) -> AbstractContextManager[object]:
+        """Enter the block in which ``what`` is done before learning begins."""
+        return nullcontext()
 
     def begin(self, job: Job) -> None:
         """Learning begins; everything has been checked and made."""
@@ -90,7 +87,6 @@ class Job:
 
     def __init__(self, settings: Training, named: Collection[str] = (), source: Run | None = None) -> None:
         check_logger(settings.logger)
-        self.stored: dict[str, Any] = {} if source is None else source.config
         self.folder = None if source is None else source.folder
         self.checkpoint = self.learned = self.best = None
         self.rows: list[Mapping[str, float]] = []
@@ -114,8 +110,8 @@ class Job:
 
     def train(
         self,
-        listener: Listener,
-        others: Sequence[Callable[[Mapping[str, float]], object]] = (),
+        listeners: Sequence[Listener] = (),
+        callbacks: Sequence[Callable[[Mapping[str, float]], object]] = (),
         *,
         write: bool = True,
         place: Path | None = None,
@@ -123,7 +119,8 @@ class Job:
         """Make the run. Nothing is written before everything has been checked.
 
         Args:
-            others: functions that are called with the row of each iteration, after ``listener``.
+            listeners: told of this process's part if it is the first one.
+            callbacks: functions that are called with the row of each iteration, after the listeners.
             write: whether there is a folder.
             place: of a new run; None: it lies in ``output_dir`` and is named by the time.
 
@@ -133,17 +130,21 @@ class Job:
         """
         if not write and (self.settings.nan_guard == "dump" or self.settings.logger in SERVICES):
             raise ConfigError("nan_guard=dump and logger=wandb|neptune write files; folder=None writes none.")
+        self.group = join_process_group(self.settings.device)
+        if not self.group.is_main_process:
+            listeners = ()
         with own_torch(self.settings.torch_threads):
-            self._prepare(listener)
+            self._prepare(listeners)
         if not write and self.judge is not None:
             self.runner.evaluator = partial(self._keep_best, self.judge)
-        with self._folder(place, listener) if write else nullcontext():
-            self._learn(listener, others)
+        with self._folder(place) if write else nullcontext():
+            self._learn(listeners, callbacks)
 
-    def _prepare(self, listener: Listener) -> None:
-        with listener.console.status("loading"):
-            self.group = group = join_process_group(self.settings.device)
-            listener.console.quiet |= not group.is_main_process
+    def _prepare(self, listeners: Sequence[Listener]) -> None:
+        group = self.group
+        with ExitStack() as stack:
+            for listener in listeners:
+                stack.enter_context(listener.preparing("loading"))
             start_warp()
             settings = resolved(_share(self.settings, group))
             bodies = training_bodies(settings)
@@ -154,7 +155,9 @@ class Job:
                 _ask_for_memory(settings, designs, sim)
         count = settings.num_envs
         advice = f"Train with fewer environments: num_envs={max(1, count // 2)} instead of {count}."
-        with listener.console.status(PREPARING), enough_memory(advice):
+        with enough_memory(advice), ExitStack() as stack:
+            for listener in listeners:
+                stack.enter_context(listener.preparing(PREPARING))
             options: dict[str, Any] = {"rules": settings.rules, "obs": settings.obs}
             seed = group.seed(settings.seed)
             env = adapt(make_vec(settings.task, designs, count, seed=seed, sim=sim, **options), settings.ppo)
@@ -183,7 +186,7 @@ class Job:
             device = settings.device.split(":")[0]
             settings = dataclasses.replace(settings, num_envs=self.settings.num_envs, device=device)
         self.settings = settings
-        self.written = as_stored(dataclasses.replace(settings, task=task_name(settings.task)), self.stored)
+        self.written = dataclasses.replace(settings, task=task_name(settings.task))
 
     def _make_judge(self, settings: Training, bodies: TrainingBodies, options: dict[str, Any]) -> Evaluator:
         """The evaluator: on the CPU, the same episodes every time, also after a resumption.
@@ -200,7 +203,7 @@ class Job:
         return HeldOut(judge, bodies.judged, "bodies" if bodies.own else "held_out", str(task_name(settings.task)))
 
     @contextmanager
-    def _folder(self, place: Path | None, listener: Listener) -> Iterator[None]:
+    def _folder(self, place: Path | None) -> Iterator[None]:
         """The folder of a new run, or that of the one which goes on; made by the first process."""
         settings, group, runner = self.settings, self.group, self.runner
         made = run_folder(
@@ -221,30 +224,28 @@ class Job:
             if isinstance(self.judge, HeldOut):
                 self.judge.folder = folder
             if group.is_main_process:
-                keep_code(settings, folder, listener.console)
+                keep_code(settings, folder)
             yield
 
-    def _learn(self, listener: Listener, others: Sequence[Callable[[Mapping[str, float]], object]]) -> None:
+    def _learn(
+        self, listeners: Sequence[Listener], callbacks: Sequence[Callable[[Mapping[str, float]], object]]
+    ) -> None:
         """Learn, and sum up however it ends."""
-        runner, began, before, status = self.runner, time.perf_counter(), self.runner.steps, "failed"
-
-        tracker = None
-        if self.settings.logger == "wandb" and self.folder is not None and self.group.is_main_process:
-            from warpvox.algos.tracking import Tracker
-
-            tracker = Tracker(self.folder, "train")
+        runner = self.runner
+        status = "failed"
+        began = time.perf_counter()
+        steps_before = runner.steps
 
         def report(row: Mapping[str, float]) -> None:
             self.rows.append(row)
-            if tracker is not None:
-                tracker.log(tagged(row) | runner.logger.means, int(row["iteration"]))
-            listener(row)
-            for other in others:
-                other(row)
+            for told in (*listeners, *callbacks):
+                told(row)
 
-        runner.report, count = report, runner.env.num_envs
+        runner.report = report
+        count = runner.env.num_envs
         fewer = f"(num_envs={max(1, count // 2)} instead of {count})"
-        listener.begin(self)
+        for listener in listeners:
+            listener.begin(self)
         try:
             with enough_memory(f"Train with fewer environments {fewer} or a lower ppo.steps."):
                 runner.run()
@@ -263,14 +264,13 @@ class Job:
                 else:
                     about["design"] = settings.design
                 self.summary = about | runner.summary()
-                self.summary["steps_per_second"] = round((runner.steps - before) / seconds, 1)
+                self.summary["steps_per_second"] = round((runner.steps - steps_before) / seconds, 1)
                 # a run that has failed may have failed because nothing can be written; that is the error to report
                 with suppress(StorageError) if status == "failed" else nullcontext():
                     if self.folder is not None:
                         write_summary(self.folder, self.summary)
-            if tracker is not None:
-                tracker.end(self.summary, self.settings)
-            listener.end(self)  # last: it may make films, and fail
+            for listener in listeners:
+                listener.end(self)  # last: it may make films, and fail
 
     def _keep_best(self, judge: Evaluator, policy: Any) -> EpisodeReturns:
         found = judge(policy)
@@ -359,7 +359,7 @@ def continued(settings: Training, source: Run) -> tuple[Training, Path]:
     """The settings of a run that goes on, and the checkpoint that it goes on from."""
     check_writable(source.folder)
     named = dataclasses.replace(resolved(settings), task=task_name(settings.task))
-    check_unchanged(source.config, as_stored(named, source.config), CHANGEABLE)
+    check_unchanged(source.config, named, CHANGEABLE)
     checkpoint = source.checkpoint or source.folder / STATE
     if not checkpoint.is_file():
         raise RunError(
@@ -374,33 +374,32 @@ def continued(settings: Training, source: Run) -> tuple[Training, Path]:
             other = source.folder / f"model_{number}.pt"
             with suppress(RunError):
                 load_checkpoint(other)
-                reason += f". The newest checkpoint that can be read is that of iteration {number}; go on from there,"
-                reason += f" with new episodes: warpvox train {shell_argument('resume', other)}"
-                break
-        else:
-            reason += ", and there is no other checkpoint: start the run again."
-        raise RunError(reason) from None
+                newest = f"The newest checkpoint that can be read is that of iteration {number}, {other.name};"
+                raise ResumeError(f"{reason}. {newest} from there it goes on with new episodes.", other) from None
+        raise RunError(f"{reason}, and there is no other checkpoint: start the run again.") from None
     return dataclasses.replace(settings, resume=None), checkpoint
 
 
 def go_on(checkpoint: Path, runner: Runner) -> None:
-    """Have a runner go on from a checkpoint; RunError, with what to type instead, if it has nothing left to do.
+    """Have a runner go on from a checkpoint; ResumeError if it has nothing left to do.
 
     One that was killed between its last iteration and its summary is let through: the summary is left.
     """
     with own_torch(runner.torch_threads):
         runner.resume(checkpoint)
     done, total, goal = runner.current_learning_iteration, runner.schedule.total, runner.schedule.stop_return
-    again = f"go on with: warpvox train {shell_argument('resume', checkpoint.parent)}"
     about = read_summary(checkpoint.parent)
     ended = about.get("status") == "done" and about.get("iterations") == done  # else it was killed in its last moment
     if done > total or (done == total and (ended or checkpoint.name != STATE)):  # a summary is about the newest state
-        raise RunError(
-            f"The run has already made {done} iterations, and max_iterations={total} asks for no more;"
-            f" {again} max_iterations={2 * done}"
+        raise ResumeError(
+            f"The run has already made {done} iterations, and max_iterations={total} asks for no more.",
+            checkpoint.parent,
+            max_iterations=2 * done,
         )
     if ended and goal is not None and runner.last_return >= goal:
-        raise RunError(
+        raise ResumeError(
             f"The run has ended because an evaluation ({runner.last_return:.3f}) has already reached"
-            f" stop_return={goal:g}; {again} stop_return=null"
+            f" stop_return={goal:g}.",
+            checkpoint.parent,
+            stop_return=None,
         )

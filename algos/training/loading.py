@@ -15,13 +15,14 @@ import torch
 from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.checkpoints.policy import Policy, policy_of
+from warpvox.algos.find import find_run, run_of_robot
 from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.training.bodies import lanes_of, load_bodies
 from warpvox.algos.training.metrics import COLUMNS, read_metrics
 from warpvox.algos.training.playing import SHOWN, Playing, disturbed, load_trained
 from warpvox.algos.training.settings import Training
 from warpvox.checks import check_path
-from warpvox.code import Code, is_code
+from warpvox.code import Code, is_code, passed_code
 from warpvox.design import Design
 from warpvox.devices.names import resolve_device
 from warpvox.envs.registry import get_task, task_ids
@@ -30,8 +31,7 @@ from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, DesignError
 from warpvox.robots.entry import Robot
 from warpvox.robots.replay import SEEDS, known_task, robot_env, torch_policy
-from warpvox.runs import CONFIG, Run, find_run, run_of_robot
-from warpvox.trust import STORED, allowed
+from warpvox.runs import CONFIG, Run
 
 if TYPE_CHECKING:
     from warpvox.algos.training.job import Job
@@ -98,15 +98,15 @@ def load_policy(
         checkpoint: of a run: ``best``, ``last`` or an iteration.
         output_dir: where ``latest`` is looked for.
         device: where the module shall be; of a function, it is of no effect.
-        policy: of a run or file with a network of your own, where its code is: ``FILE.py:Class``, ``module:Class``,
-            or, of a run, ``stored`` for the copy in its folder. It is imported only if it is named here.
+        policy: of a run or file with a network of your own, where its code is: ``FILE.py:Class`` or ``module:Class``,
+            which is imported only if it is named here.
 
     Raises:
         RunError: there is no such run, checkpoint or file, or it holds no policy. DeviceError: no such device.
     """
     if not isinstance(policy, str | None):
         raise ConfigError(f"policy must name code, FILE.py:Class, got {policy!r:.80}.")
-    network = None if policy is None else policy if policy == STORED else Code(policy)
+    network = None if policy is None else Code(policy)
     device = resolve_device(device)
     run = find_policy(source, output_dir, network, device)
     if not isinstance(run, Run):
@@ -118,7 +118,7 @@ def load_policy(
     trained = Training.of(run.config, run.folder / CONFIG)
     known["lanes"] = lanes_of(trained, len(load_bodies(trained.design, trained.seed)))
     file = run.find_checkpoint(str(checkpoint))
-    network = allowed("policy", run.config.get("policy"), network, run.folder)
+    network = passed_code("policy", run.config.get("policy"), network, run.folder)
     return policy_of(load_controller(file, device, network), known | {"source": str(file)})
 
 
@@ -205,7 +205,7 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
     if config.checkpoint != "best":
         raise ConfigError("checkpoint goes with a run; a stored robot has one policy.")
     policy = robot.own_policy
-    task = config.task if isinstance(config.task, TaskSpec) else allowed("task", robot.task, config.task, file)
+    task = config.task if isinstance(config.task, TaskSpec) else passed_code("task", robot.task, config.task, file)
     if isinstance(config.task, Code) and task not in task_ids():  # an entry for a task of the user's own has its id
         task = config.task
     if isinstance(task, str) and not is_code(task):

@@ -56,7 +56,7 @@ class Metrics:
         write_text(self.path, text, make_folders=False)
         self._writer: Any = None
         # these imports take half a second
-        if logger in ("tensorboard", "wandb"):  # :class:`warpvox.algos.tracking.Tracker` sends the rows
+        if logger in ("tensorboard", "wandb"):  # :class:`warpvox.progress.tracking.Tracker` sends the rows
             from torch.utils.tensorboard import SummaryWriter
 
             with writing(folder):

@@ -14,14 +14,13 @@ from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.settings import sim_of
 from warpvox.algos.training.bodies import load_bodies, read_bodies, training_bodies
 from warpvox.algos.training.settings import Training
-from warpvox.code import is_code
+from warpvox.code import is_code, passed_code
 from warpvox.devices.names import resolve_device
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError
 from warpvox.runs import CONFIG, Run
-from warpvox.trust import with_code
 
 SHOWN = 4
 """Episodes that are shown where they differ, unless told otherwise."""
@@ -32,7 +31,7 @@ class Playing:
     """How the policy of a run is played; None: as the run says.
 
     Attributes:
-        task, policy: code of the user's own that the run names, see :func:`warpvox.trust.allowed`.
+        task, policy: code of the user's own that the run names, see :func:`warpvox.code.passed_code`.
         stochastic: sample actions as in training, instead of taking their mean.
         protocol: the disturbances of the episodes, see :mod:`warpvox.algos.disturbance`.
         num_envs: of each disturbance; they lie behind one another. None: one for each design, :data:`SHOWN` if
@@ -95,9 +94,12 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
     path = run.find_checkpoint(config.checkpoint)
     own = config.task if isinstance(config.task, TaskSpec) else None
     stored = run.config if own is None else run.config | {"task": own.id}
-    known = Training.of(stored, run.folder / CONFIG)
-    trained = with_code(known, {"task": config.task, "policy": config.policy}, stored, run.folder)
-    trained = trained if own is None else dataclasses.replace(trained, task=own)
+    trained = Training.of(stored, run.folder / CONFIG)
+    trained = dataclasses.replace(
+        trained,
+        task=own or passed_code("task", trained.task, config.task, run.folder),
+        policy=passed_code("policy", trained.policy, config.policy, run.folder),
+    )
     named = {name: value for name in ("dtype", "arithmetic", "seed") if (value := getattr(config, name)) is not None}
     if "dtype" in named:
         named = {"arithmetic": None} | named
@@ -113,9 +115,7 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
             count = len(judged) * max(1, count // len(judged))
         judged = judged[:count]
     elif designs is not None:
-        raise ConfigError(
-            "Other bodies go with a run over many of them (warpvox train designs=...); this one has its own."
-        )
+        raise ConfigError("Other bodies go with a run over many of them (designs=...); this one has its own.")
     else:
         count = config.num_envs or len(judged) * (SHOWN if drawn else 1)
         if every:

@@ -8,10 +8,11 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from warpvox.algos.find import find_run
 from warpvox.algos.training.settings import Training
 from warpvox.code import load_code
 from warpvox.errors import ConfigError, RunError
-from warpvox.runs import CONFIG, TRAINING, ZOO, find_run
+from warpvox.runs import CONFIG, TRAINING, ZOO
 
 if TYPE_CHECKING:
     from warpvox.algos.checkpoints.files import PolicySpec
@@ -37,7 +38,7 @@ def check_learned(path: Path, content: Mapping[str, Any], network: str | None) -
 
     spec = load_controller(path, network=network).spec
     if "critic_state_dict" not in content or "optimizer_state_dict" not in content:
-        raise ConfigError(f"{path} holds no value function to learn with: take a checkpoint of `warpvox train`.")
+        raise ConfigError(f"{path} holds no value function to learn with: take a checkpoint of a training.")
     try:
         checked_weights(content["critic_state_dict"])
     except ValueError as error:

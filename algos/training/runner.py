@@ -148,14 +148,21 @@ class Runner(OnPolicyRunner):
         torch_threads: int | None = None,
     ) -> None:
         ppo.check(env.num_envs)
-        self.ppo, self.schedule, self.folder = ppo, schedule, folder
-        self.evaluator, self.group, self.on_save = evaluator, group, on_save
+        self.ppo = ppo
+        self.schedule = schedule
+        self.folder = folder
+        self.evaluator = evaluator
+        self.group = group
+        self.on_save = on_save
         self.report: Callable[[Mapping[str, float]], None] | None = None
-        self.bodies, self.trained_on = bodies, dict(trained_on or {})
-        self._judged: EpisodeReturns | None = None
-        # rsl-rl's own way to the algorithm prints both networks, and draws from torch's generator
-        self.env, self.device = env, str(env.device)
-        self.generators, self.torch_threads = generators or Generators(None, self.device), torch_threads
+        self.bodies = bodies
+        self.trained_on = dict(trained_on or {})
+        self.env = env
+        self.device = str(env.device)
+        self.generators = generators or Generators(None, self.device)
+        self.torch_threads = torch_threads
+
+        # The algorithm. rsl-rl's own way to it prints both networks, and draws from torch's generator.
         self.cfg = rsl_rl_config(ppo, schedule.total, voxels)
         self._configure_multi_gpu()
         try:
@@ -164,12 +171,25 @@ class Runner(OnPolicyRunner):
             if not (ppo.rnn or ppo.extra):
                 raise
             raise ConfigError(f"ppo.rnn or ppo.extra is not what rsl-rl takes: {error}") from error
-        self.logger, self._writer = _Rollout(bodies), logger
-        kind = {"voxels": None if voxels is None else dict(voxels), "rnn": None if ppo.rnn is None else RNN | ppo.rnn}
-        self.spec = spec_for(ppo, env.get_observations()["policy"].shape[1], env.num_actions, **kind)
-        self.current_learning_iteration, self.saved_iteration, self.elapsed = 0, None, 0.0
-        self.best_return, self.best_iteration, self.last_return = -math.inf, 0, math.nan
+        self.spec = spec_for(
+            ppo,
+            env.get_observations()["policy"].shape[1],
+            env.num_actions,
+            voxels=None if voxels is None else dict(voxels),
+            rnn=None if ppo.rnn is None else RNN | ppo.rnn,
+        )
+
+        # Progress
+        self.logger = _Rollout(bodies)
+        self._writer = logger
         self._metrics: Metrics | None = None
+        self._judged: EpisodeReturns | None = None
+        self.current_learning_iteration = 0
+        self.saved_iteration = None
+        self.elapsed = 0.0
+        self.best_return = -math.inf
+        self.best_iteration = 0
+        self.last_return = math.nan
         self._kept = -math.inf  # the return of the file of the best, which may be later than the state
         self._turned_back = False  # to a checkpoint beside a state that may be of a later iteration
 
@@ -210,15 +230,25 @@ class Runner(OnPolicyRunner):
 
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
         """Learn for so many iterations; random lengths apply to the very first one only."""
-        end, goal = self.current_learning_iteration + num_learning_iterations, self.schedule.stop_return
+        end = self.current_learning_iteration + num_learning_iterations
         with self._own_torch():
             self._begin(init_at_random_ep_len)
         try:
             with deferred_interrupts() as interrupted:
-                while self.current_learning_iteration < end and (goal is None or not self.last_return >= goal):
+                while self.current_learning_iteration < end and not self._reached_goal():
                     with self._own_torch():
                         row = self._iterate(end)
-                    self._report(row, end)
+
+                    # Report
+                    if self._metrics is not None:
+                        self._metrics.write(row, self.logger.means)
+                    if self.report is not None and self.group.is_main_process:
+                        self.report(row)
+
+                    # Save as scheduled, or because somebody has asked to stop
+                    done = self.current_learning_iteration
+                    if done % self.schedule.save == 0 and done != end:
+                        self.save_all()
                     if self.group.any(bool(interrupted)):
                         self.save_all()
                         interrupted.stop()
@@ -226,6 +256,10 @@ class Runner(OnPolicyRunner):
         finally:
             if self._metrics is not None:
                 self._metrics.close()
+
+    def _reached_goal(self) -> bool:
+        goal = self.schedule.stop_return
+        return goal is not None and self.last_return >= goal
 
     def _own_torch(self) -> contextlib.AbstractContextManager[None]:
         """torch for one iteration, in which no other training disturbs this one.
@@ -237,54 +271,56 @@ class Runner(OnPolicyRunner):
 
     def _begin(self, init_at_random_ep_len: bool) -> None:
         """Prepare the environments, the folder and the networks of other processes."""
+        # A run can be resumed whenever it is killed.
         if self.current_learning_iteration == 0 or self._turned_back:
-            self.save_state()  # a run can be resumed whenever it is killed
+            self.save_state()
+
+        # Episodes begin at random times, so that they do not all end at once.
         if init_at_random_ep_len and self.current_learning_iteration == 0:
-            size, generator = (self.env.num_envs,), self.generators.on("cpu")
-            lengths = torch.randint(int(self.env.max_episode_length), size, generator=generator)
+            longest = int(self.env.max_episode_length)
+            lengths = torch.randint(longest, (self.env.num_envs,), generator=self.generators.on("cpu"))
             self.env.episode_length_buf = lengths.to(self.env.device)
+
+        # Later checkpoints go with the rows that will be written again.
         if self.folder is not None and self.group.is_main_process:
             for number in Run(self.folder, {}).iterations:
-                if number > self.current_learning_iteration > 0:  # they go with the rows that will be written again
+                if number > self.current_learning_iteration > 0:
                     (self.folder / f"model_{number}.pt").unlink()
             self._metrics = Metrics(self.folder, self.current_learning_iteration, self._writer)
+
         if self.group.size > 1:
             self.alg.broadcast_parameters()
 
     def _iterate(self, end: int) -> dict[str, float]:
-        """One iteration: collect, learn, then evaluate as scheduled; returns its row of the metrics."""
+        """One iteration: collect, learn, exchange bodies, evaluate as scheduled; returns its row of the metrics."""
         started = time.perf_counter()
+
+        # Collect and learn; `logger` takes what comes of it.
         try:
-            self._improve()
+            super().learn(1)
         except ActionError as error:
             raise self._diverged(str(error)) from error
-        losses = self.logger.losses
-        self._check(losses)
-        seconds = time.perf_counter() - started
-        self.current_learning_iteration += 1
-        done = self.current_learning_iteration
-        evaluated = self._evaluate() if done % self.schedule.evaluate == 0 or done == end else math.nan
-        self.elapsed += time.perf_counter() - started
-        return self._row(losses, seconds, evaluated)
 
-    def _report(self, row: Mapping[str, float], end: int) -> None:
-        """Log an iteration, and save as scheduled."""
-        if self._metrics is not None:
-            self._metrics.write(row, self.logger.means)
-        if self.report is not None and self.group.is_main_process:
-            self.report(row)
-        done = self.current_learning_iteration
-        if done % self.schedule.save == 0 and done != end:
-            self.save_all()
-
-    def _improve(self) -> None:
-        """Collect, learn and exchange bodies, once; :attr:`logger` is told what came of it."""
-        super().learn(1)
+        # Exchange bodies
         if self.bodies is not None and self.bodies.refresh != "none":
             with torch.inference_mode():  # as the environments have made steps
                 self.bodies.exchange(self.env, self.logger.ended)
                 self.alg.actor.reset(self.logger.ended)
                 self.alg.critic.reset(self.logger.ended)
+
+        # Check
+        losses = self.logger.losses
+        self._check(losses)
+        seconds = time.perf_counter() - started
+        self.current_learning_iteration += 1
+
+        # Evaluate
+        done = self.current_learning_iteration
+        evaluated = math.nan
+        if done % self.schedule.evaluate == 0 or done == end:
+            evaluated = self._evaluate()
+        self.elapsed += time.perf_counter() - started
+        return self._row(losses, seconds, evaluated)
 
     def _check(self, losses: dict[str, float]) -> None:
         """Raise DivergenceError if losses, weights or moments are not finite."""

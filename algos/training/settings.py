@@ -16,7 +16,7 @@ from warpvox.types import OBSERVATIONS, RULES
 MOST_THREADS = 1024
 """More than any machine has cores; a stored file may not make a process start a million."""
 ARITHMETICS = ("fast", "exact")
-TASK = "task id (`warpvox tasks` lists them), or a task of your own: module:NAME or file.py:NAME"
+TASK = "task id, or a task of your own: module:NAME or file.py:NAME"
 RULE_SETS = "rules and constants of the benchmark as released (evogym) or as printed in the paper (paper)"
 TORCH_THREADS = "PyTorch threads; more than 1 slow down small networks and change rounding"
 RAY = "address of a running Ray cluster: auto or host:port; null: start Ray on this machine"
@@ -131,7 +131,7 @@ class Training(Settings):
     designs: Designs = key(Designs, "many bodies for one policy")
     pretrained: str | None = key(
         None,
-        "policy to begin with instead of a new one: latest, the folder of a run of `warpvox train` or a checkpoint in"
+        "policy to begin with instead of a new one: latest, the folder of a training or a checkpoint in"
         " it; network and observations are its own",
         path="read",
     )

@@ -12,16 +12,6 @@ from warpvox.algos.statistics import difference, mean_interval
 VALUES = st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=20)
 
 
-@given(VALUES, st.sampled_from([0.5, 0.9, 0.95, 0.99]))
-def test_student(values: list[float], level: float) -> None:
-    interval = mean_interval(values, level)
-    assert (interval.n, interval.mean) == (len(values), pytest.approx(np.mean(values)))
-    error = stats.sem(values)
-    if error > 1e-9:
-        expected = stats.t.interval(level, len(values) - 1, np.mean(values), error)
-        assert (interval.low, interval.high) == pytest.approx(expected, rel=1e-6, abs=1e-9)
-
-
 @given(VALUES, VALUES)
 def test_welch(first: list[float], second: list[float]) -> None:
     interval = difference(first, second)

@@ -138,7 +138,8 @@ def test_tasks_of_ones_own_with_several_robots_cell_by_cell(train: Callable, war
     assert config["design"] == {"robot": example_design("mini").tolist(), "mate": [[3, 4]]}
     assert (config["task"], config["obs"]) == ("my_own.py:TEAM", "voxel")
     assert read_summary(folder)["task"] == "Team-v0"
-    outcome = warpvox("play", f"run={folder}", "task=stored", "num_envs=2", "threads=1", "steps=3", "device=cpu")
+    words = "task=my_own.py:TEAM", "num_envs=2", "threads=1", "steps=3", "device=cpu"
+    outcome = warpvox("play", f"run={folder}", *words)
     assert "Team-v0" in outcome.out
     several = train("task=my_own.py:TEAM", "design=[{robot:mini,mate:worm},{robot:worm,mate:mini}]", "max_iterations=1")
     config = yaml.safe_load((several / "config.yaml").read_text())

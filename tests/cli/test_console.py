@@ -21,7 +21,8 @@ from warpvox.cli import main
 from warpvox.cli.config import load
 from warpvox.devices.startup import LOGGER, prepare
 from warpvox.envs.vec_env import make_vec
-from warpvox.io.console import echo, escaped, literal, shell_argument, shown
+from warpvox.io.console import echo, literal
+from warpvox.io.text import escaped, shell_argument, shown
 from warpvox.runs import LONGEST_BYTES, as_name
 from warpvox.view.rollout import Rollout, record
 

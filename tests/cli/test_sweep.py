@@ -123,7 +123,7 @@ def test_resuming_says_why_there_is_nothing_to_do_and_how_to_go_on(train: Callab
     folder = train("max_iterations=2")
     for words in ([], ["max_iterations=2"], ["max_iterations=1"]):
         outcome = warpvox("train", "resume=latest", *words, fails="already made 2 iterations")
-        advice = outcome.err.strip().partition("go on with: warpvox ")[2]
+        advice = outcome.err.strip().partition("Go on with: warpvox ")[2]
         assert advice == f"train resume={folder} max_iterations=4"
     warpvox(*advice.split())
     assert [row["iteration"] for row in read_metrics(folder)] == [1, 2, 3, 4]
@@ -149,6 +149,6 @@ def test_resuming_an_interrupted_run_to_less_than_it_has(train: Callable, warpvo
 def test_a_run_that_has_reached_its_return(train: Callable, warpvox: Callable) -> None:
     folder = train("max_iterations=4", "stop_return=-1000", "eval_interval=1")
     outcome = warpvox("train", "resume=latest", "max_iterations=8", fails="already reached stop_return=-1000")
-    advice = outcome.err.strip().partition("go on with: warpvox ")[2]
+    advice = outcome.err.strip().partition("Go on with: warpvox ")[2]
     warpvox(*advice.split(), "max_iterations=2")
     assert read_metrics(folder)[-1]["iteration"] == 2

@@ -200,14 +200,14 @@ def test_a_folder_that_vanishes_is_told_of_and_not_made_again(command: str, warp
         shutil.rmtree(tmp_path / "outputs", ignore_errors=True)
 
     monkeypatch.setattr("warpvox.algos.training.progress.Terminal.__call__", remove)
-    monkeypatch.setattr("warpvox.algos.codesign.progress.SearchProgress.progress", remove)
+    monkeypatch.setattr("warpvox.progress.search.SearchProgress.progress", remove)
     warpvox(*COMMANDS[command], fails="outputs")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["designs", "archive.sqlite"])
 def test_what_vanishes_from_a_search_is_told_of(name: str, warpvox: Callable, tmp_path: Path, monkeypatch) -> None:
-    from warpvox.algos.codesign.progress import SearchProgress
+    from warpvox.progress.search import SearchProgress
 
     def remove(self: SearchProgress, generation: int, fresh: bool) -> None:
         place = self.run.results.folder / name
@@ -436,7 +436,7 @@ def test_a_damaged_training_of_designs_is_to_be_removed_and_made_again(warpvox, 
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpvox.algos.codesign.progress.SearchProgress.progress", stop)
+        patch.setattr("warpvox.progress.search.SearchProgress.progress", stop)
         warpvox(*CODESIGN, code=130)
     run = only(tmp_path, "codesign")
     (saved,) = (run / "training").iterdir()

@@ -21,6 +21,7 @@ import warpvox as wv
 from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.codesign.archive import Archive
+from warpvox.algos.find import find_run
 from warpvox.algos.report import family_tree
 from warpvox.algos.training.pretrained import check_learned
 from warpvox.cli.config import load, load_values
@@ -29,7 +30,7 @@ from warpvox.errors import ConfigError, DesignError, RolloutError, RunError, Wor
 from warpvox.io.reading import Unreadable, parse_json, parse_yaml, read_facts
 from warpvox.io.world_files import LARGEST_GRID
 from warpvox.robots.entry import Robot, read_robot, save_robot
-from warpvox.runs import find_run, write_summary
+from warpvox.runs import write_summary
 from warpvox.view.rollout import Rollout
 from warpvox.world import World, WorldObject
 

@@ -17,9 +17,8 @@ from importlib import import_module
 import warpvox
 from warpvox.algos.interrupt import Terminated, terminable
 from warpvox.cli.streams import lasting_output, redirect
-from warpvox.code import invocation
 from warpvox.devices.out_of_memory import enough_memory
-from warpvox.errors import ConfigError, WarpvoxError, did_you_mean
+from warpvox.errors import ConfigError, ResumeError, WarpvoxError, did_you_mean
 from warpvox.io.writing import OF_DISKS, complaint
 from warpvox.system import unquoted
 
@@ -50,7 +49,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments without the program's name; None: those of the process.
     """
     arguments = [*map(unquoted, sys.argv[1:] if argv is None else argv)]
-    invocation.set(tuple(arguments))
     works = arguments[:1] and arguments[0] in WORKING
     with lasting_output("warpvox: nobody reads the output any more; going on without it" if works else None):
         return _run(arguments)
@@ -63,6 +61,12 @@ def _run(arguments: list[str]) -> int:
             code = _dispatch(arguments)
             sys.stdout.flush()  # here a full disk can still be reported
             return code
+    except ResumeError as error:
+        from warpvox.io.text import shell_argument
+
+        changes = [f"{key}={'null' if value is None else value}" for key, value in error.changes.items()]
+        command = " ".join(["warpvox train", shell_argument("resume", error.resume), *changes])
+        return _complain(f"{error} Go on with: {command}")
     except WarpvoxError as error:
         return _complain(error)
     except Terminated as request:
@@ -119,7 +123,7 @@ def _help() -> str:
 
 
 def _complain(error: WarpvoxError | str) -> int:
-    from warpvox.io.console import escaped
+    from warpvox.io.text import escaped
 
     # one line, with the blanks of paths as they are
     text = " ".join(line.strip() for line in str(error).splitlines())

@@ -10,13 +10,13 @@ from omegaconf import DictConfig, OmegaConf
 from warpvox.algos.interrupt import uninterrupted
 from warpvox.cli.help import flat_values, groups_of, keys_of
 from warpvox.cli.overrides import key_and_value, read_overrides
+from warpvox.code import with_passed_code
 from warpvox.configs.composition import composed, hydras_errors, quoted
 from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean
 from warpvox.io.reading import LARGEST_CONFIG, Unreadable, parse_yaml, read_text
 from warpvox.keys import check_value, check_values, converted
-from warpvox.runs import CONFIG
-from warpvox.trust import check_services, typed, with_code
+from warpvox.runs import CONFIG, without_services
 
 ALIASES = {"env": "task", "lr": "learning_rate", "n_envs": "num_envs", "num_envs": "envs", "batch_size": "minibatches"}
 ALIASES |= {"out": "file", "evaluations": "max_evaluations"} | dict.fromkeys(("gif", "mp4", "video"), "export")
@@ -38,7 +38,7 @@ def load(
     Args:
         base: stored values, above the defaults and below what the overrides change.
         home: the folder whose ``config.yaml`` the base is; code that it names is only let through if the overrides
-            name it again (:func:`warpvox.trust.with_code`).
+            name it again (:func:`warpvox.code.with_passed_code`).
     """
     parsed = read_overrides(command, overrides)
     named: dict[str, Any] = {override.key_or_group: override.value() for override in parsed}
@@ -57,11 +57,8 @@ def load(
             check_values(result)
         except ConfigError as error:  # the overrides have been checked one by one
             raise ConfigError(f"{origin}{error}") from None
-    if base is None:
-        return with_code(result, typed(result))
     result = dataclasses.replace(result, config=None) if file else result
-    check_services(result, base, named)
-    return with_code(result, typed(result, named), base, home or Path.cwd())
+    return with_passed_code(result, named, place or config_dir)
 
 
 def load_start(command: str, overrides: list[str], config_dir: Path | None) -> Any:
@@ -80,7 +77,7 @@ def load_start(command: str, overrides: list[str], config_dir: Path | None) -> A
 def load_values(command: str, values: dict[str, Any]) -> Any:
     """The dataclass of a command from the values of a stored ``config.yaml``; unknown ones are left out.
 
-    The code that they name cannot be imported before :func:`warpvox.trust.with_code`.
+    The code that they name cannot be imported before :func:`warpvox.code.with_passed_code`.
     """
     known = {item.name: values[item.name] for item in dataclasses.fields(schema_of(command)) if item.name in values}
     with hydras_errors("The stored configuration is not valid: "), uninterrupted():
@@ -98,7 +95,7 @@ def _read_file(path: Path) -> tuple[dict[str, Any], Path]:
         raise ConfigError(f"config must be a YAML file or the folder of a run; {path}: {error}.") from None
     if not isinstance(values, dict) or not values:
         raise ConfigError(f"config must be a YAML file or the folder of a run; {path} holds no KEY: VALUE.")
-    return {name: value for name, value in values.items() if name not in NOT_TAKEN}, path.parent
+    return without_services({name: value for name, value in values.items() if name not in NOT_TAKEN}), path.parent
 
 
 def _composed(

@@ -14,7 +14,8 @@ from rich.table import Table
 
 from warpvox.algos.protocols import NOMINAL
 from warpvox.examples import design_for
-from warpvox.io.console import echo, literal, shown
+from warpvox.io.console import echo, literal
+from warpvox.io.text import shown
 from warpvox.runs import Run
 
 if TYPE_CHECKING:

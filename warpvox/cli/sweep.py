@@ -28,7 +28,8 @@ from warpvox.cli.overrides import key_and_value
 from warpvox.configs.composition import hydras_errors, quoted, register
 from warpvox.configs.schema import COMMANDS, PRESET
 from warpvox.errors import ConfigError, RunError, WarpvoxError
-from warpvox.io.console import duration, echo, literal, make_console, shell_argument
+from warpvox.io.console import echo, literal, make_console
+from warpvox.io.text import duration, shell_argument
 from warpvox.io.writing import write_table, write_text
 from warpvox.runs import CODESIGN, STAMP, TRAINING, label, make_folder, read_summary
 from warpvox.system import safe_start

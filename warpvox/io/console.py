@@ -1,19 +1,11 @@
-"""Text on the console: what comes out of files can neither command the terminal nor look like our own markup."""
+"""The console that commands print to."""
 
-import html
-import math
 import os
-import shlex
-import unicodedata
-from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
 
-CONTROL = {"Cc", "Cs", "Zl", "Zp"}
-"""Unicode's categories of control characters, halves of characters, and ends of lines and paragraphs."""
-TURNING = {*range(0x202A, 0x202F), *range(0x2066, 0x206A), 0x200E, 0x200F, 0x061C}
-"""Characters that turn the direction of writing, so that a text reads differently from what it is."""
+from warpvox.io.text import escaped
 
 
 def echo(console: Console, text: str) -> None:
@@ -30,51 +22,6 @@ def make_console() -> Console:
     return console
 
 
-def shown(path: Path) -> str:
-    """A path as people like to read it: relative to here where that is shorter."""
-    try:
-        relative = os.path.relpath(path)
-    except ValueError:  # another drive of Windows
-        return str(path)
-    return relative if len(relative) < len(str(path)) else str(path)
-
-
-def escaped(text: object) -> str:
-    """``text`` with what a terminal would obey written as ``\\x1b``; an end of line is among it."""
-    return "".join(map(_escaped, str(text)))
-
-
-def in_html(text: object) -> str:
-    """``text`` for a page or an SVG: no markup, and on one line (see :func:`escaped`)."""
-    return html.escape(escaped(text))
-
-
 def literal(text: object, style: str = "") -> Text:
     """``text`` for a table, a title or a rule: no markup, nothing that a terminal would obey."""
     return Text(escaped(text), style)
-
-
-def shell_argument(key: str, path: str | os.PathLike[str]) -> str:
-    """``KEY=PATH`` as it can be pasted into a shell, whatever the path holds; relative if it lies well below here."""
-    place, here = Path(path).absolute(), Path.cwd()
-    below = str(place.relative_to(here)) if place.is_relative_to(here) else ""
-    # a single word could be another value of the key, such as latest, and some characters begin more than a path
-    return shlex.quote(f"{key}={below if below[:1].isalnum() and os.sep in below else place}")
-
-
-def duration(seconds: float) -> str:
-    """Hours, minutes and seconds."""
-    minutes, seconds = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"
-
-
-def figure(value: float, digits: int = 3) -> str:
-    """A number with so many decimals; a dash if there is none."""
-    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
-
-
-def _escaped(character: str) -> str:
-    number = ord(character)
-    if unicodedata.category(character) not in CONTROL and number not in TURNING:
-        return character
-    return f"\\x{number:02x}" if number < 0x100 else f"\\u{number:04x}"

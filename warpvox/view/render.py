@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw
 
 from warpvox.checks import check_integer, is_integer
 from warpvox.errors import RolloutError
-from warpvox.io.console import escaped
+from warpvox.io.text import escaped
 from warpvox.io.writing import atomic_path, check_suffix
 from warpvox.types import FRAME_SECONDS, VOXEL
 from warpvox.view.gif import write_pictures

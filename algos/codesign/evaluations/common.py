@@ -149,7 +149,7 @@ class FewShot(CommonPolicy):
     iterations: int = key(10, "training iterations on the designs of each generation; 0: none", low=0)
     pretrained: str | None = key(
         None,
-        "the policy to start from: latest, the folder of a run of `warpvox train designs=...` or a checkpoint in it;"
+        "the policy to start from: latest, the folder of a training with designs=... or a checkpoint in it;"
         " network and policy are its own, but for code, which evaluation.policy must name",
         path="read",
     )
@@ -158,8 +158,8 @@ class FewShot(CommonPolicy):
         super().check(search)
         if self.pretrained is None:
             raise ConfigError(
-                "evaluation=few_shot needs evaluation.pretrained: latest, the folder of a run of `warpvox train"
-                " designs=...` or a checkpoint in it."
+                "evaluation=few_shot needs evaluation.pretrained: latest, the folder of a training with"
+                " designs=... or a checkpoint in it."
             )
 
     def resolved(self, search: Codesign, folder: Path | None) -> FewShot:
@@ -196,7 +196,7 @@ class FewShot(CommonPolicy):
         if not voxels:
             raise ConfigError(
                 f"The policy in {path} is fully connected, which is about the bodies that it knows; few_shot takes one"
-                " that sees voxels: warpvox train designs=random:64 policy=grid."
+                " that sees voxels: designs=random:64 policy=grid."
             )
         if isinstance(voxels, Mapping) and is_code(voxels.get("network")) and not is_code(self.policy):
             raise ConfigError(

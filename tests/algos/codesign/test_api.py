@@ -101,7 +101,7 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
         assert (again.settings.shape, again.settings.seed) == ([3, 3], 2)
         assert sorted(one.id for one in again.designs if one.candidate.origin == START) == [0, 1]
         assert (again.settings.search.population, again.settings.search.max_evaluations) == (4, 8)
-        assert again.settings.search.make == "__main__:Own"
+        assert again.settings.search.make == f"{module}:Own"
     for wrong, says in [
         ({"evaluation": "specialst"}, "Did you mean 'specialist'"),
         ({"evaluation": 3}, "an object with a method evaluate"),
@@ -168,7 +168,7 @@ def test_an_evaluation_in_a_file(warpvox: Callable, tmp_path: Path, monkeypatch:
             assert record.fitness == 2 * np.isin(record.candidate.body, (3, 4)).sum()
     (folder / "summary.json").unlink()
     warpvox("codesign", f"resume={folder}", fails="imported only if you name it")
-    warpvox("codesign", f"resume={folder}", "evaluation.make=stored")
+    warpvox("codesign", f"resume={folder}", "evaluation.make=mine.py:Actuators")
     for wrong, says in [
         ("evaluation.make=mine.py:Actuator", "Actuator"),
         ("evaluation.make=null", "evaluation=custom needs evaluation.make"),

@@ -10,15 +10,17 @@ from rich.console import Console
 from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.archive_export import FORMATS
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
+from warpvox.algos.find import find_codesign
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load, load_values
 from warpvox.cli.overrides import key_and_value
+from warpvox.code import code_of
 from warpvox.configs.codesign import CodesignConfig
 from warpvox.errors import ConfigError, listing
-from warpvox.io.console import echo, shown
+from warpvox.io.console import echo
+from warpvox.io.text import shown
 from warpvox.io.writing import check_links, check_writable
-from warpvox.runs import check_unchanged, find_codesign, read_summary
-from warpvox.trust import again, as_stored
+from warpvox.runs import check_unchanged, read_summary
 
 Job = tuple[CodesignConfig, Path | None]
 """One search to be made, and the folder of the one that it goes on with."""
@@ -45,7 +47,7 @@ def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | No
         check_writable(folder := source.folder)
         config = load("codesign", overrides, config_dir, base=source.config, home=folder)
         config = dataclasses.replace(config, resume=None)
-        check_unchanged(source.config, as_stored(config, source.config), CHANGEABLE)
+        check_unchanged(source.config, config, CHANGEABLE)
     check(config, folder)
     return config, folder
 
@@ -56,8 +58,8 @@ def _make(job: Job, console: Console) -> Path:
     if config.report is not None:
         return _report(config, console)
     with console.status("loading"):
-        from warpvox.algos.codesign.progress import SearchProgress
         from warpvox.algos.codesign.run import run_codesign
+        from warpvox.progress.search import SearchProgress, with_tracker
 
     class Films(SearchProgress):
         def ended(self, summary: Mapping[str, Any]) -> None:  # before another process may write to the folder
@@ -69,7 +71,7 @@ def _make(job: Job, console: Console) -> Path:
                     results.report(summary)
                 _export(results.archive, results.folder, config.export, console)
 
-    return run_codesign(config, folder, [Films(console)], console=console).folder
+    return run_codesign(config, folder, with_tracker(config, [Films(console)])).folder
 
 
 def _export(archive: Archive, folder: Path, formats: Sequence[str], console: Console) -> None:
@@ -92,7 +94,7 @@ def _report(config: CodesignConfig, console: Console) -> Path:
         for row in archive.generations():
             if row["evaluated"] == row["designs"]:
                 results.draw(row["generation"], keep=False)
-        if not again(stored):  # code of the user's own, which a file does not bring
+        if not code_of(stored):  # code of the user's own, which a file does not bring
             results.film(stored)
         told = None
         while told != summary["status"]:  # once more if the search ends meanwhile, with a page of its own

@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from warpvox.algos.find import find_runs, find_searches
 from warpvox.algos.report.learning_curves import (
     AXES,
     SUFFIXES,
@@ -26,7 +27,7 @@ from warpvox.configs.show import CurvesConfig
 from warpvox.errors import ConfigError, RunError, listing
 from warpvox.io.console import echo, literal
 from warpvox.io.writing import check_suffix
-from warpvox.runs import Run, find_runs, find_searches
+from warpvox.runs import Run
 
 AXES_OF_RUNS, AXES_OF_SEARCHES = ("steps", "elapsed", "iteration"), ("steps", "evaluations")
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from rich.console import Console
 
 from warpvox.cli.application import run_command
+from warpvox.code import Code
 from warpvox.configs.tools import DesignConfig
 from warpvox.errors import ConfigError
 from warpvox.io.console import echo
@@ -27,7 +28,7 @@ def serve(config: DesignConfig, console: Console) -> None:
         from warpvox.editor.server import EditorServer
 
         prepare(1, 0)
-        server = EditorServer(Path(config.folder), config.port, config.file, config.tasks)
+        server = EditorServer(Path(config.folder), config.port, config.file, [Code(task) for task in config.tasks])
     with server:
         echo(console, f"design editor: {server.url}")
         echo(console, f"files are opened and saved in {server.folder.resolve()}; Ctrl+C ends it")

@@ -10,18 +10,19 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
+from warpvox.algos.find import find_runs
 from warpvox.algos.protocols import NOMINAL
 from warpvox.algos.statistics import Interval, mean_interval
 from warpvox.cli.application import run_command
 from warpvox.cli.run_groups import group_runs
-from warpvox.code import Code, is_code
+from warpvox.code import Code
 from warpvox.configs.show import EvaluateConfig
 from warpvox.design import zoo_tasks
 from warpvox.errors import ConfigError, WarpvoxError, counted
-from warpvox.io.console import echo, literal, shown
+from warpvox.io.console import echo, literal
+from warpvox.io.text import shown
 from warpvox.io.writing import to_yaml, write_table
-from warpvox.runs import ZOO, Run, as_name, find_runs, new_folder, write_summary
-from warpvox.trust import STORED
+from warpvox.runs import ZOO, Run, as_name, new_folder, write_summary
 
 if TYPE_CHECKING:
     from warpvox.algos.training.policy_table import EvaluatedPolicy, Judged
@@ -45,8 +46,8 @@ def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
     """
     from warpvox.algos.training.policy_table import judged_groups
 
-    if config.task is not None and not (config.task == STORED or isinstance(config.task, Code)):
-        raise ConfigError("task names the code of runs of your own tasks (stored, FILE.py:NAME); a run knows its task.")
+    if config.task is not None and not isinstance(config.task, Code):
+        raise ConfigError("task names the code of runs of your own tasks (FILE.py:NAME); a run knows its task.")
     robots = [f"{ZOO}{name}" for name in (zoo_tasks() if config.zoo == ["all"] else config.zoo)]
     runs = ([] if robots else ["latest"]) if config.runs is None else config.runs
     found = find_runs([*runs, *robots], config.output_dir)
@@ -83,10 +84,8 @@ def _evaluate(found: Run, config: EvaluateConfig) -> list[EvaluatedPolicy]:
 
     prepare(config.torch_threads, config.seed)
     names = ("checkpoint", "stochastic", "protocol", "seed", "device", "dtype", "arithmetic", "threads")
-    task = config.task if found.robot or is_code(found.config["task"]) else None
-    policy = config.policy if is_code(found.config.get("policy")) else None
-    same = {name: getattr(config, name) for name in names}
-    return evaluate_run(found, Playing(config.episodes, task=task, policy=policy, **same), config.designs, config.level)
+    same = {name: getattr(config, name) for name in (*names, "task", "policy")}
+    return evaluate_run(found, Playing(config.episodes, **same), config.designs, config.level)
 
 
 def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> None:

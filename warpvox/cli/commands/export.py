@@ -14,7 +14,8 @@ from warpvox.cli.exports import check_exports
 from warpvox.configs.schema import EXPORTS
 from warpvox.configs.show import POLICY_EXPORTS
 from warpvox.errors import ConfigError, listing
-from warpvox.io.console import echo, shown
+from warpvox.io.console import echo
+from warpvox.io.text import shown
 from warpvox.io.writing import to_yaml
 from warpvox.runs import ZOO, as_name, new_folder, write_summary
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
+from warpvox.algos.find import find_run
 from warpvox.algos.protocols import NOMINAL
 from warpvox.cli.application import run_command
 from warpvox.cli.exports import (
@@ -25,10 +26,10 @@ from warpvox.cli.exports import (
 from warpvox.code import Code
 from warpvox.configs.show import PlayConfig
 from warpvox.errors import ConfigError, DisplayError, listing
-from warpvox.io.console import echo, escaped, shown
+from warpvox.io.console import echo
+from warpvox.io.text import escaped, shown
 from warpvox.io.writing import to_yaml
-from warpvox.runs import ZOO, as_name, find_run, new_folder, write_summary
-from warpvox.trust import STORED
+from warpvox.runs import ZOO, as_name, new_folder, write_summary
 from warpvox.types import FRAME_SECONDS
 from warpvox.view.window import SWITCH, Window, wanted, why_no_window
 
@@ -93,7 +94,7 @@ def check_source(config: Any) -> None:
 def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
     """The rollout of a trained run's policy, and the folder of the run."""
     given = [name for name in OF_AGENTS if getattr(config, name, None) is not None]
-    if "task" in given and (config.task == STORED or isinstance(config.task, Code)):
+    if "task" in given and isinstance(config.task, Code):
         given.remove("task")  # who names a task's code, trusts it
     _refuse(name for name in given if name != "design")
     source = find_run(config.run if config.zoo is None else f"{ZOO}{config.zoo}", config.output_dir)

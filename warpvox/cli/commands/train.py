@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, cast
 
 from rich.console import Console
 
+from warpvox.algos.find import find_run
 from warpvox.cli.application import run_command
 from warpvox.cli.config import load
 from warpvox.configs.train import TrainConfig
-from warpvox.runs import TRAINING, find_run
+from warpvox.runs import TRAINING
 
 if TYPE_CHECKING:
     from warpvox.algos.training.job import Job
@@ -35,8 +36,8 @@ def make_job(config: TrainConfig, overrides: list[str], config_dir: Path | None)
 
 def train(job: Job, console: Console) -> Path:
     """Make a run, and record its best policy where exports are asked for; returns its folder."""
-    from warpvox.algos.training.progress import Terminal
     from warpvox.devices.startup import prepare
+    from warpvox.progress.training import Terminal, with_tracker
 
     config = cast(TrainConfig, job.settings)
 
@@ -56,5 +57,5 @@ def train(job: Job, console: Console) -> Path:
             write_exports(rollout, folder, config.export, console)
 
     prepare(config.torch_threads, config.seed)
-    job.train(Films(console))
+    job.train(with_tracker(config.logger, [Films(console)]))
     return cast(Path, job.folder)

@@ -12,7 +12,8 @@ from warpvox.configs.tools import ZooConfig
 from warpvox.design import ZOO_FOLDER
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError, counted, did_you_mean, listing
-from warpvox.io.console import duration, echo, figure, literal
+from warpvox.io.console import echo, literal
+from warpvox.io.text import duration, figure
 from warpvox.robots.entry import read_robot
 from warpvox.robots.gait import Gait
 from warpvox.robots.network import Network

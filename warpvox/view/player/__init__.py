@@ -29,7 +29,7 @@ import numpy as np
 
 from warpvox.checks import check_integer
 from warpvox.errors import RolloutError
-from warpvox.io.console import in_html
+from warpvox.io.text import in_html
 from warpvox.io.writing import check_suffix, write_text
 from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, MATERIALS, VOXEL
 from warpvox.view.scene import Scene

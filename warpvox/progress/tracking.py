@@ -5,15 +5,18 @@ from collections.abc import Mapping
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from warpvox.algos.candidate import Listener
 from warpvox.algos.codesign.archive import finalists_first
+from warpvox.algos.find import find_run
+from warpvox.algos.training import job as training
+from warpvox.algos.training.metrics import tagged
 from warpvox.algos.training.playing import load_result
 from warpvox.errors import RunError
 from warpvox.io.reading import parse_yaml
 from warpvox.io.writing import write_text
-from warpvox.runs import CONFIG, find_run
+from warpvox.runs import CONFIG
 from warpvox.view.render import write_gif
 from warpvox.view.rollout import record
 
@@ -61,6 +64,20 @@ class Tracker:
                     self._run.log({"film": self._wandb.Video(str(film), format="gif")})
         finally:
             self._run.finish(exit_code=int(status == "failed"))
+
+
+class TrackedTraining(training.Listener):
+    """Sends a training: a row of its metrics each iteration, at the end the policy as a film."""
+
+    def begin(self, job: training.Job) -> None:
+        self._job = job
+        self._tracker = Tracker(cast(Path, job.folder), "train")
+
+    def __call__(self, row: Mapping[str, float]) -> None:
+        self._tracker.log(tagged(row) | self._job.runner.logger.means, int(row["iteration"]))
+
+    def end(self, job: training.Job) -> None:
+        self._tracker.end(job.summary, job.settings)
 
 
 class TrackedSearch(Listener):

@@ -2,9 +2,9 @@
 
 import html
 import math
-import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from rich.console import Console
@@ -12,10 +12,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from warpvox.algos.training.held_out import HeldOut
 from warpvox.algos.training.job import Job, Listener
+from warpvox.code import words_of_code
 from warpvox.errors import counted
-from warpvox.io.console import duration, echo, figure, shell_argument, shown
+from warpvox.io.console import echo
+from warpvox.io.text import duration, figure, shell_argument, shown
 from warpvox.runs import STATE
-from warpvox.trust import again
 
 QUIET_SECONDS = 10.0
 """Without a terminal, seconds between lines (an evaluation prints one in any case)."""
@@ -23,9 +24,13 @@ WIDE = 110
 """Columns from which on there is room for a bar."""
 
 
-def listener() -> Listener:
-    """The listener for the place where this process is: in a notebook or on a terminal."""
-    return Notebook() if "ipykernel" in sys.modules else Terminal()
+def with_tracker(logger: str, listeners: Sequence[Listener]) -> list[Listener]:
+    """The listeners of a training, before them the one that ``logger`` names: films, made at the end, may fail."""
+    if logger != "wandb":
+        return list(listeners)
+    from warpvox.progress.tracking import TrackedTraining
+
+    return [TrackedTraining(), *listeners]
 
 
 class Figures:
@@ -52,8 +57,11 @@ class Terminal(Listener):
     """Shows iterations, speed, returns, time left: a live line on a terminal, else a line now and then."""
 
     def __init__(self, console: Console | None = None) -> None:
-        super().__init__(console or Console())
+        self.console = console or Console()
         self._bar: Progress | None = None
+
+    def preparing(self, what: str) -> AbstractContextManager[object]:
+        return self.console.status(what)
 
     def begin(self, job: Job) -> None:
         echo(self.console, _announcement(job))
@@ -148,7 +156,7 @@ def _conclusion(job: Job, seconds: float) -> str:
         text += f"; best evaluation {best:.2f} (iteration {runner.best_iteration})"
     if folder is None:
         return text
-    keys = again(job.settings)
+    keys = words_of_code(job.settings)
     if status == "done":
         text += f"\nlook at it: warpvox play {shell_argument('run', folder)}{keys} 'export=[gif,html]'"
     if status != "done" and (folder / STATE).is_file():

@@ -16,15 +16,26 @@ from warpvox.algos.candidate import FINALIST, Candidate, Listener
 from warpvox.algos.codesign.archive import Record
 from warpvox.algos.codesign.results import evaluated_text, fresh_text
 from warpvox.algos.codesign.run import SearchRun
+from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.find import find_run
 from warpvox.algos.report import FILE as REPORT
+from warpvox.code import words_of_code
 from warpvox.errors import RunError, counted
-from warpvox.io.console import duration, echo, figure, shell_argument, shown
-from warpvox.runs import find_run
-from warpvox.trust import again
+from warpvox.io.console import echo
+from warpvox.io.text import duration, figure, shell_argument, shown
 from warpvox.view.cell_text import body_rows
 
 QUIET_SECONDS = 30.0
 """Without a terminal, seconds between lines."""
+
+
+def with_tracker(settings: Codesign, listeners: Sequence[Listener]) -> list[Listener]:
+    """The listeners of a search, before them the one that its ``logger`` names: films, made at the end, may fail."""
+    if settings.logger != "wandb":
+        return list(listeners)
+    from warpvox.progress.tracking import TrackedSearch
+
+    return [TrackedSearch(settings), *listeners]
 
 
 class SearchProgress(Listener):
@@ -85,10 +96,10 @@ class SearchProgress(Listener):
         if best is not None:
             echo(self.console, f"report: {(folder / REPORT).resolve().as_uri()}")
             with suppress(RunError):  # an evaluator of the user's own may leave no policy
-                keys = again(find_run(str(folder), "").config)
+                keys = words_of_code(find_run(str(folder), "").config)
                 echo(self.console, f"look at the best: warpvox play {shell_argument('run', folder)}{keys}")
         if status != "done":
-            keys = again(self.run.results.settings)
+            keys = words_of_code(self.run.results.settings)
             echo(self.console, f"go on: warpvox codesign {shell_argument('resume', folder)}{keys}")
 
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
