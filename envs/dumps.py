@@ -38,7 +38,8 @@ class DivergenceDump:
     """
 
     def __init__(self, env: Any, folder: str | os.PathLike[str]) -> None:
-        self.env, self.folder = env, Path(folder)
+        self.env = env
+        self.folder = Path(folder)
         self.pause = 1 if torch.device(env.sim.device).type == "cpu" else STEPS
         self._scenes, self._points = scenes_of(env.sim)
         self._room = STEPS + self.pause
@@ -99,12 +100,15 @@ class DivergenceDump:
 
     def rollout(self, env: int) -> Rollout:
         """The last steps of an environment before its divergence."""
-        at = int(self._at[env])
-        steps = min(int(self._length[env]), STEPS, at + 1 - int(self._begun[env]))
-        places = [step % self._room for step in range(at + 1 - steps, at + 1)]
-        positions, actions, rewards = (
-            self._rings[name][places, env].double().cpu().numpy() for name in ("positions", "actions", "rewards")
-        )
+        # What was recorded, in the order of the steps
+        end = int(self._at[env]) + 1
+        steps = min(int(self._length[env]), STEPS, end - int(self._begun[env]))
+        places = [step % self._room for step in range(end - steps, end)]
+        positions = self._rings["positions"][places, env].double().cpu().numpy()
+        actions = self._rings["actions"][places, env].double().cpu().numpy()
+        rewards = self._rings["rewards"][places, env].double().cpu().numpy()
+
+        # As a rollout: numbers that are finite, and an end in the last step
         scene = self._scenes[int(self.env.sim.design_index[env])]
         shown = _finite_frames(positions[:, : scene.num_points])
         over = np.zeros((steps, 1), bool)

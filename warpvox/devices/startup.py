@@ -63,13 +63,13 @@ def _start_warp() -> None:
 
 def _announced(build: Callable[..., Any], where: str) -> Callable[..., Any]:
     """``build``, with a line before its first call on behalf of this package."""
-    told = False
+    announced = False
 
     @functools.wraps(build)
     def call(*args: Any, **options: Any) -> Any:
-        nonlocal told
-        if not told and _is_ours():
-            told = True
+        nonlocal announced
+        if not announced and _is_ours():
+            announced = True
             LOGGER.warning("Compiling kernels for %s (once per version and machine; 10 to 40 s)", where)
         return build(*args, **options)
 
