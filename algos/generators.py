@@ -46,7 +46,8 @@ class Generators(TorchFunctionMode):
         kwargs = kwargs or {}
         if getattr(func, "__name__", "") in DRAWING and kwargs.get("generator") is None:
             first = args[0] if args else None
-            device = kwargs.get("device") or torch.get_default_device()
+            # torch 2.7 cannot be asked for its default device once that was set to None.
+            device = kwargs.get("device") or torch.empty(0).device
             device = torch.device(first.device if isinstance(first, torch.Tensor) else device)
             if device.type != "meta":  # where tensors have no numbers
                 kwargs = {**kwargs, "generator": self.on(device)}

@@ -97,7 +97,7 @@ def make_vec(
         raise ConfigError(f"num_envs must be {what}, got {count}; try {near}.")
     _check_seeds(seed, len(bodies), count)
     sim = sim.resolved(count, rules)
-    ambient = torch.get_default_device().type
+    ambient = torch.empty(0).device.type  # torch 2.7 cannot be asked once its default device was set to None
     if ambient not in ("cpu", torch.device(sim.device).type):
         raise ConfigError(f"torch's default device is {ambient}, but the environments are on {sim.device}.")
     if sim.memory_check and (count > 1 or sim.grid is not None):

@@ -164,7 +164,7 @@ def ambient(threads: int | None = None, dtype: torch.dtype | None = None) -> Ite
         # settings of this thread
         changed.enter_context(torch.inference_mode(False))
         changed.enter_context(torch.enable_grad())
-        if torch.get_default_device().type != "cpu":  # such a context costs time in each call of torch
+        if torch.empty(0).device.type != "cpu":  # such a context costs time in each call of torch
             changed.enter_context(torch.device("cpu"))
         for kind in ("cpu", "cuda"):
             if torch.is_autocast_enabled(kind):
