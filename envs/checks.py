@@ -206,7 +206,8 @@ class FiniteGuard:
     def _counts(self) -> dict[str, int]:
         """In how many environments each term was not finite so far, all terms."""
         counts: dict[str, int] = {}
-        for name, count in zip(self._rewards, self._of_rewards.cpu().tolist(), strict=True):
+        totals: list[int] = self._of_rewards.cpu().numpy().tolist()
+        for name, count in zip(self._rewards, totals, strict=True):
             counts[f"reward {name}"] = count
 
         # An environment counts in all columns of a term that are not finite: the largest count is that of the term.
