@@ -29,10 +29,10 @@ from warpvox.envs.registry import get_task
 from warpvox.errors import WarpvoxError, counted
 from warpvox.io.text import duration
 from warpvox.io.writing import atomic_path, write_text
+from warpvox.palette import body_svg
 from warpvox.runs import read_summary, write_summary
 from warpvox.view.body_picture import draw_bodies
 from warpvox.view.painter import Painter, save_png
-from warpvox.view.palette import body_svg
 from warpvox.view.rollout import record
 
 FRESH = 64

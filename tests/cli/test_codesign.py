@@ -24,11 +24,11 @@ from warpvox.algos.codesign.run import SearchRun
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.design import example_design, load_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
+from warpvox.palette import cell_colour
 from warpvox.progress import search as progress
 from warpvox.progress.search import SearchProgress
 from warpvox.runs import read_summary
 from warpvox.view.cell_text import body_rows
-from warpvox.view.palette import cell_colour
 
 SIZES = "search.population=5", "search.max_evaluations=8", "training.iterations=2", "training.eval_interval=2"
 ROUNDING = 1e-6  # of the rewards in a rollout, which are summed up in float64 and stored one by one in float32

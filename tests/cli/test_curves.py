@@ -17,9 +17,9 @@ from warpvox.cli.run_groups import group_runs
 from warpvox.design import sample_design
 from warpvox.envs.registry import task_ids
 from warpvox.errors import RunError
+from warpvox.palette import LEVELS, palette
 from warpvox.runs import Run
 from warpvox.types import Cell
-from warpvox.view.palette import LEVELS, palette
 
 HEAD = "iteration,steps,eval_return,elapsed\n"
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image, ImageDraw
 
+from warpvox.palette import colour_index, palette
 from warpvox.types import VOXEL
 from warpvox.view.painter import GRID, INK, SKY, seen
-from warpvox.view.palette import colour_index, palette
 from warpvox.view.scene import stretch
 
 if TYPE_CHECKING:

@@ -23,9 +23,9 @@ from warpvox.design import Design, check_design, full_connections, zoo_file, zoo
 from warpvox.errors import DesignError, RunError
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path, check_suffix
+from warpvox.palette import body_svg
 from warpvox.robots.gait import ARRAYS, Gait
 from warpvox.robots.network import Network
-from warpvox.view.palette import body_svg
 
 FORMAT, VERSION = "warpvox robot", 1
 DIGITS = 9

@@ -33,9 +33,6 @@ LARGEST = 1 << 32
 """Bytes that the arrays of a file may have together (4 GiB)."""
 LARGEST_HEADER = 1 << 26
 """Bytes of a file's header (64 MiB)."""
-_DESCRIPTIONS = 1 << 12  # bytes for shapes and types of all arrays
-MOST_SHOWN = 16
-"""Environments that a notebook shows."""
 AGENTS = ("zero", "random", "sine")
 """Agents that need no training: all actuators at rest, uniformly random actions, a steady gait."""
 ARRAYS = {
@@ -79,10 +76,10 @@ class Rollout:
         return f"Rollout({self.title}, {size}, returns {low:.3f} to {high:.3f})"
 
     def _repr_html_(self) -> str:
-        """The player, for notebooks; of many environments the first."""
+        """The player, for notebooks; of many environments the first 16."""
         from warpvox.view.player import page_of
 
-        page = html.escape(page_of(self, range(min(self.num_envs, MOST_SHOWN))))
+        page = html.escape(page_of(self, range(min(self.num_envs, 16))))
         return f'<iframe srcdoc="{page}" width="100%" height="420" style="border:0"></iframe>'
 
     @property
@@ -197,7 +194,7 @@ class Rollout:
         arrays = {name: getattr(self, name) for name in ARRAYS}
         total = len(text) + sum(array.nbytes for array in arrays.values())
         for what, size, limit in (("header", len(text), LARGEST_HEADER), ("arrays", total, LARGEST)):
-            if size > limit - _DESCRIPTIONS:
+            if size > limit - 4096:  # shapes and types of arrays need room, too
                 raise RolloutError(f"The rollout's {what} would have {size:,} bytes, and {limit:,} are the limit.")
         with atomic_path(path, follow=True) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(file, header=np.frombuffer(text, np.uint8), **arrays)
