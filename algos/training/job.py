@@ -56,7 +56,6 @@ CHANGEABLE = (
 But for ``max_iterations`` where the rate falls to the end (``ppo.schedule=linear``), and rounding: another device, or
 other ``torch_threads``, adds up the products of matrices in another order.
 """
-PREPARING = "preparing the simulation (the first time on a machine its kernels are compiled)"
 
 
 class Listener:
@@ -184,7 +183,11 @@ class Job:
         advice = f"Train with fewer environments: num_envs={max(1, count // 2)} instead of {count}."
         with enough_memory(advice), ExitStack() as stack:
             for listener in listeners:
-                stack.enter_context(listener.preparing(PREPARING))
+                stack.enter_context(
+                    listener.preparing(
+                        "preparing the simulation (the first time on a machine its kernels are compiled)"
+                    )
+                )
 
             # Environments
             env = make_vec(settings.task, designs, count, seed=seed, sim=sim, rules=settings.rules, obs=settings.obs)
