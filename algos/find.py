@@ -8,7 +8,7 @@ from typing import Any
 
 from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, archives_in, repair_hint
 from warpvox.errors import RunError, listing
-from warpvox.io.reading import CONFIG, read_config, read_facts
+from warpvox.io.reading import CONFIG, read_config
 from warpvox.robots.entry import Robot, zoo
 from warpvox.robots.gait import Gait
 from warpvox.runs import CODESIGN, STAMP_LENGTH, STATE, TRAINING, ZOO, Run, without_services
@@ -61,9 +61,9 @@ def _folder_of(path: Path) -> Path:
 
 
 def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
-    """The runs that ``texts`` name, each once: as for :func:`find_run`, patterns of folders or checkpoints, or sweeps.
+    """The runs that ``texts`` name, each once: as for :func:`find_run`, or patterns of folders or checkpoints.
 
-    What a pattern (``outputs/train/*/*``) matches, or a sweep has made, and is neither is left out.
+    What a pattern (``outputs/train/*/*``) matches and is neither is left out.
     """
     found: dict[tuple[Path, Path | None], Run] = {}
     for text in texts:
@@ -81,13 +81,8 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
 
 
 def matches(text: str) -> list[Path] | None:
-    """Paths that match a pattern, or that a sweep, named by its folder or table, has made; None: ``text`` is a name."""
+    """Paths that match a pattern; None: ``text`` is the name of one."""
     pattern = os.path.expanduser(text)
-    sweep = Path(pattern.removesuffix(".csv"))
-    if sweep.name.startswith("sweep_") and sweep.is_dir():  # a run's place seen from it; else the one it says
-        places = [str(read_facts(file).get("folder", "")) for file in sorted(sweep.glob("run_*.json"))]
-        beside = {Path(place): sweep.parent.joinpath(*Path(place).parts[-2:]) for place in places if place}
-        return [near if near.exists() else place for place, near in beside.items()]
     if not any(mark in text for mark in "*?[") or Path(pattern).exists():
         return None
     return sorted(map(Path, glob.glob(pattern, recursive=True)))
@@ -110,7 +105,7 @@ def find_codesign(text: str, output_dir: str) -> Run:
 def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
     """The folders of the design searches that ``texts`` name, each once; none if they name anything else.
 
-    A text is ``latest``, the folder of a search, one that searches lie in (a sweep), or a pattern of such.
+    A text is ``latest``, the folder of a search, one that searches lie in, or a pattern of such.
     """
     found: dict[Path, Path] = {}
     others = []

@@ -21,8 +21,6 @@ class CodesignConfig(Codesign, PresetConfig):
         "formats in which the archive is written at the end: csv, parquet, npz and json (designs)",
         choices=tuple(FORMATS),
     )
-    resume: str | None = key(None, "continue a search: latest or its folder", path="read")
-    config: str | None = key(None, CONFIG_FILE, path="read")
-    report: str | None = key(
-        None, "only make the report and the exports of a search again: latest or its folder", path="read"
-    )
+    resume: str | None = key(None, "continue a search: latest or its folder")
+    config: str | None = key(None, CONFIG_FILE)
+    report: str | None = key(None, "only make the report and the exports of a search again: latest or its folder")

@@ -63,8 +63,11 @@ def hydras_errors(beginning: str = "") -> Iterator[None]:
         yield
     except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as found:
         error = cast(Any, found)
-        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        text = " ".join(lines if isinstance(found, yaml.YAMLError) else lines[:2])  # below are inner names
+        # Some lines are for those who know the classes.
+        inner = ("full_key", "object_type", "reference_type")
+        lines = [line.strip() for line in str(error).splitlines()]
+        lines = [line for line in lines if line and not line.startswith(inner)]
+        text = " ".join(lines if isinstance(found, yaml.YAMLError) else lines[:2])
         if isinstance(found, MissingConfigException) and error.options:
             group, _, name = str(error.missing_cfg_file).rpartition("/")
             key = PRESET if group.startswith(f"{PRESET}/") else group

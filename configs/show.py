@@ -8,7 +8,7 @@ from typing import Any
 from warpvox.algos.protocols import NOMINAL, PROTOCOLS
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, arithmetic_key
 from warpvox.configs.schema import EXPORTS, SHOW
-from warpvox.keys import key
+from warpvox.keys import Settings, key
 from warpvox.types import RULES
 from warpvox.view.rollout import AGENTS
 
@@ -18,14 +18,13 @@ OWN_TASK = "For a run of a task of your own: its code, file.py:NAME"
 
 
 @dataclass
-class _PolicyConfig:
+class _PolicyConfig(Settings):
     """Keys that play, export and evaluate share; named as the first base, they come behind those of the others."""
 
     stochastic: bool = key(False, "sample actions from the policy as in training, instead of taking their mean")
     policy: str | None = key(
         None,
         "for a run with a network of your own: its code, file.py:Class",
-        path="read",
     )
     device: str = key("auto", DEVICES)
     dtype: str | None = key(None, "precision of the simulation; null: that of the run", choices=("float32", "float64"))
@@ -33,19 +32,18 @@ class _PolicyConfig:
     threads: int | None = key(None, "CPU threads of the simulation; null: all cores", low=1, high=MOST_THREADS)
     torch_threads: int = key(1, "PyTorch threads", low=1, high=MOST_THREADS)
     name: str | None = key(None, "appended to the name of the result's folder")
-    output_dir: str = key("outputs", "folder that runs are written to and looked up in", path="written")
+    output_dir: str = key("outputs", "folder that runs are written to and looked up in")
 
 
 @dataclass
-class _RolloutConfig:
+class _RolloutConfig(Settings):
     """Keys that play and export share."""
 
-    run: str = key("latest", "latest, the folder of a run, or a checkpoint file", path="read")
+    run: str = key("latest", "latest, the folder of a run, or a checkpoint file")
     zoo: str | None = key(
         None,
         "a stored robot instead of a run: a task id or a file (.npz); simulated as it was recorded, with"
         " arithmetic=exact",
-        path="read",
     )
     checkpoint: str = key("best", "checkpoint of the run: best, last, or an iteration")
     size: list[int] | None = key(
@@ -73,16 +71,15 @@ class PlayConfig(_PolicyConfig, _RolloutConfig):
         " (rest lengths)",
         choices=AGENTS,
     )
-    task: str | None = key(None, f"with agent: task id; null: Walker-v0. {OWN_TASK}", path="read")
+    task: str | None = key(None, f"with agent: task id; null: Walker-v0. {OWN_TASK}")
     design: Any = key(
         None,
         "with agent: body, as for train; null: walker. With a run over many bodies: the bodies to show",
-        path="read",
     )
     rules: str | None = key(None, "with agent: evogym or paper; null: evogym", choices=RULES)
     num_envs: int | None = key(None, "environments; null: one for each design, four where episodes differ", low=1)
     protocol: str = key(NOMINAL, "disturbances of a policy, see `warpvox evaluate --help`", choices=tuple(PROTOCOLS))
-    rollout: str | None = key(None, "only show this rollout file, such as a dump of nan_guard=dump", path="read")
+    rollout: str | None = key(None, "only show this rollout file, such as a dump of nan_guard=dump")
     window: str = key("auto", "show the episode in a window: on, off, or auto (if there is a display)", choices=SHOW)
     record: bool = key(
         True, "write the rollout to a file, from which `warpvox export rollout=FILE` makes pictures later"
@@ -96,8 +93,8 @@ class PlayConfig(_PolicyConfig, _RolloutConfig):
 
 @dataclass
 class ExportConfig(_PolicyConfig, _RolloutConfig):
-    rollout: str | None = key(None, "rollout file to export; null: record an episode of the run", path="read")
-    task: str | None = key(None, OWN_TASK, path="read")
+    rollout: str | None = key(None, "rollout file to export; null: record an episode of the run")
+    task: str | None = key(None, OWN_TASK)
     num_envs: int = key(1, "number of environments, a multiple of the run's number of designs", low=1)
     format: list[str] = key(
         ["usd"],
@@ -108,19 +105,17 @@ class ExportConfig(_PolicyConfig, _RolloutConfig):
 
 
 @dataclass
-class _EvaluationConfig:
+class _EvaluationConfig(Settings):
     """Keys that evaluate alone has."""
 
     runs: list[str] | None = key(
         None,
-        "trained runs: latest, folders, checkpoints, sweeps (their tables), patterns such as 'outputs/train/*/*';"
+        "trained runs: latest, folders, checkpoints, patterns such as 'outputs/train/*/*_NAME*';"
         " null: latest, unless zoo names robots",
-        path="read",
     )
     zoo: list[str] = key(
         [],
         "stored robots to evaluate, instead of runs or beside them: task ids or files; all: the whole zoo",
-        path="read",
     )
     checkpoint: str = key("best", "checkpoint of each run: best, last, or an iteration")
     episodes: int = key(
@@ -129,7 +124,6 @@ class _EvaluationConfig:
     designs: Any = key(
         None,
         "for runs over many bodies: bodies to evaluate on, as for train (random:100); null: those held out",
-        path="read",
     )
     protocol: str = key(
         NOMINAL,
@@ -144,7 +138,7 @@ class _EvaluationConfig:
         low=0,
     )
     level: float = key(0.95, "confidence level of the intervals", above=0, high=0.9999)
-    task: str | None = key(None, OWN_TASK, path="read")
+    task: str | None = key(None, OWN_TASK)
 
 
 @dataclass
@@ -153,12 +147,11 @@ class EvaluateConfig(_PolicyConfig, _EvaluationConfig):
 
 
 @dataclass
-class CurvesConfig:
+class CurvesConfig(Settings):
     runs: list[str] = key(
         ["latest"],
-        "runs of `warpvox train`: latest, folders, sweeps (their tables), patterns such as 'outputs/train/*/*'; or"
-        " design searches, by their folders, sweeps or folders that contain them",
-        path="read",
+        "runs of `warpvox train`: latest, folders, patterns such as 'outputs/train/*/*_NAME*'; or design searches, by"
+        " their folders or folders that contain them",
     )
     x: str = key(
         "steps",
@@ -172,5 +165,5 @@ class CurvesConfig:
         high=8192,
         form="[width,height]",
     )
-    file: str = key("curves.png", "picture to write: .png, .svg or .pdf", path="written")
-    output_dir: str = key("outputs", "folder in which runs are looked up", path="written")
+    file: str = key("curves.png", "picture to write: .png, .svg or .pdf")
+    output_dir: str = key("outputs", "folder in which runs are looked up")

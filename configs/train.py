@@ -16,4 +16,4 @@ class TrainConfig(Training, PresetConfig):
         "formats in which an episode of the best policy is written into the run's folder at the end",
         choices=EXPORTS,
     )
-    config: str | None = key(None, CONFIG_FILE, path="read")
+    config: str | None = key(None, CONFIG_FILE)

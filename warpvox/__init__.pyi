@@ -46,6 +46,7 @@ from .errors import (
     SearchError as SearchError,
     SimulationError as SimulationError,
     StorageError as StorageError,
+    StoredCodeError as StoredCodeError,
     TaskError as TaskError,
     UnknownArgumentError as UnknownArgumentError,
     WarpvoxError as WarpvoxError,

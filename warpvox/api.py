@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 from warpvox.checks import check_flag, check_known, check_path
 from warpvox.errors import ConfigError
-from warpvox.keys import Settings, changed, check_values, convert
+from warpvox.keys import Settings, changed
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -207,9 +207,7 @@ def evaluate(
     from warpvox.runs import Run
 
     check_known(options, evaluate, Playing, without=("num_envs",))
-    config = EvaluateConfig(stochastic=stochastic, episodes=episodes, protocol=protocol, seed=seed, level=level)
-    convert(config)
-    check_values(config)
+    EvaluateConfig(stochastic=stochastic, episodes=episodes, protocol=protocol, seed=seed, level=level)  # checks them
     ones = policies if isinstance(policies, Sequence) and not isinstance(policies, str) else [policies]
     if not ones:
         raise ConfigError("There are no policies: policies=[] names none.")

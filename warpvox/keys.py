@@ -33,17 +33,15 @@ def key(
     above: float | None = None,
     high: float | None = None,
     form: str | None = None,
-    path: str | None = None,
     nodes: Mapping[str, Any] | None = None,
 ) -> Any:
     """A field that knows its meaning and valid values: ``low <= value <= high`` and ``value > above``.
 
-    ``form``: how a list of fixed length is written, such as ``[width,height]``. ``path``: the value names something
-    that may lie on a disk, which is ``read`` (one path, or several of a sweep) or ``written``; the command
-    line takes it as it is typed. ``nodes``: the dataclasses, or instances of them, that the key may have, by the names
-    that choose them.
+    Args:
+        form: how a list of fixed length is written, such as ``[width,height]``.
+        nodes: the dataclasses, or instances of them, that the key may have, by the names that choose them.
     """
-    limits = {"choices": choices, "low": low, "above": above, "high": high, "form": form, "path": path, "nodes": nodes}
+    limits = {"choices": choices, "low": low, "above": above, "high": high, "form": form, "nodes": nodes}
     metadata = {"help": meaning} | {name: limit for name, limit in limits.items() if limit is not None}
     if isinstance(default, list):
         return field(default_factory=lambda: list(default), metadata=metadata)
@@ -91,13 +89,9 @@ class Settings:
 
 
 def check_values(config: Any, prefix: str = "") -> None:
-    """Check choices and ranges of a dataclass of the schema. ConfigError: the first value that is not valid."""
+    """Check choices and ranges of a dataclass, but for its parts. ConfigError: the first value that is not valid."""
     for item in dataclasses.fields(config):
-        name, value = prefix + item.name, getattr(config, item.name)
-        if dataclasses.is_dataclass(value):
-            check_values(value, name + ".")
-        else:
-            check_value(name, value, item.metadata)
+        check_value(prefix + item.name, getattr(config, item.name), item.metadata)
 
 
 def check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
@@ -165,7 +159,10 @@ def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
     try:
         return dataclasses.replace(usual, **values)
     except ConfigError as error:
-        raise ConfigError(f"{name}: {error}") from None
+        text = str(error)
+        first = text.partition(" ")[0].partition(".")[0]  # in many errors the field
+        joint = "." if first in usual.__dataclass_fields__ else ": "
+        raise ConfigError(f"{name}{joint}{text}") from None
 
 
 def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
@@ -180,7 +177,6 @@ def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
     if hasattr(kind, "__dataclass_fields__"):
         if not isinstance(value, kind):
             raise ConfigError(f"{name} must be {kind.__name__}(...) or values by name, got {value!r:.80}.")
-        convert(value, name + ".")
         return value
     plain = get_origin(kind) or kind
     if not isinstance(value, ACCEPTED[plain]) or (plain is not bool and isinstance(value, bool)):

@@ -45,7 +45,7 @@ class Codesign(Settings):
         ConfigError: a value that is not valid.
     """
 
-    task: Any = key("Walker-v0", TASK, path="read")
+    task: Any = key("Walker-v0", TASK)
     shape: list[int] = key(
         [5, 5], "rows and columns of the bodies; in the paper [5,5], for Lifter-v0 [5,7]", low=1, form="[rows,columns]"
     )
@@ -63,7 +63,6 @@ class Codesign(Settings):
         "mlp",
         "network of a design's own policy: mlp (layers: training.ppo.hidden); with training.method=sequential"
         " also grid, transformer, module:Class, file.py:Class",
-        path="read",
     )
     network: Any = key(None, "settings of a network other than mlp, {width:32} for instance; null: its defaults")
     start: list[str] = key(
@@ -71,7 +70,6 @@ class Codesign(Settings):
         "robots whose bodies the first generation contains, with evaluation=gaits also their gaits: zoo:TASK, zoo:FILE,"
         " the folder of a search (its best design), of one of its designs or of a run, or bodies: random:100:5x5 (drawn"
         " with seed as train's designs are), a folder of design files, or what design takes",
-        path="read",
     )
     reuse: bool = key(True, "take the result of a body that was evaluated before instead of training it again")
     batch: int | None = key(
@@ -99,7 +97,7 @@ class Codesign(Settings):
     top: int = key(5, "number of best designs that are shown and drawn for each generation", low=1)
     memory_check: bool = key(True, "refuse, before allocating, what does not fit into free memory")
     name: str | None = key(None, "appended to the name of the run's folder")
-    output_dir: str = key("outputs", "folder that runs are written to", path="written")
+    output_dir: str = key("outputs", "folder that runs are written to")
 
     def __post_init__(self) -> None:
         if isinstance(self.search, str | Mapping):

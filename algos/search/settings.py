@@ -85,9 +85,7 @@ class CppnNeat(SearchSettings):
 
     algorithm: str = key("cppn_neat", "which search", choices=("cppn_neat",))
 
-    neat_config: str | None = key(
-        None, "another configuration file of neat-python; null: Table 5 of the paper", path="read"
-    )
+    neat_config: str | None = key(None, "another configuration file of neat-python; null: Table 5 of the paper")
 
 
 @dataclass
@@ -120,7 +118,7 @@ class CustomSearch(SearchSettings):
     algorithm: str = key("custom", "which search", choices=("custom",))
 
     make: str | None = key(
-        None, "a search of your own: FILE.py:NAME or MODULE:NAME, called with settings, shape and seed", path="read"
+        None, "a search of your own: FILE.py:NAME or MODULE:NAME, called with settings, shape and seed"
     )
 
 

@@ -35,7 +35,6 @@ class Designs(Settings):
         None,
         "bodies to train one policy on, instead of design: random:64, random:64:5x7, a folder of designs or of a"
         " design search, or a list of designs",
-        path="read",
     )
     refresh: str = key(
         "none",
@@ -47,7 +46,6 @@ class Designs(Settings):
         None,
         "bodies for evaluation only, never trained on, given as designs; null: 32 random ones of the same size, or the"
         " bodies themselves where these are named",
-        path="read",
     )
     grid: list[int] | None = key(
         None, "rows and columns that bodies have room for; null: those of the largest", low=1, form="[rows,columns]"
@@ -64,20 +62,18 @@ class Training(Settings):
         ConfigError: a value that is not valid.
     """
 
-    task: str = key("Walker-v0", TASK, path="read")
+    task: str = key("Walker-v0", TASK)
     design: Any = key(
         "walker",
         "body: the name of an example, auto (the example made for the task), random, random:5x7, zoo:TASK (in this"
         " task, unless task is given), a file or folder with a body, or rows of cells;"
         " for a task with several robots {name:body}",
-        path="read",
     )
     rules: str = key("evogym", RULE_SETS, choices=RULES)
     policy: str = key(
         "mlp",
         "network of the policy: mlp (layers: ppo.hidden), grid or transformer (both observe voxels: obs=task"
         " becomes voxel, timed becomes timed_voxel), or your own: module:Class, file.py:Class",
-        path="read",
     )
     network: Any = key(None, "settings of a network other than mlp, {width:32} for instance; null: its defaults")
     obs: str = key(
@@ -121,10 +117,9 @@ class Training(Settings):
     resume: str | None = key(
         None,
         "continue a run: latest, its folder, or a checkpoint file in it, whose later checkpoints are then removed",
-        path="read",
     )
     name: str | None = key(None, "appended to the name of the run's folder")
-    output_dir: str = key("outputs", "folder that runs are written to", path="written")
+    output_dir: str = key("outputs", "folder that runs are written to")
     physics: PhysicsConfig = key(PhysicsConfig, "preset and constants of the physics", nodes=PRESETS)
     ppo: Ppo = key(Ppo, "settings of PPO")
     designs: Designs = key(Designs, "many bodies for one policy")
@@ -132,7 +127,6 @@ class Training(Settings):
         None,
         "policy to begin with instead of a new one: latest, the folder of a training or a checkpoint in"
         " it; network and observations are its own",
-        path="read",
     )
 
     def __post_init__(self) -> None:

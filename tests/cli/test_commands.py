@@ -170,8 +170,8 @@ sys.exit(str((set(answers), set(mistakes), {"torch", "warp", "rsl_rl"} & set(sys
 def test_a_full_disk_of_kernels_can_be_changed_for_another() -> None:
     code = """
 import errno, warpvox.cli
-def full(words): raise OSError(errno.EDQUOT, "", "/home/someone/.cache/warp/1.19.0")
-warpvox.cli._dispatch = full
+def full(name): raise OSError(errno.EDQUOT, "", "/home/someone/.cache/warp/1.19.0")
+warpvox.cli.import_module = full
 raise SystemExit(warpvox.cli.main(["info"]))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -1,7 +1,6 @@
 """From words to configurations."""
 
 import dataclasses
-import logging
 import signal
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from omegaconf.errors import OmegaConfBaseException
 from warpvox.algos import settings
 from warpvox.algos.settings import physics_of
 from warpvox.cli import COMMANDS, main
-from warpvox.cli.config import load, load_start
+from warpvox.cli.config import load
 from warpvox.cli.help import flat_values, keys_of, options_of
 from warpvox.configs import schema
 from warpvox.design import load_design
@@ -85,8 +84,7 @@ def test_no_preset_and_one_that_does_not_exist(command: str) -> None:
 
 @pytest.mark.parametrize(("command", "words"), [("train", ["seed=7"]), ("codesign", ["top=7"])])
 def test_resume_null_is_no_resumption(command: str, words: list[str]) -> None:
-    assert load_start(command, ["resume=null", *words], None) == load(command, words)
-    assert load_start(command, ["resume=here", *words], None) == load(command, ["resume=here"])
+    assert load(command, ["resume=null", "config=null", *words]) == load(command, words)
 
 
 def test_a_preset_of_ones_own(tmp_path: Path) -> None:
@@ -153,38 +151,13 @@ def test_help_names_every_key_with_its_meaning(command: str, capsys: pytest.Capt
         assert "=?" not in text
 
 
-@pytest.fixture
-def own_log(monkeypatch: pytest.MonkeyPatch) -> None:
-    """``--info`` prints by the root of all logs, which it changes for the rest of the process."""
-    monkeypatch.setattr(logging.getLogger(), "handlers", [])
-    monkeypatch.setattr(logging.getLogger(), "level", logging.WARNING)
-
-
-@pytest.mark.usefixtures("own_log")
-def test_hydras_own_views(capsys: pytest.CaptureFixture) -> None:
-    assert main(["train", "--cfg", "hydra", "hydra/launcher=basic"]) == 0
-    assert list(yaml.safe_load(capsys.readouterr().out)) == ["hydra"]
-    assert main(["train", "--info", "defaults-tree", "ppo=evogym"]) == 0
-    assert "ppo: evogym" in capsys.readouterr().out
-
-
-@pytest.mark.usefixtures("own_log")
-@pytest.mark.parametrize(
-    ("words", "key", "value"),
-    [
-        ("train preset=pretrain", "max_iterations", 9600),
-        ("zoo Walker-v0", "task", "Walker-v0"),
-    ],
-)
-def test_hydras_own_views_are_those_of_the_preset(words: str, key: str, value: object, capsys) -> None:
-    command, *rest = words.split()
-    assert main([command, "--cfg", "all", *rest]) == 0
-    shown = yaml.safe_load(capsys.readouterr().out)
-    assert main([command, "--cfg", "job", *rest]) == 0
-    used = yaml.safe_load(capsys.readouterr().out)
-    assert shown[key] == used[key] == value
-    assert main([command, "--info", "config", *rest]) == 0
-    assert f"\n{key}: {value}\n" in capsys.readouterr().out
+def test_the_settings_are_printed_as_config_takes_them(capsys: pytest.CaptureFixture, tmp_path: Path) -> None:
+    for words in (["demo"], ["train", "ppo=evogym", "seed=3"], ["codesign", "search=quick"], ["zoo", "Walker-v0"]):
+        assert main([*words, "--cfg", "job"]) == 0
+        (tmp_path / "c.yaml").write_text(capsys.readouterr().out)
+        command, *given = words
+        if command in ("train", "codesign"):
+            assert load(command, [f"config={tmp_path / 'c.yaml'}"]) == load(command, given)
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,7 @@ from PIL import Image
 import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.training.bodies import Bodies, load_bodies, read_bodies, training_bodies
-from warpvox.cli.commands.evaluate import evaluate_runs
-from warpvox.cli.commands.play import play
+from warpvox.cli.commands import evaluate, play
 from warpvox.cli.config import load
 from warpvox.design import full_connections, load_design, save_design
 from warpvox.errors import ConfigError, DesignError
@@ -123,16 +122,18 @@ def test_a_run_over_many_bodies_is_trained_evaluated_and_played(tmp_path: Path) 
     assert about["designs"] == designs
     words = [f"output_dir={tmp_path}", "device=cpu", "threads=1"]
     console = Console(quiet=True)
-    folder = evaluate_runs(load("evaluate", [*words, f"runs={run.folder}", "checkpoint=last"]), console)
+    folder = evaluate.run(load("evaluate", [*words, f"runs={run.folder}", "checkpoint=last"]), [], console)
     found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     assert found["mean_return"] == pytest.approx(sum(last) / 3, rel=1e-4)
     for protocol in "nominal", "noise":  # episodes with a body say less about the policy than other bodies do
         given = [*words, f"runs={run.folder}", "designs=random:5:3x3", f"protocol={protocol}"]
-        folder = evaluate_runs(load("evaluate", given), console)
+        folder = evaluate.run(load("evaluate", given), [], console)
         (found,) = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["runs"]
         assert (len(found["returns"]), found["n"]) == (30, 5)
     assert Image.open(run.folder / "held_out.png").size[0] > 3 * 60
-    played = play(load("play", [*words, f"run={run.folder}", "num_envs=3", "steps=3", "export=[png,html]"]), console)
+    played = play.run(
+        load("play", [*words, f"run={run.folder}", "num_envs=3", "steps=3", "export=[png,html]"]), [], console
+    )
     shown = json.loads((played / "summary.json").read_text(encoding="utf-8"))
     assert shown["returns"] == sorted(shown["returns"], reverse=True)
     assert sorted(shown["environments"]) == ["body 0", "body 1", "body 2"]
@@ -143,7 +144,7 @@ def test_a_run_over_many_bodies_is_trained_evaluated_and_played(tmp_path: Path) 
         assert "/".join("".join(map(str, row)) for row in robot.grid.tolist()) == rows[int(name[5:])]["cells"]
     assert '"name":"body 2"' in (played / "rollout.html").read_text(encoding="utf-8")
     with_body = [*words, f"run={run.folder}", "design=[[3,3],[4,0]]", "num_envs=1", "steps=3", "export=[]"]
-    assert (play(load("play", with_body), console) / "rollout.npz").is_file()
+    assert (play.run(load("play", with_body), [], console) / "rollout.npz").is_file()
     policy, options = wv.load_policy(run.folder), {"design": [[3, 3], [4, 0]], "episodes": 1, "threads": 1}
     alone, of_run = wv.evaluate(policy, "Walker-v0", **options), wv.evaluate(run, **options)
     assert alone[0].mean == of_run[0].mean  # of a body that is smaller than the grid

@@ -9,8 +9,8 @@ import torch
 import yaml
 
 from warpvox.algos.checkpoints.files import load_checkpoint
-from warpvox.cli.application import prepared
 from warpvox.cli.commands.train import make_job
+from warpvox.cli.config import load
 
 pytestmark = pytest.mark.usefixtures("narrow_packs")
 VOXELS = "designs=random:4:3x3", "designs.held_out=random:2:3x3", "policy=grid", "network={width:8}", "lanes=8"
@@ -76,8 +76,8 @@ def test_settings_of_a_network_may_be_written_out(train: Callable) -> None:
 
 
 def test_a_body_takes_the_place_of_those_of_a_preset() -> None:
-    assert prepared("train", ["preset=universal"], None, make_job).settings.designs.bodies == "random:512:5x5"
-    job = prepared("train", ["preset=universal", "design=worm"], None, make_job)
+    assert make_job(load("train", ["preset=universal"]), ["preset"]).settings.designs.bodies == "random:512:5x5"
+    job = make_job(load("train", ["preset=universal", "design=worm"]), ["preset", "design"])
     assert (job.settings.designs.bodies, job.settings.design) == (None, "worm")
 
 

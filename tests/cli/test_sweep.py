@@ -1,60 +1,55 @@
-"""Sweeps say in folders, tables and CSV what their runs differ by; one that fails does not end the others."""
+"""Folders of sweeps say what their runs differ by; one that fails does not end the others."""
 
-import csv
 import json
 import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import yaml
 from tiny import tiny
 
 import warpvox as wv
 from warpvox.algos.training.metrics import read_metrics
-from warpvox.cli import sweep
 from warpvox.cli.sweep import LONGEST_LABEL, label_of
 from warpvox.design import example_design
 from warpvox.devices.startup import LOGGER
 from warpvox.errors import DivergenceError
+from warpvox.runs import check_name
 from warpvox.system import processor_name
-
-
-def table() -> list[dict[str, str]]:
-    (file,) = Path("outputs/train").glob("sweep_*.csv")
-    with file.open(encoding="utf-8", newline="") as text:
-        return list(csv.DictReader(text))
 
 
 @pytest.mark.parametrize("value", ["a/b/body (1).json", "[[3,3],[4,4]]", "läufe", "", "../..", "x" * 400])
 def test_labels_are_short_and_safe(value: str) -> None:
     label = label_of({"design": value, "ppo.hidden": "[64,64]"})
     assert len(label) <= LONGEST_LABEL
-    assert set(label) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._+-")
+    check_name(label)
     assert label.startswith("design-")
     assert label_of({"seed": "1", "ppo.gamma": "0.9", "task": "Walker-v0"}) == "seed-1_ppo.gamma-0.9"
 
 
-def test_a_sweep_leaves_a_table(warpvox: Callable) -> None:
+def test_the_folders_of_a_sweep_say_what_their_runs_differ_by(warpvox: Callable) -> None:
     outcome = warpvox(*tiny("train", "-m", "seed=1,2", "ppo.gamma=0.9,0.99", "name=x"))
-    folders = sorted(
-        Path("outputs/train/Walker-v0").iterdir(), key=lambda folder: (folder / "config.yaml").stat().st_mtime_ns
-    )
+    folders = sorted(Path("outputs/train/Walker-v0").iterdir(), key=lambda one: one.stat().st_ctime_ns)
     assert [folder.name.split("_", 2)[2] for folder in folders] == [
         f"x_seed-{seed}_ppo.gamma-{gamma}" for seed in (1, 2) for gamma in (0.9, 0.99)
     ]
-    rows = table()
-    assert [(row["seed"], row["ppo.gamma"], row["status"]) for row in rows] == [
-        (str(seed), str(gamma), "done") for seed in (1, 2) for gamma in (0.9, 0.99)
-    ]
-    for row, folder in zip(rows, folders, strict=True):
-        assert Path(row["folder"]) == folder
-        assert float(row["best_return"]) == json.loads((folder / "summary.json").read_text())["best_return"]
-    assert "4 of 4 runs" in outcome.out
-    assert re.findall(r"run (\d) of 4(, left 0:00:\d\d)?:", outcome.out)[0] == ("1", "")
-    assert all(left for _, left in re.findall(r"run (\d) of 4(, left 0:00:\d\d)?:", outcome.out)[1:])
-    (command,) = re.findall(r"compare: warpvox (curves runs=\S+)", outcome.out)
-    warpvox(*command.split())
+    config = yaml.safe_load((folders[1] / "config.yaml").read_text())
+    assert (config["seed"], config["ppo"]["gamma"], config["num_envs"]) == (1, 0.99, 8)
+    assert re.findall(r"run \d: seed=\d ppo.gamma=0.99?", outcome.out)[1] == "run 2: seed=1 ppo.gamma=0.99"
     warpvox("play", "run=latest", "num_envs=1", "steps=2", "threads=1", "export=[]", "window=off")
+
+
+def test_lists_presets_and_paths_with_commas_can_be_swept(warpvox: Callable, monkeypatch) -> None:
+    found = []
+    monkeypatch.setattr("warpvox.cli.commands.play.run", lambda config, *_: found.append((config.run, config.export)))
+    Path("a,b").mkdir()
+    warpvox("play", "-m", "export=gif,[usd,gif]", "run=a,b", "window=off")
+    assert found == [("a,b", ["gif"]), ("a,b", ["usd", "gif"])]
+    found.clear()
+    monkeypatch.setattr("warpvox.cli.commands.train.run", lambda config, *_: found.append(config.preset))
+    warpvox("train", "-m", "preset=paper,universal")
+    assert found == ["paper", "universal"]
 
 
 @pytest.mark.parametrize("words", [(), ("hydra/launcher=basic",)])
@@ -70,42 +65,32 @@ def test_a_member_that_fails_does_not_end_the_sweep(warpvox: Callable, monkeypat
         run(self)
 
     monkeypatch.setattr(Runner, "run", fail_once)
-    last = warpvox(*tiny("train", "-m", *words, "seed=1,2", "name=x"), code=2).err.splitlines()[-1]
-    assert last.startswith("warpvox: 1 of 2 runs failed, the first of them with: it diverged")
+    outcome = warpvox(*tiny("train", "-m", *words, "seed=1,2", "name=x"), code=2)
+    assert "failed: it diverged" in outcome.out
+    assert outcome.err.splitlines()[-1] == "warpvox: it diverged"
     assert not LOGGER.disabled  # Hydra's configuration of logs can switch off those that there are
-    assert [(row["run"], row["seed"], row["status"]) for row in table()] == [("1", "1", "failed"), ("2", "2", "done")]
     assert [path.name.partition("_x")[2] for path in Path("outputs/train/Walker-v0").iterdir()] == ["_seed-2"]
 
 
-def test_an_interrupt_ends_a_sweep_with_its_table(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_ends_a_sweep(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     from warpvox.algos.training.runner import Runner
 
+    made = []
+
     def interrupt(self: Runner) -> None:
+        made.append(self)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Runner, "run", interrupt)
-    outcome = warpvox(*tiny("train", "-m", "seed=1,2,3"), code=130)
-    assert [row["status"] for row in table()] == ["interrupted"]
-    assert "1 of 3 runs" in outcome.out
+    warpvox(*tiny("train", "-m", "seed=1,2,3"), code=130)
+    assert len(made) == 1
 
 
-def test_keys_with_the_name_of_a_column_of_the_table(warpvox: Callable) -> None:
-    words = ("play", "-m", "run=runs/a,runs/b", "steps=1,2", "window=off")
-    warpvox(*words, fails="4 of 4 runs failed, the first of them with: There is no run at runs/a")
-    (file,) = Path("outputs/play").glob("sweep_*.csv")
-    with file.open(encoding="utf-8", newline="") as text:
-        rows = [(row["run"], row["key_run"], row["key_steps"], row["status"]) for row in csv.DictReader(text)]
-    runs = [(run, steps) for run in ("runs/a", "runs/b") for steps in "12"]
-    assert rows == [(str(number + 1), *values, "failed") for number, values in enumerate(runs)]
-
-
-def test_a_sweep_of_searches_has_a_folder_before_its_first_run(warpvox: Callable, monkeypatch) -> None:
-    """Another one that begins in the same second takes another; and a setting may be one of the searches' alone."""
+def test_a_sweep_over_searches_may_have_settings_of_theirs(warpvox: Callable, monkeypatch) -> None:
     found = []
-    monkeypatch.setattr(sweep, "run_hydra", lambda *_: found.extend(Path("out/codesign").glob("sweep_*")))
+    monkeypatch.setattr("warpvox.cli.commands.codesign.run", lambda config, *_: found.append(config.search))
     warpvox("codesign", "-m", "search=bo,bo_lbfgs", "search.candidates=500", "output_dir=out")
-    assert [path.name[:6] for path in found] == ["sweep_"]
-    assert not Path("out").exists()
+    assert [(search.acquisition, search.candidates) for search in found] == [("pathwise", 500), ("lbfgs", 500)]
 
 
 def test_a_summary_says_what_made_it(train: Callable, repository: Path) -> None:

@@ -181,7 +181,7 @@ def test_only_these_modules_can_run_what_they_read(repository: Path) -> None:
     # of names that stand in the source, and of commands, which are listed there
     names = {"warpvox/code.py", "warpvox/cli/__init__.py", "warpvox/cli/exports.py", "configs/schema.py"}
     names |= {"algos/search/factory.py", "warpvox/evogym/switch.py"}
-    names |= {"warpvox/progress/tracking.py"}
+    names |= {"warpvox/progress/tracking.py", "warpvox/cli/sweep.py"}
     assert found["import_module"] | found[".import_module"] == names
     assert found[".run_path"] == {"warpvox/evogym/__main__.py"}  # the script that the user names
     assert not {"eval", "exec", "run_path", ".unsafe_load", ".full_load", ".Unpickler"} & found.keys()

@@ -60,7 +60,7 @@ def test_values_on_the_command_line(value: str) -> None:
 
 
 def test_numbers_that_no_float_can_hold() -> None:
-    with pytest.raises(ConfigError, match=r"ppo\.entropy_coef must be a finite number, got 9{40}\."):
+    with pytest.raises(ConfigError, match=r"ppo\.entropy_coef=9{40}: int too large"):
         load("train", [f"ppo.entropy_coef={'9' * 400}"])
 
 

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from warpvox.cli.application import read_words
-from warpvox.cli.config import load
-from warpvox.cli.overrides import expand, read_overrides
+from warpvox.cli.application import read_options
+from warpvox.cli.config import load, read_words
 from warpvox.configs.schema import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,6 +32,11 @@ def test_a_command_line_is_taken(line: str) -> None:
     assert not re.search(r"[][*?{}]", QUOTED.sub("", line)), "a shell such as zsh takes this for a pattern: quote it"
     command, *words = (word for word in shlex.split(line) if word != "...")
     words = [f"task={word}" if command == "tasks" and "=" not in word else word for word in words]
-    given = read_words(command, words)
-    overrides = [word for word in given.overrides if not word.startswith("hydra")]
-    load(command, expand(read_overrides(command, overrides, given.multirun))[0], given.config_dir)
+    options = read_options(command, words)
+    overrides = read_words(command, [word for word in options.overrides if not word.startswith("hydra")])
+    first = [
+        one.sweep_string_iterator() if one.is_sweep_override() else iter([one.get_value_string()])
+        for one in overrides.values()
+    ]
+    words = [f"{key}={next(values)}" for key, values in zip(overrides, first, strict=True) if key != "resume"]
+    load(command, words, options.config_dir)

@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 import torch
 
-from warpvox.cli.application import read_words
-from warpvox.cli.config import load
-from warpvox.cli.overrides import expand, read_overrides
+from warpvox.cli.application import read_options
+from warpvox.cli.config import read_words
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
 QUICK: dict[str, dict[str, Any]] = {
@@ -47,8 +46,8 @@ def test_a_search_on_ray_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
 def test_the_sweep_is_one_that_train_takes() -> None:
     text = (FOLDER / "slurm_sweep.sh").read_text(encoding="utf-8").replace("\\\n", " ").replace('"$@"', "")
     (line,) = re.findall(r"^warpvox train (.+)$", text, re.MULTILINE)
-    given = read_words("train", shlex.split(line))
-    overrides = [word for word in given.overrides if not word.startswith("hydra")]
-    runs = expand(read_overrides("train", overrides, given.multirun))
-    assert len(runs) == 9
-    load("train", runs[0], given.config_dir)
+    options = read_options("train", shlex.split(line))
+    overrides = read_words("train", [word for word in options.overrides if not word.startswith("hydra")])
+    listed = [[*one.sweep_string_iterator()] for one in overrides.values() if one.is_sweep_override()]
+    assert options.multirun
+    assert [len(values) for values in listed] == [3, 3]

@@ -24,7 +24,7 @@ from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.find import find_run
 from warpvox.algos.report import family_tree
 from warpvox.algos.training.pretrained import check_learned
-from warpvox.cli.config import load, load_values
+from warpvox.cli.config import load
 from warpvox.design import check_design, full_connections, load_design, save_design
 from warpvox.errors import ConfigError, DesignError, RolloutError, RunError, WorldError
 from warpvox.io.reading import Unreadable, parse_json, parse_yaml, read_facts
@@ -108,7 +108,7 @@ def test_yaml_is_plain_values() -> None:
         with pytest.raises(Unreadable, match=words):
             parse_yaml(text)
     with pytest.raises(ConfigError, match="stored configuration is not valid"):
-        load_values("train", {"ppo": {"entropy_coef": 10**400}})
+        wv.Training.of({"ppo": {"entropy_coef": 10**400}})
 
 
 def test_worlds_and_bodies_have_a_size(tmp_path: Path) -> None:
@@ -268,7 +268,7 @@ def use_archive(path: Path) -> None:
 
 
 def use_config(path: Path) -> None:
-    load_values("train", find_run(str(path.parent), "outputs").config)
+    load("train", [f"config={find_run(str(path.parent), 'outputs').folder}"])
 
 
 def npz(path: Path) -> bytes:

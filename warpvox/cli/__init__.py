@@ -1,8 +1,9 @@
 """The command line: ``warpvox COMMAND [KEY=VALUE ...]``.
 
-Each command is a module of :mod:`warpvox.cli.commands` with a function ``run``, imported when it is asked for, so that
-help and mistakes are answered at once; the modules beside this one are what commands share. Only they and
-:mod:`warpvox.configs` import Hydra.
+Each command is a module of :mod:`warpvox.cli.commands`, imported when it is asked for. Its function
+``run(settings, given, console)`` gets the settings, the keys that the user has given and where to print; it returns the
+folder that it has made, if any. ``check(settings, given)``, where there is one, finds mistakes in a moment. The modules
+beside this one are what commands share; only they and :mod:`warpvox.configs` import Hydra.
 
 Exit codes: 0 done, 2 bad usage, bad input or a machine that will not (one line on stderr), 130 interrupted by Ctrl-C,
 143 asked to end (SIGTERM), 129 its terminal was closed (SIGHUP).
@@ -48,67 +49,61 @@ def main(argv: Sequence[str] | None = None) -> int:
     Args:
         argv: arguments without the program's name; None: those of the process.
     """
-    arguments = [*map(unquoted, sys.argv[1:] if argv is None else argv)]
-    works = arguments[:1] and arguments[0] in WORKING
-    with lasting_output("warpvox: nobody reads the output any more; going on without it" if works else None):
-        return _run(arguments)
+    name, *words = [*map(unquoted, sys.argv[1:] if argv is None else argv)] or [""]
+    gone = "warpvox: nobody reads the output any more; going on without it" if name in WORKING else None
+    with lasting_output(gone):
+        try:
+            with terminable(), enough_memory("Ask for less at once, such as a smaller num_envs."):
+                code = DONE
+                if name in ("", "-h", "--help", "help"):
+                    print(_help(), file=sys.stdout if name else sys.stderr)
+                    code = DONE if name else BAD_INPUT
+                elif name in ("-V", "--version", "version"):
+                    print(f"warpvox {warpvox.__version__}")
+                elif name in ("-sc", "--shell-completion"):
+                    from warpvox.cli.sweep import complete
 
+                    complete(words, COMMANDS)
+                elif name not in COMMANDS:
+                    hint = did_you_mean(name, COMMANDS)
+                    raise ConfigError(f"Unknown command '{name}'; there are {', '.join(COMMANDS)}.{hint}")
+                else:
+                    if name == "demo":
+                        name, words = "train", ["preset=demo", *words]
+                    from warpvox.cli.application import read_command
+                    from warpvox.io.console import make_console
 
-def _run(arguments: list[str]) -> int:
-    """Run a command and turn what it raises into an exit code."""
-    try:
-        with terminable(), enough_memory("Ask for less at once, such as a smaller num_envs."):
-            code = _dispatch(arguments)
-            sys.stdout.flush()  # here a full disk can still be reported
-            return code
-    except ResumeError as error:
-        from warpvox.io.text import shell_argument
+                    asked = read_command(name, COMMANDS[name], words)
+                    if asked is not None:
+                        settings, given = asked
+                        import_module(f"warpvox.cli.commands.{name}").run(settings, given, make_console())
+                sys.stdout.flush()  # here a full disk can still be reported
+                return code
+        except ResumeError as error:
+            from warpvox.io.text import shell_argument
 
-        changes = [f"{key}={'null' if value is None else value}" for key, value in error.changes.items()]
-        command = " ".join(["warpvox train", shell_argument("resume", error.resume), *changes])
-        return _complain(f"{error} Go on with: {command}")
-    except WarpvoxError as error:
-        return _complain(error)
-    except Terminated as request:
-        print(f"warpvox: asked to end ({signal.Signals(request.number).name})", file=sys.stderr)
-        return SIGNALLED + request.number
-    except KeyboardInterrupt:
-        print("warpvox: interrupted", file=sys.stderr)
-        return INTERRUPTED
-    except PermissionError as error:
-        return _complain(f"Permission is denied: {error.filename or error}. Name a place that you may use.")
-    except OSError as error:
-        if error.errno == errno.ENAMETOOLONG:
-            return _complain(f"No file or folder can have the name '{error.filename!s:.100}...': it is too long.")
-        if error.errno not in OF_DISKS:
-            raise
-        redirect(sys.stdout)
-        where = str(error.filename or "The output")
-        hint = " WARP_CACHE_PATH=FOLDER is where Warp keeps kernels." if "cache" in where.lower() else ""
-        return _complain(f"{where} cannot be written: {complaint(error)}.{hint}")
-
-
-def _dispatch(arguments: list[str]) -> int:
-    if not arguments:
-        print(_help(), file=sys.stderr)
-        return BAD_INPUT
-    command, rest = arguments[0], arguments[1:]
-    if command in ("-h", "--help", "help"):
-        print(_help())
-        return DONE
-    if command in ("-V", "--version", "version"):
-        print(f"warpvox {warpvox.__version__}")
-        return DONE
-    if command in ("-sc", "--shell-completion"):
-        from warpvox.cli.sweep import complete
-
-        complete(rest, COMMANDS)
-        return DONE
-    if command not in COMMANDS:
-        hint = did_you_mean(command, COMMANDS)
-        raise ConfigError(f"Unknown command '{command}'; there are {', '.join(COMMANDS)}.{hint}")
-    import_module(f"warpvox.cli.commands.{command}").run(rest)
-    return DONE
+            changes = [f"{key}={'null' if value is None else value}" for key, value in error.changes.items()]
+            command = " ".join(["warpvox train", shell_argument("resume", error.resume), *changes])
+            return _complain(f"{error} Go on with: {command}")
+        except WarpvoxError as error:
+            return _complain(error)
+        except Terminated as request:
+            print(f"warpvox: asked to end ({signal.Signals(request.number).name})", file=sys.stderr)
+            return SIGNALLED + request.number
+        except KeyboardInterrupt:
+            print("warpvox: interrupted", file=sys.stderr)
+            return INTERRUPTED
+        except PermissionError as error:
+            return _complain(f"Permission is denied: {error.filename or error}. Name a place that you may use.")
+        except OSError as error:
+            if error.errno == errno.ENAMETOOLONG:
+                return _complain(f"No file or folder can have the name '{error.filename!s:.100}...': it is too long.")
+            if error.errno not in OF_DISKS:
+                raise
+            redirect(sys.stdout)
+            where = str(error.filename or "The output")
+            hint = " WARP_CACHE_PATH=FOLDER is where Warp keeps kernels." if "cache" in where.lower() else ""
+            return _complain(f"{where} cannot be written: {complaint(error)}.{hint}")
 
 
 def _help() -> str:

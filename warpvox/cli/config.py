@@ -1,165 +1,222 @@
-"""From ``KEY=VALUE`` to a checked configuration: Hydra composes, the schema's metadata judges."""
+"""From the words of a command line to its settings: parsed once, composed once by Hydra, checked when they are made."""
 
-import dataclasses
+import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, OverrideType
+from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, ConfigTypeError
 
+from warpvox.algos.find import find_codesign, find_run
 from warpvox.algos.interrupt import uninterrupted
-from warpvox.cli.help import flat_values, groups_of, keys_of
-from warpvox.cli.overrides import key_and_value, read_overrides
+from warpvox.cli.help import groups_of, keys_of
 from warpvox.code import with_passed_code
 from warpvox.configs.composition import composed, hydras_errors, quoted
 from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean
 from warpvox.io.reading import LARGEST_CONFIG, Unreadable, parse_yaml, read_text
-from warpvox.keys import check_value, check_values, converted
-from warpvox.runs import CONFIG, without_services
+from warpvox.keys import flat
+from warpvox.runs import CODESIGN, CONFIG, TRAINING, without_services
 
-ALIASES = {"env": "task", "lr": "learning_rate", "n_envs": "num_envs", "num_envs": "envs", "batch_size": "minibatches"}
-ALIASES |= {"out": "file", "evaluations": "max_evaluations"} | dict.fromkeys(("gif", "mp4", "video"), "export")
-ALIASES |= dict.fromkeys(("steps", "timesteps", "total_timesteps"), "max_iterations")
+ALIASES = {
+    "env": "task",
+    "lr": "learning_rate",
+    "n_envs": "num_envs",
+    "num_envs": "envs",
+    "batch_size": "minibatches",
+    "out": "file",
+    "evaluations": "max_evaluations",
+    "steps": "max_iterations",
+    "timesteps": "max_iterations",
+    "total_timesteps": "max_iterations",
+    "gif": "export",
+    "mp4": "export",
+    "video": "export",
+}
 """Names that other libraries have for a key, by the last part of ours: for hints."""
-NOT_TAKEN = ("resume", "report", "config")
-"""Keys of ``config=FILE`` that say what the run did that the file has come from, not with what."""
+RENAMED = {
+    "train": {"designs": "designs.bodies"},
+    "play": {"designs": "design", "format": "export"},
+    "export": {"export": "format"},
+    "codesign": {
+        "finalists": "evaluation.finalists",
+        "pretrained": "evaluation.pretrained",
+        "search.algorithm": "search",
+        "evaluation.name": "evaluation",
+    },
+}
+"""Other names of keys, by command: short ones, those of another command, older ones and those of config.yaml."""
 
 
-def load(
-    command: str,
-    overrides: list[str],
-    config_dir: Path | None = None,
-    base: dict | None = None,
-    home: Path | None = None,
-) -> Any:
-    """Compose, check and return the dataclass of a command.
+def load(command: str, words: Sequence[str], config_dir: Path | None = None) -> Any:
+    """The settings that the words of a command line ask for, see :func:`settings_of`."""
+    return settings_of(command, read_words(command, words), config_dir)
+
+
+def settings_of(command: str, overrides: Mapping[str, Override], config_dir: Path | None = None) -> Any:
+    """The settings of a command: its defaults, above them a stored configuration, above that what is given.
+
+    A group that is given takes the place of its section in the stored configuration.
 
     Args:
-        base: stored values, above the defaults and below what the overrides change.
-        home: the folder whose ``config.yaml`` the base is; code that it names is only let through if the overrides
-            name it again (:func:`warpvox.code.with_passed_code`).
+        overrides: what is given, by key; ``config=FILE`` and ``resume=RUN`` name a stored configuration.
+        config_dir: folder with YAML files of the user's own.
+
+    Raises:
+        ConfigError: an unknown key, a value that it does not take, or a file that is or has none. RunError: there is no
+            run to resume.
     """
-    parsed = read_overrides(command, overrides)
-    named: dict[str, Any] = {override.key_or_group: override.value() for override in parsed}
-    file = named.get("config")
-    if file is not None:
-        if f"{PRESET}/{command}" in named:
-            raise ConfigError(f"config={file} and {PRESET} both say where to start: give one of them.")
-        base, home = _read_file(Path(str(file)).expanduser())
-    place = file or (home and home / CONFIG)
-    origin = f"{place}: " if place else ""
-    # OmegaConf's clean-up turns an interrupt into errors of its own
-    with hydras_errors(f"{file}: " if file else ""), uninterrupted():
-        whole = _composed(command, parsed, config_dir, base, origin)
-        try:
-            result: Any = OmegaConf.to_object(whole)
-            check_values(result)
-        except ConfigError as error:  # the overrides have been checked one by one
-            raise ConfigError(f"{origin}{error}") from None
-    result = dataclasses.replace(result, config=None) if file else result
-    return with_passed_code(result, named, place or config_dir)
+    given = {key: _value(command, key, override) for key, override in overrides.items()}
+    stored, place = _stored(command, given)
+    origin = "" if place is None else f"{place}: "
+    choosing = [*groups_of(command), *[PRESET] * (PRESET in keys_of(command))]
+    groups = {key: str(value) for key, value in given.items() if key in choosing and value is not None}
+    stored = {key: value for key, value in stored.items() if key not in groups}
+    if place is not None and PRESET in groups:
+        raise ConfigError(f"{place} and {PRESET}={groups[PRESET]} both say where to start: give one of them.")
 
+    # The node of a group is the one given, else the one stored.
+    choices = dict(groups)
+    for group in nodes_of(command):
+        section = stored.get(group)
+        name = isinstance(section, Mapping) and section.get("name", section.get("algorithm"))
+        if name:
+            choices[group] = str(name)
 
-def load_start(command: str, overrides: list[str], config_dir: Path | None) -> Any:
-    """The dataclass of a command; with ``resume`` only its override and those of ``report`` and ``output_dir`` count.
-
-    What else is given may be about parts that only the run has which goes on.
-    """
-    keys = {word.partition("=")[0]: word for word in overrides}
-    if "resume" in keys:
-        config = load(command, [keys[key] for key in ("resume", "report", "output_dir") if key in keys], config_dir)
-        if config.resume is not None:
-            return config
-    return load(command, overrides, config_dir)
-
-
-def load_values(command: str, values: dict[str, Any]) -> Any:
-    """The dataclass of a command from the values of a stored ``config.yaml``; unknown ones are left out.
-
-    The code that they name cannot be imported before :func:`warpvox.code.with_passed_code`.
-    """
-    known = {item.name: values[item.name] for item in dataclasses.fields(schema_of(command)) if item.name in values}
-    with hydras_errors("The stored configuration is not valid: "), uninterrupted():
-        result = OmegaConf.to_object(OmegaConf.merge(composed(command, _nodes_of(command, known)), known))
-    check_values(result)
-    return result
-
-
-def _read_file(path: Path) -> tuple[dict[str, Any], Path]:
-    """The values of ``config=FILE``, which is a YAML file or the folder of a run, and the folder that it lies in."""
-    path = path / CONFIG if path.is_dir() else path
+    with uninterrupted():  # OmegaConf's clean-up turns an interrupt into errors of its own
+        names = {PRESET: f"{PRESET}/{command}@_global_"}
+        with hydras_errors(origin):
+            chosen = [f"{names.get(key, key)}={quoted(choice)}" for key, choice in choices.items()]
+            config = cast(DictConfig, OmegaConf.merge(composed(command, chosen, config_dir), stored))
+        for key, value in given.items():
+            if key not in groups:
+                _set(command, config, key, value)
+        with hydras_errors(origin):
+            values = OmegaConf.to_container(config, resolve=True)
     try:
-        values = parse_yaml(read_text(path, LARGEST_CONFIG))
-    except Unreadable as error:
-        raise ConfigError(f"config must be a YAML file or the folder of a run; {path}: {error}.") from None
-    if not isinstance(values, dict) or not values:
-        raise ConfigError(f"config must be a YAML file or the folder of a run; {path} holds no KEY: VALUE.")
-    return without_services({name: value for name, value in values.items() if name not in NOT_TAKEN}), path.parent
+        settings = schema_of(command)(**cast(Any, values))
+    except ConfigError as error:
+        key = str(error).partition(" ")[0]
+        raise ConfigError(f"{'' if key in given else origin}{error}") from None
+    return with_passed_code(settings, given, place or config_dir)
 
 
-def _composed(
-    command: str, parsed: list[Override], config_dir: Path | None, stored: dict | None, origin: str
-) -> DictConfig:
-    """The configuration of a command, unchecked; errors in stored values begin with ``origin``, their file."""
-    groups = [override for override in parsed if override.key_or_group in groups_of(command)]
-    choices = [f"{one.get_key_element()}={quoted(key_and_value(one)[1])}".replace("${", "\\${") for one in groups]
-    named, with_nodes = {override.key_or_group for override in groups}, nodes_of(command)
-    stored = stored and {key: value for key, value in stored.items() if key not in with_nodes or key not in named}
-    nodes = [choice for choice in choices if choice.partition("=")[0] in with_nodes] + _nodes_of(command, stored or {})
-    config = composed(command, list(dict.fromkeys(choices + nodes)), config_dir)
-    for override in parsed:
-        if override not in groups:
-            _set(config, override, command)
-    if stored is None:
-        return config
-    defaults = composed(command, nodes, config_dir)
-    for key in flat_values(command, stored):
-        if not _has(defaults, key):
-            raise _unknown(command, key, defaults)
-    now, usual = (flat_values(command, cast(Any, OmegaConf.to_container(one))) for one in (config, defaults))
-    with hydras_errors(origin):
-        below = cast(DictConfig, OmegaConf.merge(defaults, stored))
-    changed = [key for key in now if now[key] != usual.get(key)]
-    for key in [*changed, *(override.key_or_group for override in parsed if _has(config, override.key_or_group))]:
-        OmegaConf.update(below, key, OmegaConf.select(config, key), merge=False)
-    return below
+def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
+    """The words of a command line by their keys, as Hydra's grammar has them. Keys may still be unknown.
+
+    A text that the grammar cannot read, or takes for a number, is quoted for it; so is what names a path.
+
+    Raises:
+        ConfigError: a word that is not ``KEY=VALUE``, or a key that is given twice.
+    """
+    keys = keys_of(command)
+    found: dict[str, Override] = {}
+    for word in words:
+        name, given, text = word.partition("=")
+        name = RENAMED.get(command, {}).get(name, name)
+        override = _parsed(f"{name}{given}{text}")
+        if given and text and name in keys and keys[name].takes_text:
+            place = os.path.expanduser(text)
+            if override is None or os.path.exists(place) or (keys[name].is_text and _is_other(override)):
+                override = _parsed(f"{name}={quoted(place)}")
+        if override is None:
+            raise ConfigError(f"'{word:.200}' is not KEY=VALUE, or its value has unbalanced brackets or quotes.")
+        if override.type is not OverrideType.CHANGE:
+            raise ConfigError(f"'{word}': keys cannot be added or removed; write {override.key_or_group}=VALUE.")
+        if name in found:
+            raise ConfigError(f"The key '{name}' is given more than once.")
+        found[name] = override
+    return found
 
 
-def _nodes_of(command: str, values: dict[str, Any]) -> list[str]:
-    """The overrides that choose the nodes of stored values, by their names."""
-    sections = {group: values[group] for group in nodes_of(command) if isinstance(values.get(group), dict)}
-    names = {group: one.get("name", one.get("algorithm")) for group, one in sections.items()}
-    return [f"{group}={quoted(str(name))}" for group, name in names.items() if name]
+def _parsed(word: str) -> Override | None:
+    """A word as Hydra's grammar has it; None: it cannot be read."""
+    try:
+        return OverridesParser.create().parse_override(word)
+    except (HydraException, ValueError, RecursionError):  # numbers of thousands of digits, brackets without end
+        return None
 
 
-def _set(config: DictConfig, override: Override, command: str) -> None:
-    key, keys = override.key_or_group, keys_of(command)
-    if override.package is not None or not _has(config, key) or key not in keys:
-        raise _unknown(command, override.get_key_element(), config)
-    if dataclasses.is_dataclass(keys[key].type):
-        hint = did_you_mean(key, [name for name in keys if "." not in name and name != key])
-        raise ConfigError(f"{key} is set by {key}.NAME=VALUE, got '{override.get_value_string()}'.{hint}")
-    with hydras_errors(f"{key}={override.get_value_string():.40}: "):
-        check_value(key, converted(override.value(), keys[key].type, key, "null"), keys[key].limits)
-        OmegaConf.update(config, key, override.value(), merge=False)
+def _is_other(override: Override) -> bool:
+    """Whether Hydra's grammar takes a value for a number, list or the like."""
+    return not override.is_sweep_override() and not isinstance(override.value(), str | None)
 
 
-def _has(config: DictConfig, key: str) -> bool:
-    parent, _, name = key.rpartition(".")
-    section = OmegaConf.select(config, parent) if parent else config
-    return isinstance(section, DictConfig) and name in set(section)
+def _value(command: str, key: str, override: Override) -> Any:
+    """The value that a word gives a key. ConfigError: it lists several."""
+    if override.is_sweep_override():
+        raise ConfigError(
+            f"'{override.input_line}' lists several values: add --multirun to run them one after another (a value that"
+            f" is itself a list is written {key}=[a,b], one that has commas {key}=\"'a,b'\")."
+        )
+    value: Any = override.value()
+    if key in keys_of(command) and keys_of(command)[key].is_list and not isinstance(value, list | None):
+        return [value]  # export=gif
+    return value
+
+
+def _stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path | None]:
+    """The stored configuration that ``config`` or ``resume`` names, and its file; None: they name none.
+
+    ``resume`` becomes the folder or checkpoint that it names.
+    """
+    if given.get("config") is not None:
+        path = Path(str(given["config"])).expanduser()
+        path = path / CONFIG if path.is_dir() else path
+        try:
+            values = parse_yaml(read_text(path, LARGEST_CONFIG))
+        except Unreadable as error:
+            raise ConfigError(f"config must be a YAML file or the folder of a run; {path}: {error}.") from None
+        if not isinstance(values, dict) or not values:
+            raise ConfigError(f"config must be a YAML file or the folder of a run; {path} holds no KEY: VALUE.")
+        given["config"] = None
+    elif given.get("resume") is not None:
+        name = str(given["resume"])
+        output_dir = str(given.get("output_dir", "outputs"))
+        run = find_codesign(name, output_dir) if command == CODESIGN else find_run(name, output_dir, TRAINING, True)
+        path = run.folder / CONFIG
+        values = {key: value for key, value in run.config.items() if key in keys_of(command)}
+        given["resume"] = str(run.checkpoint or run.folder)
+    else:
+        return {}, None
+
+    # What a run was told to do is no setting.
+    own = {key: value for key, value in values.items() if key not in ("resume", "report", "config")}
+    return without_services(own), path
+
+
+def _set(command: str, config: DictConfig, key: str, value: Any) -> None:
+    """Set a key of a composed configuration. ConfigError: there is no such key, or it does not take the value."""
+    with hydras_errors(f"{key}={value!s:.40}: "):
+        try:
+            if key not in keys_of(command):
+                raise ConfigKeyError(key)
+            OmegaConf.update(config, key, value, merge=False)
+        except (ConfigAttributeError, ConfigKeyError, ConfigTypeError):
+            raise _unknown(command, key, config) from None
 
 
 def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
-    """The error that names the nearest key of a composed configuration."""
-    keys, last = keys_of(command), key.split(".")[-1]
-    known = [name for name in keys if _has(config, name)]
+    """The error for a key that a composed configuration does not have, with the best hint that there is."""
+    keys = keys_of(command)
+    known = [name for name in flat(cast(Any, OmegaConf.to_container(config))) if name in keys]
+    last = key.split(".")[-1]
+
+    # A similar name
     hint = did_you_mean(key, known) or did_you_mean(last, known)
-    if key in keys:
-        group, _, name = key.partition(".")
-        owners = [one for one, node in nodes_of(command)[group].items() if name in node.__dataclass_fields__]
-        hint = f" It is a setting of {' and '.join(f'{group}={one}' for one in owners)}."
+
+    # The same key in another choice of its group
+    group, _, name = key.partition(".")
+    nodes = nodes_of(command).get(group, {})
+    owners = [f"{group}={choice}" for choice, node in nodes.items() if name in node.__dataclass_fields__]
+    if owners:
+        hint = f" It is a setting of {' and '.join(owners)}."
+
+    # What another library calls this
     for name in known:
         if name.split(".")[-1] == ALIASES.get(last):
             hint = f" Did you mean '{name}'?"

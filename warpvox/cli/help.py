@@ -5,7 +5,6 @@ import dataclasses
 import functools
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, get_type_hints
 
 from warpvox.configs.composition import quoted
@@ -24,8 +23,21 @@ class Key:
     default: Any
     help: str
     choices: tuple[str, ...] = ()
-    path: str | None = None
-    limits: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    @property
+    def is_text(self) -> bool:
+        """True if the value is a text, or null."""
+        return self.type in (str, str | None)
+
+    @property
+    def is_list(self) -> bool:
+        """True if the value is a list, or null."""
+        return "list[" in str(self.type)
+
+    @property
+    def takes_text(self) -> bool:
+        """True if the value, or an entry of the list, may be a text."""
+        return self.type is Any or "str" in str(self.type)
 
 
 @functools.cache
@@ -43,25 +55,24 @@ def _keys(schema: type, prefix: str) -> Iterator[tuple[str, Key]]:
         name = prefix + item.name
         default = item.default if item.default_factory is dataclasses.MISSING else item.default_factory()
         about = item.metadata
-        yield name, Key(types[item.name], default, about["help"], about.get("choices", ()), about.get("path"), about)
+        yield name, Key(types[item.name], default, about["help"], about.get("choices", ()))
         kinds = [one if isinstance(one, type) else type(one) for one in (default, *about.get("nodes", {}).values())]
         kinds = [kind for kind in kinds if dataclasses.is_dataclass(kind) and issubclass(kind, types[item.name])]
         yield from (part for kind in kinds for part in _keys(kind, f"{name}."))
 
 
 def groups_of(command: str) -> list[str]:
-    """The groups that a command has, as Hydra calls them."""
+    """The keys of a command that choose a dataclass or a YAML file by its name, but for the preset."""
     names = [item.name for item in dataclasses.fields(schema_of(command))]
-    presets = [f"{PRESET}/{command}"] if PRESET in names else []
-    return presets + [name for name in names if name in nodes_of(command) or name in FOLDERS]
+    return [name for name in names if name in nodes_of(command) or name in FOLDERS]
 
 
-def options_of(command: str, group: str, config_dir: Path | None = None) -> list[str]:
-    """The names of the choices of a group, those in a folder of the user's own among them."""
-    folders = [files("warpvox.configs") / group, *([config_dir / group] if config_dir else [])]
-    found = [file.name for folder in folders if folder.is_dir() for file in folder.iterdir()]
-    names = {name.removesuffix(".yaml") for name in found if name.endswith(".yaml")}
-    return sorted(names | {*nodes_of(command).get(group, {})})
+def options_of(command: str, key: str) -> list[str]:
+    """The names that a key takes: of dataclasses, of YAML files, or its choices."""
+    folder = files("warpvox.configs") / (f"{PRESET}/{command}" if key == PRESET else key)
+    known = [file.name.removesuffix(".yaml") for file in folder.iterdir() if file.is_file()] if folder.is_dir() else []
+    choices = keys_of(command)[key].choices if key in keys_of(command) else ()
+    return sorted({*known, *nodes_of(command).get(key, {}), *choices})
 
 
 def flat_values(command: str, values: dict[str, Any]) -> dict[str, Any]:
@@ -79,7 +90,7 @@ def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str |
         if name in groups_of(command):
             yield name, None, f"{key.help}: {', '.join(options_of(command, name))}"
         elif not dataclasses.is_dataclass(key.default) and len(key.choices) != 1:  # what the name of a choice sets
-            choices = options_of(command, f"{PRESET}/{command}") if name == PRESET else key.choices
+            choices = options_of(command, name) if name == PRESET else key.choices
             missing = any(choice not in key.help for choice in choices)
             meaning = f"{key.help}: {', '.join(choices)}" if missing else key.help
             value = values.get(name, key.default)

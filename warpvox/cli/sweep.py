@@ -1,214 +1,151 @@
-"""Several runs by Hydra's sweeper and launcher (``--multirun``): what they differ by, and their results."""
+"""Several runs by Hydra's sweeper and launcher (``--multirun``), and completion of command lines by a shell."""
 
 import argparse
 import functools
-import hashlib
-import json
 import os
-import re
 import sys
-import time
-import traceback
-from collections.abc import Callable, Collection, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from datetime import datetime
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.types import Override
-from rich.console import Console
-from rich.table import Table
 
-from warpvox.cli.config import load_start
-from warpvox.cli.help import options_of
-from warpvox.cli.overrides import key_and_value
-from warpvox.configs.composition import hydras_errors, quoted, register
-from warpvox.configs.schema import COMMANDS, PRESET
-from warpvox.errors import ConfigError, RunError, WarpvoxError
+from warpvox.cli.config import read_words, settings_of
+from warpvox.cli.help import keys_of, options_of
+from warpvox.configs.composition import hydras_errors, quoted
+from warpvox.configs.schema import COMMANDS
+from warpvox.errors import ConfigError, WarpvoxError
 from warpvox.io.console import echo, literal, make_console
-from warpvox.io.text import duration, shell_argument
-from warpvox.io.writing import write_table, write_text
-from warpvox.runs import CODESIGN, STAMP, TRAINING, label, make_folder, read_summary
+from warpvox.runs import STAMP, as_name, check_output, label, read_summary
 from warpvox.system import safe_start
 
+PLUGINS = ("hydra/", "hydra.")
+"""Beginnings of words that are Hydra's own: which launcher and sweeper, and their settings."""
 LONGEST_LABEL = 80
 """Characters of a folder's name that say what its run differs by."""
-UNSAFE = re.compile(r"[^A-Za-z0-9.+]+")
-INTERRUPTED = "interrupted"
-"""Status of a run that was ended by a signal."""
-FIGURES = ("best_return", "best_fitness", "mean_return", "evaluations", "steps", "elapsed_seconds")
-"""Entries of ``summary.json`` that the table shows, where there are any."""
-NUMBER, RESULTS = "run", ("status", *FIGURES, "folder", "error")
-"""Columns of the table beside the keys that differ; a key with the name of one of them has the prefix ``key_``."""
+OWN = "++words."
+"""Beginning of our words for Hydra, which adds them to an empty configuration: it is to expand them, not to compose."""
 QUIET = ("hydra/job_logging=none", "hydra/hydra_logging=none", "hydra.output_subdir=null", "hydra.sweep.subdir=.")
-Make = Callable[[list[str], Console], "Path | None"]
 
 
-def make_runs(
-    command: str,
-    overrides: Sequence[Override],
-    plugins: list[str],
-    config_dir: Path | None,
-    make: Make,
-    runs: Sequence[list[str]],
-) -> None:
-    """Have Hydra make the runs of a sweep; their table is ``<output_dir>/<command>/sweep_<date_time>.csv``.
+def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
+    """Have Hydra make the runs of all combinations of the values that words list.
 
-    Args:
-        overrides: those of all runs, and those that list several values.
-        runs: the overrides of each; none if the sweeper chooses them.
+    Hydra expands the words and launches the runs; each composes its own settings. Every value that is listed is
+    checked before the first run begins, those of several keys not in all combinations.
 
     Raises:
-        RunError: runs have failed; the others are made all the same.
+        WarpvoxError: a value is not valid, or a run has failed; the others are made all the same.
     """
-    fixed, total = [str(override.input_line) for override in overrides if not override.is_sweep_override()], len(runs)
-    output_dir = getattr(load_start(command, runs[0] if runs else fixed, config_dir), "output_dir", "outputs")
-    folder = Path(output_dir).absolute() / command
-    made = [place for place in (folder, *folder.parents) if not place.exists()]
-    table = make_folder(folder, f"sweep_{datetime.now().strftime(STAMP)}")
-    words = [*QUIET, f"hydra.sweep.dir={quoted(str(table))}", *plugins, *(str(one.input_line) for one in overrides)]
-    task = functools.partial(_run, frozenset(key_and_value(word)[0] for word in fixed), table, make, total, time.time())
-    try:
-        run_hydra(command, ["--multirun"], words, config_dir, task)
-    except RunError:
-        pass  # of a run; its row has the error
-    finally:
-        rows = _write(table)
-        if rows:
-            _print(rows, total, table)
-            if command in (*TRAINING, CODESIGN):
-                echo(make_console(), f"compare: warpvox curves {shell_argument('runs', table)}")
-        for empty in () if rows else (table, *made):
-            with suppress(OSError):
-                empty.rmdir()
-    failed = [row for row in rows if row["status"] == "failed"]
-    if failed:
-        raise RunError(
-            f"{len(failed)} of {total or len(rows)} runs failed, the first of them with:"
-            f" {failed[0]['error'].rstrip('.')}. All are listed in {table}.csv."
-        )
+    plugins = [word for word in words if word.startswith(PLUGINS)]
+    overrides = read_words(command, [word for word in words if word not in plugins])
+    fixed = {key: str(one.input_line) for key, one in overrides.items() if not one.is_sweep_override()}
+
+    # The values that each word lists; a sweeper that optimises may choose others
+    listed = {}
+    for key, one in overrides.items():
+        if not (one.is_discrete_sweep() or one.is_range_sweep()):
+            continue
+        try:
+            listed[key] = [f"{one.get_key_element()}={value}" for value in one.sweep_string_iterator()]
+        except ValueError:  # a range of steps of 0
+            listed[key] = []
+        if not listed[key]:
+            raise ConfigError(f"'{one.input_line}' makes no runs.")
+
+    # A mistake in the last run should not show after a day.
+    first = fixed | {key: values[0] for key, values in listed.items()}
+    runs = [first]
+    for key, values in listed.items():
+        runs += [first | {key: word} for word in values[1:]]
+    check = getattr(import_module(f"warpvox.cli.commands.{command}"), "check", None)
+    for run in runs:
+        given = read_words(command, list(run.values()))
+        settings = settings_of(command, given, config_dir)
+        check_output(settings)
+        if check is not None:
+            check(settings, given)
+
+    output_dir = getattr(settings, "output_dir", "outputs")
+    folder = Path(output_dir).absolute() / command / f"sweep_{datetime.now().strftime(STAMP)}"
+    lines = [f"{OWN}{one.input_line}" for one in overrides.values()]
+    task = functools.partial(_run, command, config_dir, frozenset(fixed))
+    run_hydra(["--multirun", *QUIET, f"hydra.sweep.dir={quoted(str(folder))}", *plugins, *lines], task)
 
 
-def _run(fixed: frozenset[str], table: Path, make: Make, total: int, began: float, _: Any) -> float | None:
-    """Make the run whose overrides Hydra gives; returns what a sweeper that optimises looks at.
-
-    Its result is noted in the table, whatever happens; only an interrupt is passed on.
-    """
-    hydra, console = HydraConfig.get(), make_console()
-    words, number = list(hydra.overrides.task), hydra.job.num + 1
-    varied = {key: value for key, value in map(key_and_value, words) if key not in fixed}
-    done, of = len(list(table.glob("run_*.json"))), f" of {total}" if total else ""
-    if done and total:
-        of += f", left {duration((time.time() - began) / done * (total - done))}"
-    console.rule(literal(f"run {number}{of}: {' '.join(f'{key}={value}' for key, value in varied.items())}"))
-    settings = {f"key_{key}" if key in (NUMBER, *RESULTS) else key: value for key, value in varied.items()}
-    row: dict[str, Any] = {NUMBER: number, **settings, "status": INTERRUPTED}
+def _run(command: str, config_dir: Path | None, fixed: Collection[str], _: Any) -> float | None:
+    """Make the run whose words Hydra gives; returns what a sweeper that optimises looks at."""
+    job = HydraConfig.get()
+    words = [word.removeprefix(OWN) for word in job.overrides.task]
+    given = read_words(command, words)
+    varied = {}
+    for key, one in given.items():
+        if key not in fixed:
+            varied[key] = one.value() if isinstance(one.value(), str) else one.get_value_string()
+    console = make_console()
+    console.rule(literal(f"run {job.job.num + 1}: {' '.join(f'{key}={value}' for key, value in varied.items())}"))
     token = label.set(label_of(varied))
     try:
-        folder = make(words, console)
-        summary = {} if folder is None else read_summary(folder)
-        figures = {name: summary[name] for name in FIGURES if summary.get(name) is not None}
-        row |= {"status": "done", **figures, "folder": "" if folder is None else str(folder)}
-    except BrokenPipeError:
-        raise
+        settings = settings_of(command, given, config_dir)
+        folder = import_module(f"warpvox.cli.commands.{command}").run(settings, given, console)
     except WarpvoxError as error:
-        row |= {"status": "failed", "error": " ".join(str(error).split())}
-        echo(console, f"failed: {row['error']}")
-    except Exception as error:  # a defect; the others have nothing to do with it
-        row |= {"status": "failed", "error": f"{type(error).__name__}: {error}"}
-        traceback.print_exc()
+        echo(console, f"failed: {error}")
+        raise
     finally:
         label.reset(token)
-        write_text(table / f"run_{number:05}.json", json.dumps(row))
-        _write(table)
-    if row["status"] == "failed" and hydra.runtime.choices["hydra/sweeper"] != "basic":
-        raise RunError(row["error"])
-    return next((row[name] for name in ("best_return", "best_fitness", "mean_return") if name in row), None)
+    summary = read_summary(folder) if isinstance(folder, Path) else {}
+    names = ("best_return", "best_fitness", "mean_return")
+    return next((summary[name] for name in names if summary.get(name) is not None), None)
 
 
-def label_of(varied: dict[str, str]) -> str:
+def label_of(varied: Mapping[str, str]) -> str:
     """``seed-1_ppo.gamma-0.9``: for the name of a folder, in which the task has a place already."""
-    text = "_".join(f"{key}-{_safe(value)}" for key, value in varied.items() if key != "task")
-    if len(text) <= LONGEST_LABEL:
-        return text
-    return f"{text[: LONGEST_LABEL - 9]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+    return as_name("_".join(f"{key}-{value}" for key, value in varied.items() if key != "task"))[:LONGEST_LABEL]
 
 
-def _safe(value: str) -> str:
-    place = Path(value)
-    short = place.stem if place.suffix and len(place.parts) > 1 else value  # of a file: its name
-    return UNSAFE.sub("-", short).strip("-") or "x"
+def run_hydra(words: Sequence[str], task: Callable[[Any], Any] = lambda _: None) -> None:
+    """Do what ``@hydra.main`` does of a command line, with an empty configuration.
 
-
-def _write(table: Path) -> list[dict[str, Any]]:
-    """Write the table of the runs that have been made, results behind settings; returns its rows."""
-    rows = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(table.glob("run_*.json"))]
-    names = dict.fromkeys(name for row in rows for name in row)
-    columns = sorted(names, key=lambda name: RESULTS.index(name) if name in RESULTS else -1)
-    rows = [{name: row.get(name) for name in columns} for row in rows]
-    if rows:
-        write_table(table.with_name(f"{table.name}.csv"), columns, (row.values() for row in rows))
-    return rows
-
-
-def _print(rows: list[dict[str, Any]], total: int, file: Path) -> None:
-    table, console = Table(title=f"{len(rows)} of {total or len(rows)} runs", title_justify="left"), make_console()
-    columns = [name for name in rows[0] if name not in ("folder", "error")]
-    for name in columns:
-        table.add_column(literal(name), justify="right" if name in FIGURES else "left", overflow="fold")
-    for row in rows:
-        values = ("" if row[name] is None else row[name] for name in columns)
-        table.add_row(*(literal(f"{value:,.3f}" if isinstance(value, float) else value) for value in values))
-    console.print(table)
-    echo(console, f"table: {file}.csv")
-
-
-def run_hydra(
-    command: str | None,
-    flags: Sequence[str],
-    overrides: Sequence[str] = (),
-    config_dir: Path | None = None,
-    task: Callable[[Any], Any] = lambda _: None,
-) -> None:
-    """Do what ``@hydra.main`` does of a command line with these words.
-
-    ConfigError: what Hydra says of a configuration or plugin. Exception: what ``task`` raises.
+    ConfigError: what Hydra says of a word or plugin. Exception: what ``task`` raises.
     """
-    if command is not None:
-        register(command)
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors are raised, not printed
-    place = ["--config-dir", str(config_dir)] if config_dir else []
-    words, sys.argv = sys.argv, [sys.argv[0], *flags, *place, *overrides]
+    before = sys.argv
+    sys.argv = [sys.argv[0], *words]
     try:
         # From Python 3.14 on argparse refuses an object as a help text, which Hydra 1.3 has.
         lenient = patch.object(argparse.ArgumentParser, "_check_help", lambda *_: None, create=True)
         with hydras_errors(), lenient, safe_start(move=False):  # of launchers' processes
-            hydra.main(version_base="1.3", config_path="pkg://warpvox.configs", config_name=command)(task)()
+            hydra.main(version_base="1.3", config_path="pkg://warpvox.cli", config_name=None)(task)()
     finally:
-        sys.argv = words
+        sys.argv = before
 
 
-def complete(words: Sequence[str], names: Collection[str]) -> None:
-    """``warpvox -sc install=SHELL``: print code that makes a shell complete our commands, which calls ``query``.
+def complete(words: Sequence[str], commands: Collection[str]) -> None:
+    """Complete the line in ``COMP_LINE`` for a shell (``query=SHELL``), or print code that has it do so.
 
     Args:
-        words: what follows ``-sc``.
-        names: of all commands.
+        words: what follows ``-sc``: ``query=SHELL``, ``install=SHELL`` or ``uninstall=SHELL``.
+        commands: names of all commands.
     """
-    line = os.environ.get("COMP_LINE", "").split(" ", 2)
-    command = {"demo": "train"}.get(line[1], line[1]) if len(line) == 3 else None
-    word, options = line[-1].rpartition(" ")[2], names if command is None else ()
-    if command in COMMANDS and word.startswith(f"{PRESET}="):  # Hydra knows presets by another name
-        options = [f"{PRESET}={name}" for name in options_of(command, f"{PRESET}/{command}")]
-    if words[:1] and words[0].startswith("query=") and (options or command not in COMMANDS):
-        print("\n".join(name for name in options if name.startswith(word)))
+    if not words or not words[0].startswith("query="):
+        try:
+            run_hydra(["-sc", *words])
+        except ValueError as error:
+            raise ConfigError(f"-sc needs install=SHELL or uninstall=SHELL. {' '.join(str(error).split())}.") from None
         return
-    if command is not None:  # Hydra knows one command only
-        os.environ["COMP_LINE"] = f"{line[0]} {line[2]}"
-    try:
-        run_hydra(command, ["-sc"], words)
-    except ValueError as error:
-        raise ConfigError(f"-sc needs install=SHELL or uninstall=SHELL. {' '.join(str(error).split())}.") from None
+
+    _, *given, word = os.environ.get("COMP_LINE", "").split(" ")
+    command = {"demo": "train"}.get(given[0], given[0]) if given else None
+    key, has_value, _ = word.partition("=")
+    options: Iterable[str] = ()
+    if command is None:
+        options = commands
+    elif command in COMMANDS and has_value:
+        options = [f"{key}={name}" for name in options_of(command, key)]
+    elif command in COMMANDS:
+        options = [f"{name}=" for name in keys_of(command)]
+    print("\n".join(option for option in options if option.startswith(word)))

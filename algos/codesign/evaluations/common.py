@@ -40,7 +40,7 @@ class CommonPolicy(Screened):
     fewer = "search.population"
     """The key that sets how many designs the policy learns on at once."""
 
-    policy: str = key("grid", "network of the policy: grid, transformer, module:Class, file.py:Class", path="read")
+    policy: str = key("grid", "network of the policy: grid, transformer, module:Class, file.py:Class")
     network: Any = key(None, "settings of this network, {width:32} for instance; null: its defaults")
     envs: int = key(16, "training environments for each design", low=1)
     iterations: int = key(10, "training iterations on the designs of each generation", low=0)
@@ -151,7 +151,6 @@ class FewShot(CommonPolicy):
         None,
         "the policy to start from: latest, the folder of a training with designs=... or a checkpoint in it;"
         " network and policy are its own, but for code, which evaluation.policy must name",
-        path="read",
     )
 
     def check(self, search: Codesign) -> None:

@@ -26,7 +26,6 @@ class Custom(Evaluation):
     make: str | None = key(
         None,
         "FILE.py:NAME or MODULE:NAME, called with the settings of the search and those below; makes an evaluator",
-        path="read",
     )
     settings: Any = key(None, "settings of your own, by name: {episodes:3}")
 

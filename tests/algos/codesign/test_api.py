@@ -113,7 +113,7 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
         ({"search": ToySearch(), "start": ["random:2:3x3"]}, r"ToySearch has no start_with\(bodies\)"),
         ({"sead": 3}, r"codesign got .* 'sead'\. Did you mean 'seed'\? There are task, shape, .*output_dir"),
         ({"evaluation": {"name": "gaits", "round": 3}}, "Did you mean 'rounds'"),
-        ({"training": {"iterations": "many"}}, "training: iterations must be an integer"),
+        ({"training": {"iterations": "many"}}, "training.iterations must be an integer"),
         ({"seed": -1}, "seed must be at least 0"),
         ({"evaluation": wv.Shared(), "training": {**TRAINING, "inherit": True}}, "training.inherit does not go with"),
     ]:

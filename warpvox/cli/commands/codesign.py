@@ -1,7 +1,7 @@
 """``warpvox codesign``: from a configuration to a folder with the designs that were tried, the best of them trained."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,52 +11,35 @@ from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.archive_export import FORMATS
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.find import find_codesign
-from warpvox.cli.application import run_command
-from warpvox.cli.config import load, load_values
-from warpvox.cli.overrides import key_and_value
 from warpvox.code import code_of
 from warpvox.configs.codesign import CodesignConfig
 from warpvox.errors import ConfigError, listing
 from warpvox.io.console import echo
 from warpvox.io.text import shown
 from warpvox.io.writing import check_links, check_writable
-from warpvox.runs import check_unchanged, read_summary
+from warpvox.runs import CONFIG, check_unchanged, read_summary
 
-Job = tuple[CodesignConfig, Path | None]
-"""One search to be made, and the folder of the one that it goes on with."""
 REPORT_KEYS = ("report", "export", "top", "output_dir")
 """Keys that a report follows from."""
 
 
-def run(words: list[str]) -> None:
-    run_command("codesign", words, _make, _prepare)
+def check(config: CodesignConfig, given: Collection[str]) -> None:
+    """Raise WarpvoxError where a search cannot be made, or cannot go on as asked."""
+    from warpvox.algos.codesign.run import check as check_search
+
+    if config.report is None:
+        check_search(config, _resumed(config))
 
 
-def _prepare(config: CodesignConfig, overrides: list[str], config_dir: Path | None) -> Job:
-    """The job of a configuration; with ``resume`` on top of that of the search that it goes on with."""
-    from warpvox.algos.codesign.run import check
-
-    folder = None
+def run(config: CodesignConfig, given: Collection[str], console: Console) -> Path:
+    """Make a search, or go on with one; returns its folder."""
     if config.report is not None:
-        others = [key for key in (key_and_value(word)[0] for word in overrides) if key not in REPORT_KEYS]
+        others = [key for key in given if key not in REPORT_KEYS]
         if others:
             raise ConfigError(f"{listing(others)} cannot change a report: {listing(REPORT_KEYS[1:])} may go with it.")
-        return config, None
-    if config.resume is not None:
-        source = find_codesign(config.resume, config.output_dir)
-        check_writable(folder := source.folder)
-        config = load("codesign", overrides, config_dir, base=source.config, home=folder)
-        config = dataclasses.replace(config, resume=None)
-        check_unchanged(source.config, config, CHANGEABLE)
-    check(config, folder)
-    return config, folder
-
-
-def _make(job: Job, console: Console) -> Path:
-    """Make a search, or go on with one; returns its folder."""
-    config, folder = job
-    if config.report is not None:
         return _report(config, console)
+    folder = _resumed(config)
+    config = dataclasses.replace(config, resume=None)
     with console.status("loading"):
         from warpvox.algos.codesign.run import run_codesign
         from warpvox.progress.search import SearchProgress, with_tracker
@@ -74,6 +57,16 @@ def _make(job: Job, console: Console) -> Path:
     return run_codesign(config, folder, with_tracker(config, [Films(console)])).folder
 
 
+def _resumed(config: CodesignConfig) -> Path | None:
+    """The folder of the search that goes on. ConfigError: it would become another one."""
+    if config.resume is None:
+        return None
+    source = find_codesign(config.resume, config.output_dir)
+    check_writable(source.folder)
+    check_unchanged(source.config, dataclasses.replace(config, resume=None), CHANGEABLE)
+    return source.folder
+
+
 def _export(archive: Archive, folder: Path, formats: Sequence[str], console: Console) -> None:
     for name in dict.fromkeys(formats):
         echo(console, shown(FORMATS[name](archive, folder)))
@@ -85,7 +78,7 @@ def _report(config: CodesignConfig, console: Console) -> Path:
     from warpvox.algos.report import FILE as REPORT
 
     source = find_codesign(str(config.report), config.output_dir)
-    stored = Codesign.of(vars(load_values("codesign", source.config)))
+    stored = Codesign.of(source.config, source.folder / CONFIG)
     check_links(source.folder)
     summary: dict[str, Any] = {"status": "running"} | read_summary(source.folder)
     with Archive.read(source.folder / FILE) as archive:

@@ -1,7 +1,7 @@
 """``warpvox curves``: learning curves of runs as one picture, as a table and as CSV."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -21,7 +21,6 @@ from warpvox.algos.report.learning_curves import (
 from warpvox.algos.report.members import read_members
 from warpvox.algos.statistics import LEVEL, mean_interval
 from warpvox.checks import check_choice
-from warpvox.cli.application import run_command
 from warpvox.cli.run_groups import group_runs
 from warpvox.configs.show import CurvesConfig
 from warpvox.errors import ConfigError, RunError, listing
@@ -30,11 +29,8 @@ from warpvox.io.writing import check_suffix
 from warpvox.runs import Run
 
 
-def run(words: list[str]) -> None:
-    run_command("curves", words, _draw)
-
-
-def _draw(config: CurvesConfig, console: Console) -> None:
+def run(config: CurvesConfig, given: Collection[str], console: Console) -> None:
+    """Draw the picture, print the table and write it."""
     check_suffix("file", config.file, SUFFIXES, ConfigError)
     searches = find_searches(config.runs, config.output_dir)
     if searches:

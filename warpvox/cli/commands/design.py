@@ -1,11 +1,11 @@
 """``warpvox design``: the design editor in the browser, served to this machine only."""
 
 import webbrowser
+from collections.abc import Collection
 from pathlib import Path
 
 from rich.console import Console
 
-from warpvox.cli.application import run_command
 from warpvox.code import Code
 from warpvox.configs.tools import DesignConfig
 from warpvox.errors import ConfigError
@@ -13,15 +13,12 @@ from warpvox.io.console import echo
 from warpvox.system import has_display
 
 
-def run(words: list[str]) -> None:
-    run_command("design", words, serve, check=_only_one)
-
-
-def _only_one(_: object) -> None:
+def check(config: DesignConfig, given: Collection[str]) -> None:
+    """Raise ConfigError: this is called for sweeps."""
     raise ConfigError("There is one editor at a time; --multirun has no meaning here.")
 
 
-def serve(config: DesignConfig, console: Console) -> None:
+def run(config: DesignConfig, given: Collection[str], console: Console) -> None:
     """Serve the editor until it is interrupted."""
     with console.status("starting"):
         from warpvox.devices.startup import prepare

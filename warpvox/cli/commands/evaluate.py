@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,6 @@ from rich.table import Table
 from warpvox.algos.find import find_runs
 from warpvox.algos.protocols import NOMINAL
 from warpvox.algos.statistics import Interval, mean_interval
-from warpvox.cli.application import run_command
 from warpvox.cli.run_groups import group_runs
 from warpvox.code import Code
 from warpvox.configs.show import EvaluateConfig
@@ -28,11 +27,7 @@ if TYPE_CHECKING:
     from warpvox.algos.training.policy_table import EvaluatedPolicy, Judged
 
 
-def run(words: list[str]) -> None:
-    run_command("evaluate", words, evaluate_runs)
-
-
-def evaluate_runs(config: EvaluateConfig, console: Console) -> Path:
+def run(config: EvaluateConfig, given: Collection[str], console: Console) -> Path:
     """Evaluate the runs, print and write tables; returns the folder of the results.
 
     Of several runs those that cannot be evaluated are left out, with a line each.

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from warpvox.cli.application import run_command
 from warpvox.cli.commands.play import check_source, play_run, write_results
 from warpvox.cli.exports import check_exports
 from warpvox.configs.schema import EXPORTS
@@ -23,11 +23,8 @@ if TYPE_CHECKING:
     from warpvox.algos.checkpoints.policy import Policy
 
 
-def run(words: list[str]) -> None:
-    run_command("export", words, _export)
-
-
-def _export(config: Any, console: Console) -> Path:
+def run(config: Any, given: Collection[str], console: Console) -> Path:
+    """Write the files that are asked for; returns their folder."""
     check_source(config)
     check_exports(config.format, config.size)
     if not config.format:

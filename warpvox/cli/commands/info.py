@@ -3,6 +3,7 @@
 import os
 import platform
 import sys
+from collections.abc import Collection
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -10,16 +11,11 @@ from rich.console import Console
 from rich.table import Table
 
 import warpvox
-from warpvox.cli.application import run_command
 from warpvox.io.console import literal
 from warpvox.system import processor_name, usable_cores
 
 
-def run(words: list[str]) -> None:
-    run_command("info", words, show)
-
-
-def show(_: object, console: Console) -> None:
+def run(config: object, given: Collection[str], console: Console) -> None:
     """Print the table."""
     table = Table(show_header=False, box=None, pad_edge=False)
     for name, value in [*_versions(), *_devices(), *_cache()]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,6 @@ from rich.console import Console
 
 from warpvox.algos.find import find_run
 from warpvox.algos.protocols import NOMINAL
-from warpvox.cli.application import run_command
 from warpvox.cli.exports import (
     LARGE,
     ROLLOUT,
@@ -41,20 +40,16 @@ OF_AGENTS = ("task", "design", "rules")
 """Keys that a trained run answers itself."""
 
 
-def run(words: list[str]) -> None:
-    run_command("play", words, play)
-
-
-def play(config: PlayConfig, console: Console) -> Path:
+def run(config: PlayConfig, given: Collection[str], console: Console) -> Path:
     """Run one episode everywhere, write it down and show it; returns the folder of the results."""
     check_source(config)
     in_window = wants_window(config.window)
     formats = ([] if in_window else ["html"]) if config.export is None else config.export
     check_exports(formats, config.size)
     if config.rollout is not None:
-        given = [name for name in ("agent", "zoo", *OF_AGENTS) if getattr(config, name) is not None]
-        if given:
-            raise ConfigError(f"rollout shows what was recorded: {listing(given)} cannot be given with it.")
+        others = [name for name in ("agent", "zoo", *OF_AGENTS) if getattr(config, name) is not None]
+        if others:
+            raise ConfigError(f"rollout shows what was recorded: {listing(others)} cannot be given with it.")
         from warpvox.view.rollout import Rollout
 
         rollout, source = Rollout.load(config.rollout), str(config.rollout)

@@ -1,13 +1,12 @@
 """``warpvox tasks``: all tasks as a table, or one in detail with a picture of its world."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from warpvox.cli.application import run_command
 from warpvox.configs.tools import TasksConfig
 from warpvox.design import example_designs
 from warpvox.errors import ConfigError, WorldError, listing
@@ -16,11 +15,7 @@ from warpvox.io.console import echo, literal
 from warpvox.io.writing import check_suffix
 
 
-def run(words: list[str]) -> None:
-    run_command("tasks", words, show)
-
-
-def show(config: TasksConfig, console: Console) -> None:
+def run(config: TasksConfig, given: Collection[str], console: Console) -> None:
     """Print the table or a task, or write the gallery."""
     for key, value, goes in (
         ("picture", config.picture, config.task is not None),

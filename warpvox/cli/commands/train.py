@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from rich.console import Console
 
 from warpvox.algos.find import find_run
-from warpvox.cli.application import run_command
-from warpvox.cli.config import load
 from warpvox.configs.train import TrainConfig
 from warpvox.runs import TRAINING
 
@@ -18,28 +16,26 @@ if TYPE_CHECKING:
     from warpvox.algos.training.job import Job
 
 
-def run(words: list[str]) -> None:
-    run_command("train", words, train, make_job, lambda job: job.check())
-
-
-def make_job(config: TrainConfig, overrides: list[str], config_dir: Path | None) -> Job:
-    """The training of a configuration; with ``resume`` on top of the configuration of the run that it goes on with."""
+def make_job(config: TrainConfig, given: Collection[str]) -> Job:
+    """The training that settings ask for; ``given``: keys that must agree with a pretrained policy."""
     from warpvox.algos.training.job import Job
 
     if config.resume is None:
-        return Job(config, {word.partition("=")[0] for word in overrides})
-    source = find_run(config.resume, config.output_dir, TRAINING, resume=True)
-    names = {item.name for item in dataclasses.fields(TrainConfig)}
-    stored = {name: value for name, value in source.config.items() if name in names}
-    return Job(load("train", overrides, config_dir, base=stored, home=source.folder), source=source)
+        return Job(config, given)
+    return Job(config, source=find_run(config.resume, config.output_dir, TRAINING, resume=True))
 
 
-def train(job: Job, console: Console) -> Path:
+def check(config: TrainConfig, given: Collection[str]) -> None:
+    """Raise an error where a name in the settings stands for nothing."""
+    make_job(config, given).check()
+
+
+def run(config: TrainConfig, given: Collection[str], console: Console) -> Path:
     """Make a run, and record its best policy where exports are asked for; returns its folder."""
     from warpvox.devices.startup import prepare
     from warpvox.progress.training import Terminal, with_tracker
 
-    config = cast(TrainConfig, job.settings)
+    job = make_job(config, given)
 
     class Films(Terminal):
         def end(self, job: Job) -> None:  # before another process may write to the folder

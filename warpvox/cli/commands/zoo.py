@@ -1,13 +1,12 @@
 """``warpvox zoo``: the trained robots that come with the package, or one of them in detail."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Column, Table
 
-from warpvox.cli.application import run_command
 from warpvox.configs.tools import ZooConfig
 from warpvox.design import ZOO_FOLDER
 from warpvox.envs.registry import get_task, task_ids
@@ -20,11 +19,7 @@ from warpvox.robots.network import Network
 from warpvox.view.cell_text import body_rows
 
 
-def run(words: list[str]) -> None:
-    run_command("zoo", words, zoo)
-
-
-def zoo(config: ZooConfig, console: Console) -> None:
+def run(config: ZooConfig, given: Collection[str], console: Console) -> None:
     """List the robots, or show one."""
     folder = ZOO_FOLDER if config.folder is None else Path(config.folder).expanduser()
     entries = _entries(folder)
