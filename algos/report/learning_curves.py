@@ -23,7 +23,7 @@ PANELS = 4
 """Pictures beside each other at most."""
 COLOURS = ("#d96a14", "#2f6fb0", "#3a8a4d", "#8a4fa3", "#b03a48", "#5b6473")
 STYLES = ("-", "--", ":", "-.")
-"""Of groups that the colours do not suffice for."""
+"""Line styles of groups: the next one after each turn of the colours."""
 POINTS = 200  # of the mean of several runs
 
 

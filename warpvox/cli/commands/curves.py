@@ -28,16 +28,17 @@ from warpvox.io.console import echo, literal
 from warpvox.io.writing import check_suffix
 from warpvox.runs import Run
 
-AXES_OF_RUNS, AXES_OF_SEARCHES = ("steps", "elapsed", "iteration"), ("steps", "evaluations")
-
 
 def run(config: CurvesConfig, given: Collection[str], console: Console) -> None:
     """Draw the picture, print the table and write it."""
     check_suffix("file", config.file, SUFFIXES, ConfigError)
     searches = find_searches(config.runs, config.output_dir)
-    what, axes = ("design searches", AXES_OF_SEARCHES) if searches else ("trainings", AXES_OF_RUNS)
-    check_choice(f"x of {what}", config.x, axes)
-    panels, young = (_of_searches(searches, config.x), []) if searches else _of_runs(config)
+    if searches:
+        check_choice("x of design searches", config.x, ("steps", "evaluations"))
+        panels, young = _of_searches(searches, config.x), []
+    else:
+        check_choice("x of trainings", config.x, ("steps", "elapsed", "iteration"))
+        panels, young = _of_runs(config)
     path = write_curves(panels, config.file, config.x, (config.size[0], config.size[1]))
     _print(panels, config.x, console)
     if young:

@@ -26,10 +26,6 @@ from warpvox.runs import ZOO, Run, as_name, new_folder, write_summary
 if TYPE_CHECKING:
     from warpvox.algos.training.policy_table import EvaluatedPolicy, Judged
 
-LABELS = ("settings", "episodes", "n", "over")
-SEVERAL = "several"
-"""Name of the folder where the runs are of more than one task."""
-
 
 def run(config: EvaluateConfig, given: Collection[str], console: Console) -> Path:
     """Evaluate the runs, print and write tables; returns the folder of the results.
@@ -60,7 +56,7 @@ def run(config: EvaluateConfig, given: Collection[str], console: Console) -> Pat
     found = [each_run for each_run in found if id(each_run) in rows]
     judged = judged_groups(group_runs(found), lambda each_run: rows[id(each_run)])
     tasks = {str(each_run.config["task"]) for each_run in found}
-    place = as_name(tasks.pop()) if len(tasks) == 1 else SEVERAL
+    place = as_name(tasks.pop()) if len(tasks) == 1 else "several"
     with new_folder(config.output_dir, "evaluate", place, config.name, to_yaml(config)) as folder:
         _print(judged, config, console)
         _say_alike([row for one in rows.values() for row in one], config, console)
@@ -123,7 +119,8 @@ def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]
     table = Table(title=title, title_justify="left")
     columns = list(zip(*(row for rows in sections for row in rows), strict=True))
     wide = sum(max(map(len, (heading, *cells))) + 3 for heading, cells in zip(headings, columns, strict=True))
-    alike = [len({*cells} - {""}) == 1 and heading in LABELS for heading, cells in zip(headings, columns, strict=True)]
+    labels = ("settings", "episodes", "n", "over")
+    alike = [len({*cells} - {""}) == 1 and heading in labels for heading, cells in zip(headings, columns, strict=True)]
     kept = [k for k in range(len(headings)) if wide < console.width or not alike[k]]
     for heading in (headings[k] for k in kept):
         right = heading in ("mean", "difference", "n")

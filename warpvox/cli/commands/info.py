@@ -14,10 +14,6 @@ import warpvox
 from warpvox.io.console import literal
 from warpvox.system import processor_name, usable_cores
 
-PACKAGES = ("warp-lang", "torch", "rsl-rl-lib", "numpy", "gymnasium", "hydra-core", "usd-core")
-OLDEST = 7, 5
-"""Compute capability that CUDA 13 compiles for, at the least."""
-
 
 def run(config: object, given: Collection[str], console: Console) -> None:
     """Print the table."""
@@ -33,7 +29,7 @@ def _versions() -> list[tuple[str, str]]:
         ("python", f"{platform.python_version()} in {sys.prefix}"),
         ("system", platform.platform()),
     ]
-    for package in PACKAGES:
+    for package in ("warp-lang", "torch", "rsl-rl-lib", "numpy", "gymnasium", "hydra-core", "usd-core"):
         try:
             rows.append((package, version(package)))
         except PackageNotFoundError:
@@ -55,7 +51,10 @@ def _devices() -> list[tuple[str, str]]:
         properties = torch.cuda.get_device_properties(index)
         capability = properties.major, properties.minor
         about = f"{properties.name}, {properties.total_memory / 2**30:.0f} GiB, compute capability "
-        about += ".".join(map(str, capability)) + ("" if capability >= OLDEST else " (7.5 or newer is needed)")
+        about += ".".join(map(str, capability))
+        # CUDA 13 compiles for nothing older.
+        if capability < (7, 5):
+            about += " (7.5 or newer is needed)"
         rows.append((f"cuda:{index}", about))
     return rows
 
