@@ -12,10 +12,10 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
-from warpvox.algos.candidate import FINALIST, Candidate, Listener
-from warpvox.algos.codesign.archive import Record
+from warpvox.algos.archive import Record
+from warpvox.algos.candidate import FINALIST, Candidate
+from warpvox.algos.codesign.listener import Listener, SearchRun
 from warpvox.algos.codesign.results import evaluated_text, fresh_text
-from warpvox.algos.codesign.run import SearchRun
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.find import find_run
 from warpvox.algos.report import FILE as REPORT
@@ -47,7 +47,7 @@ class SearchProgress(Listener):
         self._live: Live | None = None
 
     def begun(self, run: SearchRun) -> None:
-        self.run, self.archive = run, run.results.archive
+        self.run, self.archive = run, run.archive
         self._began = self._printed = time.monotonic()
         self._start = self.archive.trained()
         self._resumed = self.archive.count() > 0  # until a generation is whole: trainings may go on
@@ -65,11 +65,11 @@ class SearchProgress(Listener):
             self._show()
 
     def _say_where(self) -> None:
-        run, settings = self.run, self.run.results.settings
+        run, settings = self.run, self.run.settings
         where = f"{run.workers} workers of Ray" if run.workers else settings.device
         done = f", {self._counts()} done" if run.resumed else ""
-        echo(self.console, f"{run.results.search} on {settings.task}, rules {settings.rules}, on {where}{done}")
-        folder, budget = run.results.folder, settings.search.max_evaluations
+        echo(self.console, f"{run.settings.search.title} on {settings.task}, rules {settings.rules}, on {where}{done}")
+        folder, budget = run.folder, settings.search.max_evaluations
         echo(self.console, f"run folder: {shown(folder)}")
         if lost := [one for one in self.archive.records() if one.policy and not (folder / one.policy).is_file()]:
             echo(self.console, f"the policies of {len(lost)} designs are gone from {shown(folder / 'designs')}")
@@ -84,7 +84,7 @@ class SearchProgress(Listener):
             self._live.stop()
         if not summary:
             return
-        folder, best, status = self.run.results.folder, summary["best_design"], summary["status"]
+        folder, best, status = self.run.folder, summary["best_design"], summary["status"]
         words, under_way = (f"{status}, state saved", self.under_way) if status == "interrupted" else (status, "")
         designs = evaluated_text(summary)
         text = f"{words} after {designs} and {summary['steps']:,} control steps{under_way}"
@@ -99,7 +99,7 @@ class SearchProgress(Listener):
                 keys = words_of_code(find_run(str(folder), "").config)
                 echo(self.console, f"look at the best: warpvox play {shell_argument('run', folder)}{keys}")
         if status != "done":
-            keys = words_of_code(self.run.results.settings)
+            keys = words_of_code(self.run.settings)
             echo(self.console, f"go on: warpvox codesign {shell_argument('resume', folder)}{keys}")
 
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
@@ -217,7 +217,7 @@ class SearchProgress(Listener):
         self._live.update(Group(*parts, *([Text(), self._bodies()] if best else [])))
 
     def _bodies(self) -> Text:
-        best = self.archive.best(self.run.results.settings.top)
+        best = self.archive.best(self.run.settings.top)
         captions = [f"{record.fitness:.3f} #{record.id}" for record in best]
         return body_rows([record.candidate.body for record in best], captions, self.console)
 
