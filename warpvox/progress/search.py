@@ -33,9 +33,32 @@ def with_tracker(settings: Codesign, listeners: Sequence[Listener]) -> list[List
     """The listeners of a search, before them the one that its ``logger`` names: films, made at the end, may fail."""
     if settings.logger != "wandb":
         return list(listeners)
-    from warpvox.progress.tracking import TrackedSearch
-
     return [TrackedSearch(settings), *listeners]
+
+
+class TrackedSearch(Listener):
+    """Sends a design search: fitness and best bodies of each generation, at the end the best robot as a film."""
+
+    def __init__(self, settings: Any) -> None:
+        self._settings = settings
+
+    def begun(self, run: SearchRun) -> None:
+        self._run = run
+        from warpvox.progress.tracking import Tracker
+
+        self._tracker = Tracker(run.folder, "codesign", self._settings.search.algorithm)
+
+    def told(self, generation: int, fresh: bool) -> None:
+        if fresh:
+            archive = self._run.archive
+            rows = archive.generations()
+            figures = {"mean": rows[generation]["mean"], "best": archive.best()[0].fitness}
+            figures |= {"evaluations": archive.trained(), "steps": sum(row["steps"] or 0 for row in rows)}
+            tagged = {f"Search/{name}": value for name, value in figures.items()}
+            self._tracker.log(tagged, generation, self._run.folder / "generations" / f"{generation:03}.png")
+
+    def ended(self, summary: Mapping[str, Any]) -> None:
+        self._tracker.end(summary, self._settings)
 
 
 class SearchProgress(Listener):

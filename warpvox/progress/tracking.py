@@ -7,7 +7,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
-from warpvox.algos.codesign.listener import Listener, SearchRun
 from warpvox.algos.find import find_run
 from warpvox.algos.training import job as training
 from warpvox.algos.training.metrics import tagged
@@ -77,26 +76,3 @@ class TrackedTraining(training.Listener):
 
     def end(self, job: training.Job) -> None:
         self._tracker.end(job.summary, job.settings)
-
-
-class TrackedSearch(Listener):
-    """Sends a design search: fitness and best bodies of each generation, at the end the best robot as a film."""
-
-    def __init__(self, settings: Any) -> None:
-        self._settings = settings
-
-    def begun(self, run: SearchRun) -> None:
-        self._run = run
-        self._tracker = Tracker(run.folder, "codesign", self._settings.search.algorithm)
-
-    def told(self, generation: int, fresh: bool) -> None:
-        if fresh:
-            archive = self._run.archive
-            rows = archive.generations()
-            figures = {"mean": rows[generation]["mean"], "best": archive.best()[0].fitness}
-            figures |= {"evaluations": archive.trained(), "steps": sum(row["steps"] or 0 for row in rows)}
-            tagged = {f"Search/{name}": value for name, value in figures.items()}
-            self._tracker.log(tagged, generation, self._run.folder / "generations" / f"{generation:03}.png")
-
-    def ended(self, summary: Mapping[str, Any]) -> None:
-        self._tracker.end(summary, self._settings)

@@ -1,4 +1,4 @@
-"""What the evaluation of designs takes: memory and control steps."""
+"""Memory and control steps that the evaluation of designs takes."""
 
 from __future__ import annotations
 

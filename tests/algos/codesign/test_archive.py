@@ -348,7 +348,7 @@ def test_every_command_refuses_a_foreign_view(filled: Archive, warpvox: Callable
     db.executescript(FOREIGN["another view"])
     db.close()
     filled.path.rename(folder / "archive.sqlite")
-    (folder / "config.yaml").write_text(f"task: Walker-v0\nsearch: {{}}\ntraining: {{}}\n{END}")
+    (folder / "config.yaml").write_text(f"task: Walker-v0\nsearch: {{algorithm: ga}}\ntraining: {{}}\n{END}")
     for words in (
         ["play", f"run={folder}"],
         ["evaluate", f"runs=[{folder}]"],
