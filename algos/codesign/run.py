@@ -23,12 +23,12 @@ from warpvox.algos.codesign.results import Found, Results, evaluate_winner
 from warpvox.algos.codesign.robots import keep_start, read_start
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.codesign.stored_policies import StoredPolicies
+from warpvox.algos.metrics import check_logger
 from warpvox.algos.protocols import episodes_of
 from warpvox.algos.search import BaseSearch, make_search
 from warpvox.algos.search.factory import start_with
 from warpvox.algos.settings import sim_of
 from warpvox.algos.training.job import task_name
-from warpvox.algos.training.metrics import check_logger
 from warpvox.algos.training.pretrained import observed_by
 from warpvox.algos.training.settings import Training
 from warpvox.batch.options import lanes_for

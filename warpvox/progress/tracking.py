@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from warpvox.algos.find import find_run
+from warpvox.algos.metrics import tagged
 from warpvox.algos.training import job as training
-from warpvox.algos.training.metrics import tagged
 from warpvox.algos.training.playing import load_result
 from warpvox.errors import RunError
 from warpvox.io.reading import parse_yaml
