@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.algos.checkpoints.expected import AnyTensor, check_like
+from warpvox.algos.expected import AnyTensor, check_like
 from warpvox.algos.settings import REFRESH
 from warpvox.algos.training.settings import Training
 from warpvox.batch.options import lanes_for

@@ -15,7 +15,6 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")  # GitPython, which rsl-rl 
 from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils.logger import Logger
 
-from warpvox.algos.checkpoints.expected import check_like
 from warpvox.algos.checkpoints.files import (
     RNN,
     Controller,
@@ -28,6 +27,7 @@ from warpvox.algos.checkpoints.files import (
     spec_of,
 )
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator
+from warpvox.algos.expected import check_like
 from warpvox.algos.generators import Generators
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.metrics import Metrics, read_metrics
