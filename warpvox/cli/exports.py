@@ -34,10 +34,8 @@ WRITERS = {
     "strip": ("rollout_strip.png", "warpvox.view.render", "write_filmstrip"),
 }
 TILED = ("gif", "mp4", "png")
-SIZED = (*TILED, "strip")
 THINNED = {"usd": "stride", "gif": "every", "mp4": "every", "html": "every"}
 """Parameter of a writer for the key ``every``."""
-FILMS = ("gif", "mp4")
 TILES, BODIES = 16, 36
 """Environments that a picture shows at most; of a run over many bodies."""
 LARGE = (960, 540)
@@ -114,14 +112,17 @@ def write_exports(
     for name in dict.fromkeys(formats):
         file, module, function = WRITERS[name]
         with console.status(f"writing {file}") as status:
-            options: dict[str, Any] = {"size": tuple(size)} if size and name in SIZED else {}
+            options: dict[str, Any] = {}
+            if size and name in (*TILED, "strip"):
+                options["size"] = tuple(size)
             if name in TILED:
                 options["envs"] = tiles_of(rollout)
                 if len(options["envs"]) > TILES:
                     options = {"size": LARGE} | options
             if name in THINNED:
                 options[THINNED[name]] = every
-            if name in FILMS:
+            # Films take long enough to say how far they are.
+            if name in ("gif", "mp4"):
                 options["on_frame"] = partial(_tell, status, file)
             getattr(import_module(module), function)(rollout, folder / file, **options)
         written.append(folder / file)

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 __all__ = ["paint"]
 
 SMOOTH = 2  # pictures are painted this many times larger, which makes their edges smooth
-WHITE = (255, 255, 255)
-OUTLINE = 1 / 14  # width of outlines in voxels
 
 
 def paint(
@@ -44,7 +42,7 @@ def paint(
     large = (size[0] * SMOOTH, size[1] * SMOOTH)
     scale = np.array(large) / view
     corner = np.array(middle) - np.array(view) / 2
-    image = Image.new("RGB", large, WHITE if hide_background else SKY)
+    image = Image.new("RGB", large, "white" if hide_background else SKY)
     draw = ImageDraw.Draw(image)
     if not hide_grid:
         _grid(draw, corner, view, scale, large)
@@ -61,7 +59,8 @@ def paint(
             draw.polygon(quad, fill=tuple(colour))
     if not hide_edges:
         sides = places[engine.outlines]
-        width = max(1, round(OUTLINE * VOXEL * float(scale.min())))
+        # An outline is a fourteenth of a voxel wide.
+        width = max(1, round(1 / 14 * VOXEL * float(scale.min())))
         for side in sides[seen(sides, large)].reshape(-1, 4).tolist():
             draw.line(side, fill=INK, width=width)
     return np.asarray(image.reduce(SMOOTH))

@@ -150,9 +150,6 @@ def summary_of(rollout: Rollout, command: str, source: str) -> dict[str, Any]:
     }
 
 
-REST = 1.0  # seconds that the last picture stands before the episode is shown again
-
-
 def wants_window(choice: str) -> bool:
     """True if a window is to be shown: ``on``, ``off``, or ``auto``, where there is a display."""
     reason = why_no_window() if wanted() else f"{SWITCH}=none switches windows off"
@@ -185,6 +182,7 @@ def play_in_window(
         else:
             time.sleep(FRAME_SECONDS / 4)
         window.show(picture)  # also the same one again: this is when the window answers
-        if passed > last * FRAME_SECONDS + REST:
+        # The last picture stands for a second before the episode is shown again.
+        if passed > last * FRAME_SECONDS + 1.0:
             start = clock()
     return count
