@@ -162,18 +162,17 @@ def print_returns(rollout: Rollout, console: Console) -> None:
         table.add_row("mean", *([""] if several else []), *mean)
     console.print(table)
     if agent == "policy" and rollout.num_envs > len(rollout.scenes) and rollout.metadata.get("drawn") is False:
-        echo(console, _about_one_episode(rollout))
-
-
-def _about_one_episode(rollout: Rollout) -> str:
-    """That a deterministic policy in a task without chance shows one episode a design, however many are asked for."""
-    several = len(rollout.scenes)
-    differ = any(len(np.unique(rollout.returns[-1][rollout.design_index == design])) > 1 for design in range(several))
-    alike = "differ by rounding alone (of batched matrix products)" if differ else "are identical"
-    return (
-        f"the {rollout.num_envs} episodes {alike}: the task draws nothing at random and the policy is deterministic;"
-        f" num_envs={several} shows as much, stochastic=true samples its actions"
-    )
+        # A deterministic policy in a task without chance shows one episode a design, however many are asked for.
+        designs = len(rollout.scenes)
+        alike = "are identical"
+        for design in range(designs):
+            if len(np.unique(returns[rollout.design_index == design])) > 1:
+                alike = "differ by rounding alone (of batched matrix products)"
+        echo(
+            console,
+            f"the {rollout.num_envs} episodes {alike}: the task draws nothing at random and the policy is"
+            f" deterministic; num_envs={designs} shows as much, stochastic=true samples its actions",
+        )
 
 
 def _end(rollout: Rollout, env: int) -> str:
