@@ -128,7 +128,7 @@ def write_curves(
         # Lines
         for index, curve in enumerate(several):
             turn, colour = divmod(index, len(COLOURS))
-            look = {"color": COLOURS[colour], "linestyle": STYLES[turn % len(STYLES)]}
+            look: dict[str, Any] = {"color": COLOURS[colour], "linestyle": STYLES[turn % len(STYLES)]}
             if len(curve.runs) > 1:
                 axes.fill_between(curve.places, curve.low, curve.high, color=COLOURS[colour], alpha=0.18, linewidth=0)
                 for points in curve.runs:
