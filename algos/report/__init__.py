@@ -9,8 +9,8 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from warpvox.algos.archive import Archive, Record
 from warpvox.algos.candidate import FINALIST, best_so_far
-from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.find import find_run
 from warpvox.algos.report.charts import Series, chart, sparkline
 from warpvox.algos.report.members import SearchResult

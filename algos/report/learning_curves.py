@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from warpvox.algos.metrics import read_metrics
 from warpvox.algos.report.members import SearchResult, progress
 from warpvox.algos.statistics import mean_interval
-from warpvox.algos.training.metrics import read_metrics
 from warpvox.errors import ConfigError
 from warpvox.io.text import escaped
 from warpvox.io.writing import atomic_path, check_suffix, write_table

@@ -14,6 +14,7 @@ from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.checkpoints.policy import Policy, policy_of
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator, evaluator
 from warpvox.algos.generators import Generators
+from warpvox.algos.metrics import SERVICES, check_logger
 from warpvox.algos.policies.registry import MLP, check_network, check_policy, voxels_of
 from warpvox.algos.protocols import episodes_of
 from warpvox.algos.settings import physics_of, sim_of
@@ -27,7 +28,6 @@ from warpvox.algos.training.bodies import (
 )
 from warpvox.algos.training.distributed import join_process_group
 from warpvox.algos.training.held_out import HeldOut
-from warpvox.algos.training.metrics import SERVICES, check_logger
 from warpvox.algos.training.pretrained import OBS_OF_VOXELS, adopted
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.algos.training.settings import Designs, Training

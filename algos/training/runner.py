@@ -30,10 +30,10 @@ from warpvox.algos.checkpoints.files import (
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator
 from warpvox.algos.generators import Generators
 from warpvox.algos.interrupt import deferred_interrupts
+from warpvox.algos.metrics import Metrics, read_metrics
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
-from warpvox.algos.training.metrics import Metrics, read_metrics
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from warpvox.algos.archive import FILE, Archive, Finished
 from warpvox.algos.candidate import Candidate, Outcome
-from warpvox.algos.codesign.archive import FILE, Archive, Finished
 from warpvox.algos.report.gallery import COLUMNS, TILE, draw_gallery, everywhere
 from warpvox.algos.report.learning_curves import _points, curves_of
 from warpvox.algos.statistics import mean_interval

@@ -32,8 +32,8 @@ from fault_cases import (
 
 import warpvox as wv
 from warpvox import system
+from warpvox.algos.archive import BACKUP, FILE, Archive
 from warpvox.algos.checkpoints.files import load_checkpoint
-from warpvox.algos.codesign.archive import BACKUP, FILE, Archive
 from warpvox.errors import ResumeError, RolloutError, RunError, StorageError
 from warpvox.io import writing
 from warpvox.io.writing import MARK, atomic_path, claimed, write_text
@@ -210,7 +210,7 @@ def test_what_vanishes_from_a_search_is_told_of(name: str, warpvox: Callable, tm
     from warpvox.progress.search import SearchProgress
 
     def remove(self: SearchProgress, generation: int, fresh: bool) -> None:
-        place = self.run.results.folder / name
+        place = self.run.folder / name
         shutil.rmtree(place) if place.is_dir() else place.unlink()
 
     with monkeypatch.context() as patched:

@@ -9,10 +9,10 @@ from learning import ENVS, assert_same_weights, ppo_settings, small_env
 
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.evaluate import evaluator
+from warpvox.algos.metrics import read_metrics
 from warpvox.algos.policies.layout import layout_of
 from warpvox.algos.training.bodies import Bodies, draw_bodies
 from warpvox.algos.training.held_out import HeldOut
-from warpvox.algos.training.metrics import read_metrics
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError
