@@ -28,23 +28,20 @@ def write_pictures(file: BinaryIO, pictures: Iterable[Image.Image], pause: int) 
         # Pillow makes one of equal pictures that follow each other, which can stay for 655 seconds.
         count = max(1, min(PART_BYTES // (first.width * first.height), 655_350 // pause))
         part = [first, *islice(pictures, count - 1)]
-        head, blocks = _encoded(part, pause, loops)
-        file.write(head + blocks if loops else blocks)
+
+        # The pictures as a GIF of their own
+        buffer = BytesIO()
+        options = {"loop": 0} if loops else {}
+        options |= dict(save_all=True, append_images=part[1:], duration=pause, optimize=False, disposal=1)
+        first.save(buffer, "GIF", **options)
+        data = buffer.getvalue()
+
+        # Its header is 13 bytes, then the palette if there is one; only the first part keeps it.
+        end = 13
+        packed = data[10]
+        if packed & 0x80:
+            end += 3 << ((packed & 7) + 1)
+        # The last byte would end the file.
+        file.write(data[:-1] if loops else data[end:-1])
         loops = False
     file.write(b";")
-
-
-def _encoded(part: list[Image.Image], pause: int, loops: bool) -> tuple[bytes, bytes]:
-    """Header with palette, and blocks, of some pictures as a GIF of their own."""
-    buffer = BytesIO()
-    options = {"loop": 0} if loops else {}
-    options |= dict(save_all=True, append_images=part[1:], duration=pause, optimize=False, disposal=1)
-    part[0].save(buffer, "GIF", **options)
-    data = buffer.getvalue()
-
-    # 13 bytes, then the palette if there is one; the last byte ends the file
-    end = 13
-    packed = data[10]
-    if packed & 0x80:
-        end += 3 << ((packed & 7) + 1)
-    return data[:end], data[end:-1]

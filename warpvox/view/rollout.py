@@ -371,7 +371,13 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             if text.dtype != np.uint8:
                 raise RolloutError(f"{path} is damaged: its header is {text.dtype}, expected uint8.")
             header = parse_json(text.tobytes().decode())
-            _check_version(path, header)
+            if not isinstance(header, dict) or header.get("format") != FORMAT:
+                raise RolloutError(f"{path} is no rollout: its header is not one of {FORMAT}.")
+            version = header.get("version")
+            if not isinstance(version, int) or version < 1:
+                raise RolloutError(f"{path} is damaged: version {version!r} does not exist.")
+            if version > VERSION:
+                raise RolloutError(f"{path} has version {version}; this warpvox reads up to {VERSION}. Update warpvox.")
             arrays = {name: archive.read(name) for name in ARRAYS}
     except Missing:
         raise RolloutError(f"There is no rollout at {path}: no such file.") from None
@@ -383,16 +389,6 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         if arrays[name].dtype != dtype:
             raise RolloutError(f"{path} is damaged: {name} is {arrays[name].dtype}, expected {np.dtype(dtype)}.")
     return header, arrays
-
-
-def _check_version(path: Path, header: Any) -> None:
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise RolloutError(f"{path} is no rollout: its header is not one of {FORMAT}.")
-    version = header.get("version")
-    if not isinstance(version, int) or version < 1:
-        raise RolloutError(f"{path} is damaged: version {version!r} does not exist.")
-    if version > VERSION:
-        raise RolloutError(f"{path} has version {version}; this warpvox reads up to {VERSION}. Update warpvox.")
 
 
 def _check_shapes(rollout: Rollout) -> None:

@@ -70,8 +70,17 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     for env, place in zip(chosen, places, strict=True):
         # Values go straight to the layer: recomposing the stage after each of 64,000 would take minutes.
         _define_env(stage, rollout, env, place, materials)
+        scene = rollout.scene(env)
+        mesh = f"/World/env_{env:03d}/voxels"
+        points = np.zeros((len(frames), scene.num_points, 3), np.float32)
+        points[..., :2] = rollout.positions[frames, env, : scene.num_points]
+        colours = colour_index(scene.cells, rollout.stretch(slice(None), env)[frames]).astype(np.int32)
         with Sdf.ChangeBlock():
-            _animate(layer, rollout, env, frames)
+            for number in _changes(points, interpolated=True):
+                layer.SetTimeSample(f"{mesh}.points", float(frames[number]), _vec3(points[number]))
+            for number in _changes(colours, interpolated=False):
+                sample = Vt.IntArray.FromNumpy(colours[number])
+                layer.SetTimeSample(f"{mesh}.primvars:displayColor:indices", float(frames[number]), sample)
 
     # Cameras and lights
     _define_cameras(stage, rollout, chosen, places, frames)
@@ -217,20 +226,6 @@ def _define_terrain(stage: Any, path: str, terrain: np.ndarray, material: Any) -
     colour = _linear(np.array(cell_colour(Cell.FIXED)))
     mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set(_vec3(colour[None]))
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
-
-
-def _animate(layer: Any, rollout: Rollout, env: int, frames: list[int]) -> None:
-    """Time samples of an environment's points and colours."""
-    scene = rollout.scene(env)
-    mesh = f"/World/env_{env:03d}/voxels"
-    points = np.zeros((len(frames), scene.num_points, 3), np.float32)
-    points[..., :2] = rollout.positions[frames, env, : scene.num_points]
-    colours = colour_index(scene.cells, rollout.stretch(slice(None), env)[frames]).astype(np.int32)
-    for number in _changes(points, interpolated=True):
-        layer.SetTimeSample(f"{mesh}.points", float(frames[number]), _vec3(points[number]))
-    for number in _changes(colours, interpolated=False):
-        sample = Vt.IntArray.FromNumpy(colours[number])
-        layer.SetTimeSample(f"{mesh}.primvars:displayColor:indices", float(frames[number]), sample)
 
 
 def _changes(values: np.ndarray, interpolated: bool) -> list[int]:

@@ -59,7 +59,17 @@ def run(config: EvaluateConfig, given: Collection[str], console: Console) -> Pat
     place = as_name(tasks.pop()) if len(tasks) == 1 else "several"
     with new_folder(config.output_dir, "evaluate", place, config.name, to_yaml(config)) as folder:
         _print(judged, config, console)
-        _say_alike([row for one in rows.values() for row in one], config, console)
+
+        # Where all episodes with a body are the same, more of them add no information.
+        policies = [row for several in rows.values() for row in several]
+        alike = [row for row in policies if not row.drawn and len(row.independent) < len(row.returns)]
+        if alike and config.protocol == NOMINAL:
+            which = "all runs" if len(alike) == len(policies) else f"{len(alike)} of {len(policies)} runs"
+            echo(
+                console,
+                f"The {config.episodes} episodes of {which} are one for each body: the task draws nothing at random and"
+                " the policy is deterministic. One each says as much, stochastic=true samples actions.",
+            )
         _write(folder, judged, config)
     for name in ("runs.csv", "groups.csv", "comparisons.csv", "summary.json"):
         if (folder / name).is_file():
@@ -130,18 +140,6 @@ def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]
             table.add_row(*(literal(row[k]) for k in kept))
         table.add_section()
     console.print(table)
-
-
-def _say_alike(rows: list[EvaluatedPolicy], config: EvaluateConfig, console: Console) -> None:
-    """Report runs whose episodes with a body are all the same, so that more of them add no information."""
-    alike = [row for row in rows if not row.drawn and len(row.independent) < len(row.returns)]
-    if alike and config.protocol == NOMINAL:
-        which = "all runs" if len(alike) == len(rows) else f"{len(alike)} of {len(rows)} runs"
-        echo(
-            console,
-            f"The {config.episodes} episodes of {which} are one for each body: the task draws nothing at random and the"
-            " policy is deterministic. One each says as much, stochastic=true samples actions.",
-        )
 
 
 def _cells(interval: Interval) -> tuple[str, str]:

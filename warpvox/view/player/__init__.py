@@ -66,7 +66,19 @@ def write_html(
 def page_of(rollout: Any, envs: Sequence[int] | None = None, title: str | None = None, every: int = 1) -> str:
     """The page that :func:`write_html` writes, as text."""
     chosen = rollout.check_envs(envs)
-    _check_length(rollout, chosen, every)
+
+    # More than a browser can hold?
+    check_integer("every", every, 1, error=RolloutError)
+    points = sum(rollout.scene(env).num_points for env in chosen)
+    numbers = 2 * points * len(range(0, rollout.num_frames, every))
+    if numbers > MOST_NUMBERS:
+        least = -(-numbers * every // MOST_NUMBERS)
+        raise RolloutError(
+            f"A page with {points:,} points in {rollout.num_frames:,} frames is more than a browser can hold; show"
+            f" every {least}th frame (every={least}), fewer environments, or write an MP4."
+        )
+
+    # The page
     scale, data = _pack(rollout, chosen, every)
     meta = _describe(rollout, chosen, scale, every) | {"title": title or rollout.title}
     return fill_template(
@@ -103,6 +115,23 @@ def _describe(rollout: Any, envs: list[int], scale: int, every: int) -> dict[str
     for env, design in zip(envs, designs, strict=True):
         length = int(rollout.lengths[env]) // every
         shown.append({"env": env, "name": rollout.names[env], "scene": used.index(design), "length": length})
+    scenes = []
+    for number in used:
+        scene: Scene = rollout.scenes[number]
+        objects = []
+        for obj in scene.moving:
+            parts = {part: getattr(obj, part).tolist() for part in ("cells", "places", "corners")}
+            objects.append({"name": obj.name} | parts)
+        scenes.append(
+            {
+                "width": scene.width,
+                "height": scene.height,
+                "terrain": ["".join(map(str, row)) for row in scene.terrain.tolist()],
+                "points": scene.num_points,
+                "robot": scene.robot_points.tolist(),
+                "objects": objects,
+            }
+        )
     return {
         "frames": len(rollout.positions[::every]),
         "dt": FRAME_SECONDS * every,
@@ -112,22 +141,8 @@ def _describe(rollout: Any, envs: list[int], scale: int, every: int) -> dict[str
         "about": {key: value for key, value in known.items() if isinstance(value, str | int)},
         "colours": {int(cell): material.colours for cell, material in MATERIALS.items()},
         "names": {int(cell): material.name for cell, material in MATERIALS.items()},
-        "scenes": [_describe_scene(rollout.scenes[number]) for number in used],
+        "scenes": scenes,
         "envs": shown,
-    }
-
-
-def _describe_scene(scene: Scene) -> dict[str, Any]:
-    return {
-        "width": scene.width,
-        "height": scene.height,
-        "terrain": ["".join(map(str, row)) for row in scene.terrain.tolist()],
-        "points": scene.num_points,
-        "robot": scene.robot_points.tolist(),
-        "objects": [
-            {"name": obj.name} | {part: getattr(obj, part).tolist() for part in ("cells", "places", "corners")}
-            for obj in scene.moving
-        ],
     }
 
 
@@ -165,16 +180,3 @@ def _pack(rollout: Any, envs: list[int], every: int) -> tuple[int, bytes]:
                 yield (moves >> shift).astype(np.uint8)
 
     return scale, b"".join([*(packer.compress(array.tobytes()) for array in arrays()), packer.flush()])
-
-
-def _check_length(rollout: Any, envs: list[int], every: int) -> None:
-    """Raise RolloutError if a browser could not hold the page."""
-    check_integer("every", every, 1, error=RolloutError)
-    points = sum(rollout.scene(env).num_points for env in envs)
-    numbers = 2 * points * len(range(0, rollout.num_frames, every))
-    if numbers > MOST_NUMBERS:
-        least = -(-numbers * every // MOST_NUMBERS)
-        raise RolloutError(
-            f"A page with {points:,} points in {rollout.num_frames:,} frames is more than a browser can hold; show"
-            f" every {least}th frame (every={least}), fewer environments, or write an MP4."
-        )
