@@ -5,16 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from warpvox.design import Design
 from warpvox.errors import RunError
-
-if TYPE_CHECKING:
-    from warpvox.algos.codesign.archive import Record
-    from warpvox.algos.codesign.run import SearchRun
 
 FINALIST = "finalist"
 """The origin of a candidate whose body has been compared by a common policy, and now gets a policy of its own."""
@@ -189,25 +185,3 @@ class DesignEvaluator(Protocol):
             KeyboardInterrupt: ``report`` has raised it, because somebody wants to stop.
         """
         ...
-
-
-class Listener:
-    """Callbacks of a search; the methods of this class do nothing."""
-
-    def begun(self, run: SearchRun) -> None:
-        """The search begins, or goes on."""
-
-    def ended(self, summary: Mapping[str, Any]) -> None:
-        """The search has ended; ``summary`` is what ``summary.json`` says, empty if it could not be written."""
-
-    def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
-        """``waiting`` of the ``total`` candidates of a generation will be trained."""
-
-    def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
-        """Take what an evaluator reports of the training of these candidates; see :data:`Report`."""
-
-    def finished(self, records: Sequence[Record]) -> None:
-        """These candidates are evaluated and stored."""
-
-    def told(self, generation: int, fresh: bool) -> None:
-        """The search has learned from a generation; not ``fresh``: it had been complete before this run."""

@@ -21,8 +21,6 @@ BITS = 1 << 53
 """Numbers that are drawn for one in [0, 1)."""
 NOISE, STICKY, START, SENSORS, LENGTH = range(5)
 """Purposes of random numbers, a stream each."""
-HIGHEST = torch.tensor(ACTION_HIGH, dtype=torch.float32).item()
-"""The highest action in float32, which lies above 1.6: policies give it, and it is disturbed as it is."""
 STEPS = 1 << 20
 """More control steps than an episode has."""
 
@@ -111,7 +109,10 @@ class Disturbed:
             noise = self._each(draws.normal(SENSORS, step, obs.shape[1]))
             obs = obs + (self.sensors * noise).to(obs.dtype)
         actions = checked_actions(self.policy(obs), self.shape, str(obs.device))
-        actions = actions.clamp(ACTION_LOW, HIGHEST)  # beyond the range noise would be lost
+        # Beyond the range noise would be lost. The highest action of policies is that of float32, which lies above 1.6:
+        # it is disturbed as it is.
+        highest = torch.tensor(ACTION_HIGH, dtype=torch.float32, device="cpu").item()
+        actions = actions.clamp(ACTION_LOW, highest)
         if step < self.most["start"]:
             uniform = self._each(draws.uniform(START, step, actions.shape[1]))
             uniform = (ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * uniform).to(actions.dtype)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.codesign.archive import BACKUP, FILE as ARCHIVE, Archive, archives_in, repair_hint
+from warpvox.algos.archive import BACKUP, FILE as ARCHIVE, Archive, archives_in, repair_hint
 from warpvox.errors import RunError, listing
 from warpvox.io.reading import CONFIG, read_config
 from warpvox.robots.entry import Robot, zoo

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch.overrides import TorchFunctionMode
 
-from warpvox.algos.checkpoints.expected import AnyTensor, check_like
+from warpvox.algos.expected import AnyTensor, check_like
 from warpvox.errors import RunError
 
 DRAWING = frozenset({

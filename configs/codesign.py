@@ -5,8 +5,7 @@
 from dataclasses import dataclass
 
 from warpvox.algos.codesign.archive_export import FORMATS
-from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation
-from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.codesign.settings import EVALUATIONS, Codesign, Evaluation
 from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
 from warpvox.configs.schema import CONFIG_FILE, PresetConfig
 from warpvox.keys import MISSING, key

@@ -64,8 +64,8 @@ BESIDE = {
     ),
     "Design search": (
         *("configs.composition.settings_named", "algos.report.members.read_members"),
-        *("algos.report.members.SearchResult", "algos.codesign.archive.Archive", "algos.codesign.archive.Record"),
-        "algos.codesign.archive.Finished",
+        *("algos.report.members.SearchResult", "algos.archive.Archive", "algos.archive.Record"),
+        "algos.archive.Finished",
     ),
     "Searches of one's own": ("algos.search.base.BaseSearch", "algos.candidate.Candidate", "algos.candidate.Outcome"),
 }

@@ -165,14 +165,14 @@ class FiniteGuard:
         Args:
             where: bool ``[num_envs]``: environments that count; None: all.
         """
-        odd = ~torch.isfinite(obs)
-        counted = odd if where is None else odd & where[:, None]
+        nonfinite = ~torch.isfinite(obs)
+        counted = nonfinite if where is None else nonfinite & where[:, None]
         # in place: a captured graph adds to the same memory
         if len(self._of_columns) == 1:  # on CUDA all environments would add to one row, by atomics
             self._of_columns += counted.sum(0, dtype=torch.int32)
         else:
             self._of_columns.index_add_(0, self._design, counted.int())
-        return obs.masked_fill(odd, 0.0), counted.any(1)
+        return obs.masked_fill(nonfinite, 0.0), counted.any(1)
 
     def first(self, obs: torch.Tensor, where: torch.Tensor | None) -> torch.Tensor:
         """The observation of a beginning, with 0 for what is not finite; ``where`` as for :meth:`observation`."""
@@ -187,14 +187,14 @@ class FiniteGuard:
         self, obs: torch.Tensor, terms: dict[str, torch.Tensor], where: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """As :meth:`observation` of a step with these parts of the reward, ``[num_envs]`` each, also not finite."""
-        obs, odd = self.observation(obs, where)
+        obs, nonfinite = self.observation(obs, where)
         if self._rewards:
-            bad = torch.stack([~torch.isfinite(terms[name]) for name in self._rewards]) & where
-            self._of_rewards += bad.sum(1)
-            odd = odd | bad.any(0)
-        if self.on_cpu and bool(odd.any()):
+            by_reward = torch.stack([~torch.isfinite(terms[name]) for name in self._rewards]) & where
+            self._of_rewards += by_reward.sum(1)
+            nonfinite = nonfinite | by_reward.any(0)
+        if self.on_cpu and bool(nonfinite.any()):
             self.report()
-        return obs, odd
+        return obs, nonfinite
 
     def refresh(self) -> None:
         """Begin new counts after designs have changed; waits for the device."""
@@ -205,13 +205,19 @@ class FiniteGuard:
 
     def _counts(self) -> dict[str, int]:
         """In how many environments each term was not finite so far, all terms."""
-        found = dict(zip((f"reward {name}" for name in self._rewards), map(int, self._of_rewards.cpu()), strict=True))
-        found |= {f"observation {name}": 0 for name in self._columns[0]}
-        every = self._of_columns.cpu()
-        for row in np.flatnonzero(every.any(1)).tolist():
+        counts: dict[str, int] = {}
+        totals: list[int] = self._of_rewards.cpu().numpy().tolist()
+        for name, count in zip(self._rewards, totals, strict=True):
+            counts[f"reward {name}"] = count
+
+        # An environment counts in all columns of a term that are not finite: the largest count is that of the term.
+        counts |= {f"observation {name}": 0 for name in self._columns[0]}
+        by_column = self._of_columns.cpu()
+        for row in np.flatnonzero(by_column.any(1)).tolist():
             for name, place in self._columns[row].items():
-                found[f"observation {name}"] += int(every[row, place].max()) if place.stop > place.start else 0
-        return {name: count + self._earlier.get(name, 0) for name, count in found.items()}
+                if place.stop > place.start:
+                    counts[f"observation {name}"] += int(by_column[row, place].max())
+        return {name: count + self._earlier.get(name, 0) for name, count in counts.items()}
 
     def report(self) -> dict[str, int]:
         """:meth:`_counts` above 0, with a warning of terms that were not named before; waits for the device."""

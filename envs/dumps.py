@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,14 +15,8 @@ from warpvox.errors import RolloutError
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 from warpvox.view.rollout import Rollout, facts_of, scenes_of
 
-if TYPE_CHECKING:
-    from warpvox.envs.vec_env import VoxelVecEnv
-
 STEPS = 64
 """Control steps that a file holds at most."""
-LIMIT = 10
-"""Files that a folder holds at most."""
-PATTERN = "diverged_*.npz"
 
 
 class DivergenceDump:
@@ -38,11 +32,14 @@ class DivergenceDump:
     On the CPU it is written in the step of the divergence. On CUDA, where reading flags waits for the device, files are
     written every :data:`STEPS` steps, for the first divergence of an environment since the last time.
 
-    ``folder`` is made when there is a file, and may be changed later.
+    Args:
+        env: the :class:`warpvox.envs.vec_env.VoxelVecEnv`, which calls this object in its steps and resets.
+        folder: made when there is a file; may be changed later.
     """
 
-    def __init__(self, env: VoxelVecEnv, folder: str | os.PathLike[str]) -> None:
-        self.env, self.folder = env, Path(folder)
+    def __init__(self, env: Any, folder: str | os.PathLike[str]) -> None:
+        self.env = env
+        self.folder = Path(folder)
         self.pause = 1 if torch.device(env.sim.device).type == "cpu" else STEPS
         self._scenes, self._points = scenes_of(env.sim)
         self._room = STEPS + self.pause
@@ -90,8 +87,8 @@ class DivergenceDump:
 
     def _write(self, env: int) -> Path | None:
         """Write the file of one environment; if that fails, warn once and write no more."""
-        taken = [int(number) for p in self.folder.glob(PATTERN) if (number := p.stem.split("_")[1]).isdigit()]
-        if not self._open or len(taken) >= LIMIT:
+        taken = [int(number) for p in self.folder.glob("diverged_*.npz") if (number := p.stem.split("_")[1]).isdigit()]
+        if not self._open or len(taken) >= 10:
             return None
         path = self.folder / f"diverged_{max(taken, default=0) + 1:03}_env{env}.npz"
         try:
@@ -103,12 +100,15 @@ class DivergenceDump:
 
     def rollout(self, env: int) -> Rollout:
         """The last steps of an environment before its divergence."""
-        at = int(self._at[env])
-        steps = min(int(self._length[env]), STEPS, at + 1 - int(self._begun[env]))
-        places = [step % self._room for step in range(at + 1 - steps, at + 1)]
-        positions, actions, rewards = (
-            self._rings[name][places, env].double().cpu().numpy() for name in ("positions", "actions", "rewards")
-        )
+        # What was recorded, in the order of the steps
+        end = int(self._at[env]) + 1
+        steps = min(int(self._length[env]), STEPS, end - int(self._begun[env]))
+        places = [step % self._room for step in range(end - steps, end)]
+        positions = self._rings["positions"][places, env].double().cpu().numpy()
+        actions = self._rings["actions"][places, env].double().cpu().numpy()
+        rewards = self._rings["rewards"][places, env].double().cpu().numpy()
+
+        # As a rollout: numbers that are finite, and an end in the last step
         scene = self._scenes[int(self.env.sim.design_index[env])]
         shown = _finite_frames(positions[:, : scene.num_points])
         over = np.zeros((steps, 1), bool)

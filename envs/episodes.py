@@ -61,12 +61,19 @@ class Episodes:
         if not self.memory:
             self.memory = {name: value.clone() for name, value in values.items()}
             return
-        mine = {id(tensor) for tensor in self.memory.values()}
         # The new value of one entry may be the tensor of another, which is written to here: copy it first.
-        new = {name: value for name, value in values.items() if value is not self.memory[name]}
-        for name, value in {name: value.clone() if id(value) in mine else value for name, value in new.items()}.items():
-            held = self.memory[name]
-            held.copy_(value if mask is None else torch.where(mask.reshape(-1, *[1] * (value.ndim - 1)), value, held))
+        held = {id(tensor) for tensor in self.memory.values()}
+        changed: dict[str, torch.Tensor] = {}
+        for name, value in values.items():
+            if value is not self.memory[name]:
+                changed[name] = value.clone() if id(value) in held else value
+
+        for name, value in changed.items():
+            tensor = self.memory[name]
+            if mask is not None:
+                rows = mask.reshape(-1, *[1] * (value.ndim - 1))
+                value = torch.where(rows, value, tensor)
+            tensor.copy_(value)
 
     def set_before(self, state: Snapshot) -> None:
         """Write the quantities of ``state`` that rewards will compare the next step with."""

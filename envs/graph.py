@@ -17,8 +17,6 @@ from warpvox.kernels.device import current_stream
 
 Capture = Callable[[Callable[[], Any]], tuple[Callable[[], None], Any]]
 """Records what a function launches, without doing it; returns what does it, again and again, and what it returned."""
-EAGER_STEPS = 2
-"""Steps before the capture: they load the kernels and make the buffers, which a capture must not."""
 
 
 def capture_on_cuda(device: str, step: Callable[[], Any]) -> tuple[Callable[[], None], Any]:
@@ -69,8 +67,9 @@ class StepGraph:
             settings: all that the step depends on besides tensors.
         """
         if settings not in self._recorded:
+            # Two steps before the capture load the kernels and make the buffers, which a capture must not.
             done = self._eager[settings] = self._eager.get(settings, 0) + 1
-            if done <= EAGER_STEPS or self._failed or not self._record(step, settings):
+            if done <= 2 or self._failed or not self._record(step, settings):
                 return step()
         replay, results = self._recorded[settings]
         replay()

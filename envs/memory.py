@@ -28,9 +28,6 @@ from warpvox.world import World
 
 MEMORY_SHARE = 0.8
 """Share of the free memory that may be asked for."""
-FLOAT, LONG = 4, 8
-SCALARS = 6
-"""Numbers of a transition besides observation, action, mean and deviation: reward, end, value, ..."""
 
 
 def environment_bytes(
@@ -43,34 +40,58 @@ def environment_bytes(
         obs: as in :func:`warpvox.make_vec`.
         ppo: settings of the learning that goes on besides (``steps``, ``hidden``, ``minibatches``); None: none.
     """
-    robots, exact = list(spec.robots), sim.arithmetic == "exact"
+    robots = list(spec.robots)
     bodies = [world.objects[name] for world in worlds for name in robots]
+    exact = sim.arithmetic == "exact"
+
+    # The grid that bodies have room on; exact packs hold one design each.
     box = max(body.height for body in bodies), max(body.width for body in bodies)
-    grid = sim.grid or (box if len(worlds) > 1 and not exact else None)  # exact packs hold one design each
-    count = max(1, count // len(worlds)) if exact else count
-    lanes = sim.lanes or lanes_for(count) if sim.device == "cpu" and sim.layout == "lanes" else sim.lanes
+    grid = sim.grid
+    if grid is None and len(worlds) > 1 and not exact:
+        grid = box
+    room_for = grid or box
+
+    # The lanes of a pack
+    if exact:
+        count = max(1, count // len(worlds))
+    lanes = sim.lanes
+    if not lanes and sim.device == "cpu" and sim.layout == "lanes":
+        lanes = lanes_for(count)
+
+    # The sizes of arrays, from a pack with the largest body
     largest = max(worlds, key=lambda world: sum(np.count_nonzero(world.objects[name].grid) for name in robots))
-    one = replace(sim, grid=None, lanes=lanes)
-    batch = Batch({b"": largest}, [0], one, spec.randomized, sim.layout)
-    room = {} if grid is None else capacities(batch.frames[0], *grid, any(is_cut(body) for body in bodies))
+    batch = Batch({b"": largest}, [0], replace(sim, grid=None, lanes=lanes), spec.randomized, sim.layout)
+    room = {}
+    if grid is not None:
+        room = capacities(batch.frames[0], *grid, any(is_cut(body) for body in bodies))
     sizes = array_sizes(batch, batch.tables()[0] | batch.frame_tables(), room)
-    pack = bytes_of(DATA, sizes, sim.dtype) + (0 if grid is None else bytes_of(MODEL, sizes, sim.dtype))
-    num_obs = _entries(spec, obs, sizes["point"], prod(grid or box))
-    each = pack / min(batch.lanes, count) + sizes["point"] * (3 * LONG + 2)
-    each += num_obs * (LONG + 2 * np.dtype(sim.dtype).itemsize)
+
+    # Kernels, places in them (numbers of 8 bytes) and observations
+    pack = bytes_of(DATA, sizes, sim.dtype)
+    if grid is not None:
+        pack += bytes_of(MODEL, sizes, sim.dtype)
+    num_obs = _entries(spec, obs, sizes["point"], prod(room_for))
+    each = pack / min(batch.lanes, count) + sizes["point"] * (3 * 8 + 2)
+    each += num_obs * (8 + 2 * np.dtype(sim.dtype).itemsize)
     if ppo is None:
         return each
-    # a rollout, and a minibatch of it with the activations of two networks and their derivatives
-    transition = num_obs + 3 * sizes["action"] + SCALARS
-    return each + FLOAT * ppo.steps * (transition + (transition + 4 * sum(ppo.hidden)) / ppo.minibatches)
+
+    # A rollout in float32, and a minibatch of it with the activations of two networks and their derivatives. Besides
+    # observation, action, mean and deviation a transition has six numbers: reward, end, value, ...
+    transition = num_obs + 3 * sizes["action"] + 6
+    return each + 4 * ppo.steps * (transition + (transition + 4 * sum(ppo.hidden)) / ppo.minibatches)
 
 
 def _entries(spec: TaskSpec, obs: str, points: int, cells: int) -> int:
     """Entries of an observation, at most; terms that do not say how many they have count as one."""
-    terms = [term for term in spec.observations if "voxel" not in obs or term.function is not shape]
-    about = [(about_of(term.function), dict(term.params)) for term in terms]
-    grids = len(spec.robots) * cells * NUM_FEATURES if "voxel" in obs else 0
-    return grids + sum(1 if known is None else known.size(params, points) for known, params in about)
+    by_voxel = "voxel" in obs
+    entries = len(spec.robots) * cells * NUM_FEATURES if by_voxel else 0
+    for term in spec.observations:
+        if by_voxel and term.function is shape:
+            continue
+        about = about_of(term.function)
+        entries += 1 if about is None else about.size(dict(term.params), points)
+    return entries
 
 
 def fitting(each: float, device: str) -> float:

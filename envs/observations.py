@@ -1,16 +1,11 @@
 """The columns of observation terms, for designs of different sizes."""
 
-from itertools import accumulate
-
 import numpy as np
 import torch
 
 from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.spec import Observation
 from warpvox.simulation import Simulation
-
-LEAST_POINTS = 4
-"""Points of the smallest body, a single voxel."""
 
 
 class ObservationLayout:
@@ -35,6 +30,8 @@ class ObservationLayout:
         self._gather: torch.Tensor | None = None
         self._zeros = torch.zeros((sim.num_envs, 1), dtype=sim.dtype, device=sim.device)
         counts = self.refresh()
+
+        # Columns that each term has in every design, and in some; where bodies may be exchanged, in any that may come
         least: list[int] = counts.min(0).tolist()
         most: list[int] = counts.max(0).tolist()
         if sim.grid is not None:
@@ -43,11 +40,16 @@ class ObservationLayout:
                 if robot:
                     least[k] = 0
                 elif value.ndim == 3 and dict(term.params).get("name") in sim.action_columns[0]:
-                    least[k] = 2 * LEAST_POINTS
-        starts = [0, *accumulate(least)]
-        stops = accumulate(most)
-        self.places = {term.name: slice(start, stop) for term, start, stop in zip(terms, starts, stops, strict=False)}
-        self.always = starts[-1]
+                    least[k] = 2 * 4  # x and y of a single voxel's points
+
+        # A term begins behind what the terms before it have at least, and ends behind what they have at most.
+        self.places: dict[str, slice] = {}
+        start = stop = 0
+        for k, term in enumerate(terms):
+            stop += most[k]
+            self.places[term.name] = slice(start, stop)
+            start += least[k]
+        self.always = start
 
     def _robot_of(self, term: Observation, value: torch.Tensor, state: Snapshot) -> str:
         """Name of the robot for whose every action a term has a column; "": of none. Smaller bodies have fewer."""
@@ -60,31 +62,43 @@ class ObservationLayout:
 
     def refresh(self) -> np.ndarray:
         """Read the sizes of the designs again, after they have changed: columns ``[designs, terms]``."""
-        sim, terms = self._sim, self._terms
-        actions = [{name: at.stop - at.start for name, at in columns.items()} for columns in sim.action_columns]
-        # which of a term's flattened columns each design has, bool [designs, k]
-        real = [
-            sim.point_mask(dict(term.params)["name"]).cpu().repeat(1, 2)
-            if value.ndim == 3
-            else torch.arange(value.shape[1]) < torch.tensor([[sizes.get(robot, value.shape[1])] for sizes in actions])
-            for term, value, robot in zip(terms, self._values, self._robots, strict=True)
-        ]
-        counts = np.stack([mask.numpy().sum(1) for mask in real], axis=1)  # [designs, terms]
+        sim = self._sim
+
+        # Which of a term's flattened columns each design has, bool [designs, k]
+        real: list[torch.Tensor] = []
+        for term, value, robot in zip(self._terms, self._values, self._robots, strict=True):
+            if value.ndim == 3:
+                real.append(sim.point_mask(dict(term.params)["name"]).cpu().repeat(1, 2))
+            else:
+                width = value.shape[1]
+                sizes: list[list[int]] = []
+                for columns in sim.action_columns:
+                    own = columns.get(robot)
+                    sizes.append([width if own is None else own.stop - own.start])
+                real.append(torch.arange(width) < torch.tensor(sizes))
         full = torch.cat(real, dim=1)
-        totals = torch.as_tensor(counts.sum(1))
+        counts = np.stack([mask.numpy().sum(1) for mask in real], axis=1)  # [designs, terms]
+
         # Where bodies may be exchanged, there is room for the largest.
+        totals = torch.as_tensor(counts.sum(1))
         self.num_obs = int(totals.max()) if sim.grid is None else full.shape[1]
         self.mask = (torch.arange(self.num_obs) < totals[:, None]).to(sim.device)
-        stops: list[list[int]] = counts.cumsum(1).tolist()
-        names = [term.name for term in terms]
-        sizes = {tuple(row) for row in stops}  # designs of one size have one entry
-        columns = {
-            row: {name: slice(begin, stop) for name, begin, stop in zip(names, [0, *row[:-1]], row, strict=True)}
-            for row in sizes
-        }
-        self.columns = [columns[tuple(row)] for row in stops]
+
+        # Where each term lies; designs of one size have one entry
+        by_size: dict[tuple[int, ...], dict[str, slice]] = {}
+        self.columns: list[dict[str, slice]] = []
+        for row in counts.tolist():
+            size = tuple(row)
+            if size not in by_size:
+                by_size[size] = {}
+                start = 0
+                for term, count in zip(self._terms, size, strict=True):
+                    by_size[size][term.name] = slice(start, start + count)
+                    start += count
+            self.columns.append(by_size[size])
+
+        # Gaps are closed by a gather. Column full.shape[1] is an extra one of zeros, which feeds the padding.
         if sim.grid is not None or not bool(full.all()):
-            # Column full.shape[1] is an extra one of zeros, which feeds the padding.
             source = torch.argsort((~full).to(torch.uint8), dim=1, stable=True)[:, : self.num_obs]
             source = source.masked_fill(~self.mask.cpu(), full.shape[1]).to(sim.device)[sim.design_index]
             if self._gather is None:

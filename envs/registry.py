@@ -14,17 +14,11 @@ from warpvox.envs.spec import TaskSpec
 from warpvox.envs.tasks import climb, locomotion, manipulate, misc, shape, traverse
 from warpvox.errors import TaskError, did_you_mean, listing
 
-_FAMILIES = (locomotion, manipulate, climb, traverse, shape, misc)
 _ALIASES = {"WingspanMazimizer-v0": "WingspanMaximizer-v0"}  # the release's spelling
-_RELEASED = {ours: theirs for theirs, ours in _ALIASES.items()}
-
-
 _TASKS = {
     spec.id: spec
-    for spec in sorted(
-        (spec for family in _FAMILIES for spec in family.TASKS),
-        key=lambda spec: [int(number) for number in spec.section.split(".")[1:]],  # in the order of the paper
-    )
+    for family in (locomotion, manipulate, climb, traverse, shape, misc)  # in the order of the paper
+    for spec in family.TASKS
 }
 
 
@@ -59,10 +53,7 @@ def get_task(task: str | TaskSpec) -> TaskSpec:
 
 def released_id(task_id: str) -> str:
     """The id of a task as the release spells it."""
-    return _RELEASED.get(task_id, task_id)
-
-
-FILE = "known_returns.csv"
+    return next((theirs for theirs, ours in _ALIASES.items() if ours == task_id), task_id)
 
 
 @dataclass(frozen=True)
@@ -101,7 +92,7 @@ class KnownReturn:
 @cache
 def known_returns() -> dict[str, KnownReturn]:
     """By the id of the task; tasks of the benchmark only."""
-    text = files("warpvox.envs").joinpath(FILE).read_text(encoding="utf-8")
+    text = files("warpvox.envs").joinpath("known_returns.csv").read_text(encoding="utf-8")
     rows: list[dict[str, Any]] = list(csv.DictReader(text.splitlines()))
     for row in rows:
         row |= {"random": float(row["random"]), "best": float(row["best"]) if row["best"] else None}

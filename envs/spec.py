@@ -14,13 +14,13 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, fields, replace
-from functools import partial
+from functools import cached_property, partial
 from inspect import signature
 from math import isfinite
 from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeAlias
 
 from warpvox.checks import check_choice, check_integer, is_integer, is_list, is_mapping
 from warpvox.devices.out_of_memory import shortage
@@ -35,17 +35,11 @@ if TYPE_CHECKING:
     from warpvox.envs.random_stream import RandomStream
     from warpvox.envs.snapshot import Snapshot
 
-DIFFICULTIES = ("easy", "medium", "hard")
-
 ROBOT = "robot"
 """Name of the robot in the world of a task."""
 
-MAKERS = {"observations": "observes", "rewards": "rewards", "terminations": "terminates"}
-
 Function: TypeAlias = "Callable[..., Tensor]"
 """A function of states, whose parameters are given by name."""
-
-ID = re.compile(r"[\w.+-]+")  # ids are also names of folders and, behind a slash, of gymnasium's environments
 
 
 @dataclass(frozen=True)
@@ -73,7 +67,15 @@ class Term:
             raise TaskError(f"The {self.kind} '{self.name}' {takes}: {error}.{hint}") from None
 
     def __call__(self, *states: object) -> Tensor:
-        return _call(lambda: f"{self.kind} '{self.name}'", self.function, *states, **dict(self.params))
+        try:
+            return self.bound(*states)
+        except Exception as error:
+            _fail(f"{self.kind} '{self.name}'", error)
+
+    @cached_property
+    def bound(self) -> Function:
+        """The function of states alone."""
+        return partial(self.function, **dict(self.params))
 
     @property
     def name(self) -> str:
@@ -137,23 +139,33 @@ class Memory:
 
     def begin(self, draws: RandomStream) -> Tensor:
         """The value of ``start``."""
-        return _call(lambda: f"start of the memory '{self.name}'", self.start, draws)
+        try:
+            return self.start(draws)
+        except Exception as error:
+            _fail(f"start of the memory '{self.name}'", error)
 
     def advance(self, state: Snapshot) -> Tensor:
         """The value of ``update``; without one, the present value."""
         if self.update is None:
             return state.memory_values[self.name]
-        return _call(lambda: f"update of the memory '{self.name}'", self.update, state)
+        try:
+            return self.update(state)
+        except Exception as error:
+            _fail(f"update of the memory '{self.name}'", error)
 
 
-def _call(what: Callable[[], str], function: Function, *args: Any, **params: Any) -> Tensor:
-    """Call a function of a task; TaskError says what has failed."""
-    try:
-        return function(*args, **params)
-    except Exception as error:
-        if shortage(error):
-            raise
-        raise TaskError(f"The {what()} has failed: {_told(error)}") from error
+def _fail(part: str, error: Exception) -> NoReturn:
+    """Raise TaskError for what a function of a task has raised, with the place if the error is not one of ours.
+
+    A shortage of memory is raised as it is.
+    """
+    if shortage(error):
+        raise error
+    text = str(error).rstrip(".")
+    if not isinstance(error, WarpvoxError):
+        frames = traceback.extract_tb(error.__traceback__)
+        text = f"{type(error).__name__}: {text} ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+    raise TaskError(f"The {part} has failed: {text}.") from error
 
 
 def _is_ours(function: Callable[..., Any]) -> bool:
@@ -161,16 +173,6 @@ def _is_ours(function: Callable[..., Any]) -> bool:
         function = function.func
     module = str(getattr(function, "__module__", ""))
     return module == "operator" or module.startswith("warpvox.")
-
-
-def _told(error: Exception) -> str:
-    """An error in a function of a task: what it says and, of one that is not ours, where it was raised."""
-    text = str(error).rstrip(".")
-    if isinstance(error, WarpvoxError):
-        return f"{text}."
-    frames = traceback.extract_tb(error.__traceback__)
-    place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {text}{place}."
 
 
 def observes(function: Function, name: str = "robot", **params: Any) -> Observation:
@@ -196,7 +198,7 @@ class TaskSpec:
         id: what users type, for instance ``Walker-v0``.
         section: where the paper defines it, for instance ``B.2.1``; empty for a task of your own.
         summary: one sentence: what the robot has to do.
-        difficulty: one of :data:`DIFFICULTIES`.
+        difficulty: ``easy``, ``medium`` or ``hard``.
         objects: everything in the world but the robots that are designed.
         robot_cell: (x, y) of the lower left cell of the body's bounding box. The body is the object ``robot``.
         partners: further robots whose bodies are designed: their names, and (x, y) as for ``robot_cell``.
@@ -233,9 +235,10 @@ class TaskSpec:
             if not is_mapping(given := getattr(self, name)):
                 raise TaskError(f"{name} of the task {self.id!r} must be a dictionary, got {given!r:.60}.")
             object.__setattr__(self, name, MappingProxyType(dict(given)))
-        if not isinstance(self.id, str) or not ID.fullmatch(self.id):
+        # Ids are also names of folders and, behind a slash, of gymnasium's environments.
+        if not isinstance(self.id, str) or not re.fullmatch(r"[\w.+-]+", self.id):
             raise TaskError(f"The id of a task may hold letters, digits and . _ + - only, got {self.id!r}.")
-        check_choice(f"difficulty of the task '{self.id}'", self.difficulty, DIFFICULTIES, TaskError)
+        check_choice(f"difficulty of the task '{self.id}'", self.difficulty, ("easy", "medium", "hard"), TaskError)
         names = [item.name for item in fields(self) if item.name != "paper"]
         for name in self.paper:
             check_choice(f"paper of the task '{self.id}' changes fields; each", name, names, TaskError)
@@ -269,7 +272,8 @@ class TaskSpec:
                 if not isinstance(part, kind):
                     given = getattr(part, "__name__", None)
                     got = f"the {part.kind} '{part.name}'" if isinstance(part, Term) else f"{part!r:.60}"
-                    hint = f": {MAKERS.get(name, kind.__name__)}({given})" if given else f", got {got}"
+                    maker = {"observations": "observes", "rewards": "rewards", "terminations": "terminates"}.get(name)
+                    hint = f": {maker or kind.__name__}({given})" if given else f", got {got}"
                     article = "an" if kind is Observation else "a"
                     raise TaskError(
                         f"{name}[{number}] of the task '{self.id}' must be {article} {kind.__name__}{hint}."

@@ -148,13 +148,25 @@ class VoxelVecEnv:
             spec = replace(spec, observations=voxel_observations(spec.observations, tuple(spec.robots), sim))
         if obs.startswith("timed"):
             spec = replace(spec, observations=(*spec.observations, Observation(ElapsedSteps(self.episodes))))
-        self.spec, self.rules, self.sim, self.seed, self.auto_reset = spec, rules, sim, seed, auto_reset
+        self.spec = spec
+        self.rules = rules
+        self.sim = sim
+        self.seed = seed
+        self.auto_reset = auto_reset
+        self.num_envs = sim.num_envs
+        self.device = sim.device
+        self.dtype = sim.dtype
         self._updates = {memory.name: memory.advance for memory in spec.memory}
-        self._has_code, self._limit = spec.has_code, spec.max_episode_steps
-        self.designs, self.num_envs, self.device, self.dtype = designs, sim.num_envs, sim.device, sim.dtype
+        self._has_code = spec.has_code
+        self._limit = spec.max_episode_steps
+
+        # Designs, each for a block of environments that may have a seed of its own
+        self.designs = designs
+        self._blocks = len(designs)
         block = sim.num_envs // len(designs)
-        self._blocks = len(designs)  # of environments that may have seeds of their own
         self.design_index = torch.arange(len(designs), device=sim.device).repeat_interleave(block)
+
+        # Memory, and what the terms give at the beginning of an episode
         self._draws = RandomStream(seed, self.num_envs, sim.device) if spec.memory else None
         if self._draws is not None:
             check_memory(spec, sim, self._draws)
@@ -166,10 +178,14 @@ class VoxelVecEnv:
         for term in spec.rewards:
             term(before, probe)
         self.episodes.before = {quantity: before.value(quantity).clone() for quantity in before.quantities}
+
+        # Observations and actions
         self.layout = ObservationLayout(spec.observations, sim, probe)
-        self.num_obs, self.num_actions = self.layout.num_obs, sim.num_actions
+        self.num_obs = self.layout.num_obs
+        self.num_actions = sim.num_actions
         self._describe(sim.design_index[::block])  # equal designs share one entry of the simulation
         self.voxels = voxel_layouts(spec.observations, self.obs_columns[0])
+
         # On the CPU a mask can be read to skip work; elsewhere reading it would wait for the device.
         self._on_cpu = sim.device == "cpu"
         self._finite = FiniteGuard(spec, sim, self.layout)
@@ -193,8 +209,9 @@ class VoxelVecEnv:
         self.obs_mask = self.layout.mask[worlds]
         self.action_mask = self.sim.action_mask[worlds]
         numbers: list[int] = worlds.cpu().numpy().tolist()
-        every = self.layout.columns, self.sim.action_columns
-        self.obs_columns, self.action_columns = ([columns[number] for number in numbers] for columns in every)
+        self.obs_columns = [self.layout.columns[number] for number in numbers]
+        action_columns = self.sim.action_columns
+        self.action_columns = [action_columns[number] for number in numbers]
 
     @property
     def num_designs(self) -> int:
@@ -270,11 +287,11 @@ class VoxelVecEnv:
             self.episodes.drawn = False
             self._start_memory(self._draws, mask, given)
         self.episodes.clear(mask)
-        now = self._snapshot()
-        self.episodes.set_before(now)
+        state = self._snapshot()
+        self.episodes.set_before(state)
         if self.dump is not None:
             self.dump.clear(mask)
-        return self._finite.first(self.layout.observe(now), mask), {}
+        return self._finite.first(self.layout.observe(state), mask), {}
 
     def draw_as(self, numbers: torch.Tensor) -> None:
         """From the next reset on, draw the random numbers of these environments, long ``[num_envs]``; equal ones draw

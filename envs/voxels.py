@@ -29,7 +29,6 @@ the robot's centre of mass; ``velocities``: of the same corners, absolute; ``typ
 horizontal actuator, vertical actuator) is 1; ``neighbours``: 1 where the cell is connected (above, right, below, left).
 """
 NUM_FEATURES = 25
-_SIDES = ((-1, 0), (0, 1), (1, 0), (0, -1))  # rows and columns to the neighbours above, right, below, left
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,8 @@ class VoxelGrid:
     def __init__(self, sim: Simulation, name: str) -> None:
         grids = [world.objects[name].grid for world in sim.worlds]
         least = sim.grid or (0, 0)
-        self.rows, self.columns = (max(least[axis], *(grid.shape[axis] for grid in grids)) for axis in (0, 1))
+        self.rows = max(least[0], *(grid.shape[0] for grid in grids))
+        self.columns = max(least[1], *(grid.shape[1] for grid in grids))
         count = self.rows * self.columns
         self.about = About("voxels of {name}: corners, velocities, type, neighbours", NUMBER, count * NUM_FEATURES)
         self._sim, self._name = sim, name
@@ -83,27 +83,37 @@ class VoxelGrid:
 
     def _make_tables(self) -> tuple[torch.Tensor, ...]:
         """For every environment: the cells of its actions, the points of its cells, and what is known of them."""
-        sim, name, earlier = self._sim, self._name, self._cells
-        sources = [world.objects[name] for world in sim.worlds]
         # Bodies that stay keep their entries: going through a body cell by cell is slow.
-        found = [earlier.get(id(source)) or self._cells_of(source, design) for design, source in enumerate(sources)]
+        sim = self._sim
+        found: list[_Cells] = []
+        for design, world in enumerate(sim.worlds):
+            source = world.objects[self._name]
+            found.append(self._cells.get(id(source)) or self._cells_of(source, design))
         self._cells = {id(body.source): body for body in found}
-        actions, spans = np.full((len(found), sim.num_actions), -1, np.int64), sim.action_columns
-        for row, body, span in zip(actions, found, spans, strict=True):
-            first = span[name].start
+
+        # The cells of actions, of each design
+        actions = np.full((len(found), sim.num_actions), -1, np.int64)
+        for row, body, columns in zip(actions, found, sim.action_columns, strict=True):
+            first = columns[self._name].start
             row[first : first + len(body.driving)] = body.driving
+
+        # As tensors of all environments
         index = sim.design_index.cpu()
         action_cell = torch.as_tensor(actions)[index].to(sim.device)
         corners = np.stack([body.corners for body in found])
         corners = torch.as_tensor(corners)[index].flatten(1).to(sim.device)  # [num_envs, cells * 4]
-        known = torch.as_tensor(np.stack([body.known for body in found]))[index].to(sim.device, sim.dtype)
-        return action_cell, corners, known, (known[..., :1] == 0).to(sim.dtype)
+        known = np.stack([body.known for body in found])
+        known = torch.as_tensor(known)[index].to(sim.device, sim.dtype)
+        filled = (known[..., :1] == 0).to(sim.dtype)
+        return action_cell, corners, known, filled
 
     def _cells_of(self, source: WorldObject, design: int) -> _Cells:
         rows, columns = np.nonzero(source.grid)
         cells = rows * self.columns + columns
         corners = np.zeros((self.rows * self.columns, 4), np.int64)
         corners[cells] = self._sim.voxel_corners(self._name, design)
+
+        # Type and neighbours
         known = np.zeros((self.rows * self.columns, NUM_FEATURES - FEATURES["type"].start))
         padded = np.zeros((self.rows, self.columns), np.int64)
         padded[: source.grid.shape[0], : source.grid.shape[1]] = source.grid
@@ -116,10 +126,10 @@ class VoxelGrid:
         """``[num_envs, cells * 25]``."""
         places = state.relative_positions(name).transpose(1, 2)
         at = self._corners[..., None].expand(-1, -1, 2)
-        parts = [
-            torch.unflatten(points.gather(1, at), 1, (-1, 4)).flatten(2) * self._filled
-            for points in (places, state.velocities(name))
-        ]
+        parts: list[torch.Tensor] = []
+        for points in (places, state.velocities(name)):
+            corners = torch.unflatten(points.gather(1, at), 1, (-1, 4))
+            parts.append(corners.flatten(2) * self._filled)
         return torch.cat([*parts, self._known], dim=2).flatten(1)
 
 
@@ -134,11 +144,15 @@ class _Cells(NamedTuple):
 
 def _linked(source: WorldObject) -> np.ndarray:
     """bool ``[rows, columns, 4]``: whether a cell is connected with its neighbour above, right, below, left."""
-    out = np.zeros((*source.grid.shape, 4), bool)
-    for pair in source.connections.tolist():
-        (a, b), (c, d) = (divmod(cell, source.grid.shape[1]) for cell in pair)
-        out[a, b, _SIDES.index((c - a, d - b))] = out[c, d, _SIDES.index((a - c, b - d))] = True
-    return out
+    above, right, below, left = range(4)
+    linked = np.zeros((*source.grid.shape, 4), bool)
+    for first, second in source.connections.tolist():
+        row, column = divmod(first, source.width)
+        other_row, other_column = divmod(second, source.width)
+        is_below = other_row > row
+        linked[row, column, below if is_below else right] = True
+        linked[other_row, other_column, above if is_below else left] = True
+    return linked
 
 
 def voxel_observations(

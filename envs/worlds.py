@@ -22,7 +22,6 @@ from warpvox.types import EMPTY_LETTER, MATERIALS, Cell
 from warpvox.world import World, WorldObject
 
 _CELLS = {EMPTY_LETTER: Cell.EMPTY} | {material.letter: cell for cell, material in MATERIALS.items()}
-_RUN = re.compile(rf"(\d*)([{''.join(_CELLS)}])")
 
 
 def block(name: str, width: int, height: int, cell: str = "F", x: int = 0, y: int = 0) -> WorldObject:
@@ -99,12 +98,16 @@ def task_world(task: TaskSpec, body: object, connections: object = None) -> Worl
 
 def _stack(lines: Sequence[str]) -> np.ndarray:
     """Lines as int8 ``[lines, cells]``, padded with empty cells."""
+    run = rf"(\d*)([{''.join(_CELLS)}])"
     parsed: list[list[int]] = []
     for line in lines:
         packed = line.replace(" ", "")
-        if _RUN.sub("", packed):
+        if re.sub(run, "", packed):
             raise WorldError(f"Cannot read the terrain line {line!r}: expected runs such as '20. 10F'.")
-        parsed.append([_CELLS[letter] for count, letter in _RUN.findall(packed) for _ in range(int(count or 1))])
+        cells: list[int] = []
+        for count, letter in re.findall(run, packed):
+            cells += [_CELLS[letter]] * int(count or 1)
+        parsed.append(cells)
     return np.array(list(zip_longest(*parsed, fillvalue=Cell.EMPTY)), np.int8).T
 
 

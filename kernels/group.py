@@ -11,6 +11,7 @@ few units in the last place of float32, positions and velocities are accumulated
 """
 
 import functools
+import math
 from dataclasses import dataclass
 
 import warp as wp
@@ -24,13 +25,8 @@ from warpvox.types import VOXEL
 
 WARP = 32
 """Threads of a CUDA block, or those of a larger group: the groups of a warp go the same way; more would only wait."""
-REGISTERS = {16: 128, 32: 128, 64: 144, 128: 128}
-"""Registers of a thread in float32, at most, by threads of a group: next to nothing spills, and each quarter of a
-multiprocessor, which has registers of its own, has room for 4 warps (of 144 for 3). float64 takes all 255."""
 SHARED_BYTES = 47 * 1024
 """Shared memory of the groups of a CUDA block, at most. A block has 48 KiB without asking, some of them Warp's."""
-SMALL = 48, 144
-"""Points and springs up to which 16 threads take an environment: bodies of 5 x 5 voxels, with a box or a ball."""
 FEW = 9
 """Rounds of a loop over points or springs up to which it is unrolled (``native/group/base.h``). Where 32 threads need
 more, 64 or 128 take an environment."""
@@ -40,9 +36,6 @@ ROUNDS = 64
 """Turns of a loop over points, at most: a bit for each."""
 CODED = 1 << 13
 """Candidates for contact whose corners can be listed: a code has 16 bits."""
-ON_CPU = 512, 1024
-"""Points and springs for which the kernel is compiled on the CPU, where memory is no limit; more where needed."""
-FILES = ("base.h", "load.h", "candidates.h", "contact.h", "move.h", "limit.h", "step.h")
 CLOSE_MARGIN = 0.012
 """Distance from another voxel below which corners are tested in every sub-step, until a point has moved half of it."""
 
@@ -68,8 +61,14 @@ class Group:
 
     @property
     def registers(self) -> int:
-        """Registers of a thread, at most."""
-        return REGISTERS[self.parts] if self.precision == "float32" else 255
+        """Registers of a thread, at most.
+
+        In float32 next to nothing spills, and each quarter of a multiprocessor, which has registers of its own, has
+        room for 4 warps (of 144 for 3). float64 takes all that there are.
+        """
+        if self.precision == "float64":
+            return 255
+        return 144 if self.parts == 64 else 128
 
     @property
     def layout(self) -> dict[str, tuple[int, int]]:
@@ -102,14 +101,22 @@ def choose(points: int, springs: int, precision: str, device: str, movers: int |
     No other points than the first ``movers`` are free or hang on a spring; None: any may.
     """
     movers = points if movers is None else movers
-    wide = next((parts for parts in (WARP, 2 * WARP) if max(movers, springs) <= FEW * parts), 4 * WARP)
-    tried = [16 if movers <= SMALL[0] and springs <= SMALL[1] else wide, WARP]
-    if not on_cuda(device):
-        points, springs = max(points, ON_CPU[0]), max(springs, ON_CPU[1])
-        movers, tried = points, [16 if points <= 16 * ROUNDS else 32]
+    if on_cuda(device):
+        # 16 threads for bodies of 5 x 5 voxels, with a box or a ball; else as many as keep loops unrolled
+        if movers <= 48 and springs <= 144:
+            tried = [16, WARP]
+        else:
+            rounds = math.ceil(max(movers, springs) / FEW)
+            tried = [next((parts for parts in (WARP, 2 * WARP) if rounds <= parts), 4 * WARP), WARP]
+    else:
+        # One kernel for most worlds, as memory is no limit there
+        points = movers = max(points, 512)
+        springs = max(springs, 1024)
+        tried = [16 if points <= 16 * ROUNDS else 32]
+
     for parts in tried:
-        whole = min(parts, WARP)
-        sizes = (-(-max(count, 1) // whole) * whole for count in (points, movers, springs))
+        unit = min(parts, WARP)
+        sizes = [math.ceil(max(count, 1) / unit) * unit for count in (points, movers, springs)]
         group = Group(precision, parts, *sizes, on_cuda(device) and precision == "float32")
         fits = group.movers <= ROUNDS * parts and group.springs < 1 << 15  # point and place numbers have 16 bits
         if fits and (not on_cuda(device) or group.bytes * max(WARP // parts, 1) <= SHARED_BYTES):
@@ -127,9 +134,9 @@ def source(group: Group, whole_warps: bool = False) -> str:
     lines += [f"typedef unsigned {'long long' if group.movers > 32 * group.parts else 'int'} Bits;"]
     lines += [f"#define APPROXIMATE {int(group.approximate)}"]
     lines += [constants(**sizes)]
-    files = (f"native/group/{file}" for file in FILES)
-    shared = (f"native/{name}.h" for name in ("tanh", "triangles", "crossing", "forces", "contact_law"))
-    lines += [text("native/pairs.h", next(files), *shared, *files)]
+    shared = [f"native/{name}.h" for name in ("tanh", "triangles", "crossing", "forces", "contact_law")]
+    own = [f"native/group/{name}.h" for name in ("load", "candidates", "contact", "move", "limit", "step")]
+    lines += [text("native/pairs.h", "native/group/base.h", *shared, *own)]
     lines += ["#undef APPROXIMATE\n"]
     return "\n".join(lines)
 

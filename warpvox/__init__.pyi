@@ -39,6 +39,7 @@ from .errors import (
     DisplayError as DisplayError,
     DivergenceError as DivergenceError,
     MemoryLimitError as MemoryLimitError,
+    ResumeError as ResumeError,
     RolloutError as RolloutError,
     RunError as RunError,
     SearchError as SearchError,

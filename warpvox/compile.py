@@ -15,21 +15,14 @@ import numpy as np
 
 from warpvox.contact_order import order_arrays
 from warpvox.errors import SimulationError
-from warpvox.types import VOXEL, Cell, Physics
+from warpvox.types import ACTUATORS, VOXEL, Cell, Physics
 from warpvox.world import World, WorldObject
 
 # Corners and sides of a voxel in clockwise order; side k runs from corner k to corner k + 1.
 TL, TR, BR, BL = range(4)
-FILL = {"pushed": -1, "fixed_at": -1, "order": -1}
-"""Padding of tables, if not 0."""
 NOTHING_MOVES = "The world has nothing that can move: add a robot or an object with a cell that is not fixed."
 TOP, RIGHT, BOTTOM, LEFT = 1, 2, 4, 8
 """Bits of the sides of a voxel."""
-MOST_KEPT = 32
-"""Objects whose meshes are kept; a benchmark task has at most 21."""
-LARGEST_KEPT = 2_000
-"""Filled cells of the largest object whose mesh is kept. A cell takes 2 kB."""
-
 
 T = TypeVar("T")
 
@@ -126,12 +119,14 @@ def mesh(source: WorldObject, physics: Physics) -> Body:
 
     Those of small objects that are no robots are kept: many worlds with the same terrain come one after the other.
     """
-    if source.is_robot or np.count_nonzero(source.grid) > LARGEST_KEPT:
-        return _make_mesh(source, physics)
+    # A cell takes 2 kB.
+    if source.is_robot or np.count_nonzero(source.grid) > 2_000:
+        return _kept_mesh.__wrapped__(source, physics)
     return _kept_mesh(source, physics)
 
 
-def _make_mesh(source: WorldObject, physics: Physics) -> Body:
+@functools.lru_cache(32)  # a benchmark task has at most 21 objects
+def _kept_mesh(source: WorldObject, physics: Physics) -> Body:
     body = Body(source.name, source, linked=_linked_sides(source))
     for cell, bits in body.linked.items():
         _add_voxel(body, cell, bits, physics)
@@ -144,9 +139,6 @@ def _make_mesh(source: WorldObject, physics: Physics) -> Body:
             for p in corners:
                 body.fixed[p] = True
     return body
-
-
-_kept_mesh = functools.lru_cache(MOST_KEPT)(_make_mesh)
 
 
 def _linked_sides(source: WorldObject) -> dict[tuple[int, int], int]:
@@ -258,7 +250,7 @@ def _set_drives(body: Body, kinds: list[list[int]]) -> None:
     action = 0
     for (row, column), (top, right, bottom, left) in body.sides.items():
         kind = kinds[row][column]
-        if kind in (Cell.H_ACT, Cell.V_ACT):
+        if kind in ACTUATORS:
             for s in (top, bottom) if kind == Cell.H_ACT else (left, right):
                 body.drives.setdefault(s, []).append(action)
             action += 1
@@ -275,57 +267,59 @@ def exact_tables(designs: list[CompiledWorld], lanes: int) -> dict[str, np.ndarr
 
 def _exact_table(design: CompiledWorld, lanes: int) -> dict[str, np.ndarray]:
     out = world_arrays(design)
-    tree = order_arrays(design)
-    points, springs = len(out["fixed"]), len(out["spring_rest"])
+    points = len(out["fixed"])
 
+    # Masks: all lanes hold the world
+    sides = out.pop("side")[:, None] >> np.arange(4) & 1
+    out["side_lanes"] = (-sides).astype(np.int32)
+    out["free_lanes"] = np.where(out.pop("fixed") == 0, -1, 0).astype(np.int32)
+    out["spring_lanes"] = np.full(len(out["spring_rest"]), -1, np.int32)
+    out["rigid_lanes"] = np.full(len(out["rigid_spring"]), -1, np.int32)
     out["stiffness"] = out["spring_k"]
-    out["last_spring"] = np.zeros(int(out["actives"]), np.int32)
+    out["alike"] = np.asarray(1, np.int32)
 
-    def in_lanes(values: np.ndarray) -> np.ndarray:
-        return np.repeat(values[:, None], lanes, axis=1)
+    # A column for each lane
+    out["spring_drive"] = pack_drives(out["spring_drive"], axis=1)
+    out["order"] = np.arange(points, dtype=np.int32)
+    out["object_points"] = np.array([len(body.points) for body in design.bodies], np.int32)
+    for name in ("rest_pos", "spring_k", "spring_drive", "fold_limit", "order", "object_points"):
+        out[name] = np.repeat(out[name][:, None], lanes, axis=1)
 
-    bits = out.pop("side")[:, None] >> np.arange(4) & 1
-    out |= dict(
-        free_lanes=np.where(out.pop("fixed") == 0, -1, 0).astype(np.int32),
-        spring_lanes=np.full(springs, -1, np.int32),
-        rigid_lanes=np.full(len(out["rigid_spring"]), -1, np.int32),
-        side_lanes=(-bits).astype(np.int32),
-        rest_pos=in_lanes(out["rest_pos"]),
-        spring_k=in_lanes(out["spring_k"]),
-        spring_drive=in_lanes(pack_drives(out["spring_drive"], axis=1)),
-        fold_limit=in_lanes(out["fold_limit"]),
-        order=in_lanes(np.arange(points, dtype=np.int32)),
-        object_points=in_lanes(np.array([len(body.points) for body in design.bodies], np.int32)),
-        twin_range=np.zeros((points, 2), np.int32),
-        twin=np.zeros((0, 2), np.int32),
-        twin_lanes=np.zeros(0, np.int32),
-        twin_end=np.zeros((0, 4), np.int32),
-    )
-    scalars = dict(twins=0, twin_ends=0, alike=1, first_other=0, actions=int(out["actions"]))
-    return out | tree | {name: np.asarray(value, np.int32) for name, value in scalars.items()}
+    # Tables of the fast arithmetic alone
+    empty = {
+        "twin_range": (points, 2), "twin": (0, 2), "twin_lanes": (0,), "twin_end": (0, 4),
+        "last_spring": (int(out["actives"]),), "twins": (), "twin_ends": (), "first_other": (),
+    }  # fmt: skip
+    for name, shape in empty.items():
+        out[name] = np.zeros(shape, np.int32)
+    return out | order_arrays(design)
 
 
 def pack_drives(drives: np.ndarray, axis: int) -> np.ndarray:
     """int32: the one or two actions (-1: none) along an axis in one number each, plus one, low half first."""
-    one, two = np.take(drives, 0, axis=axis) + 1, np.take(drives, 1, axis=axis) + 1
+    one = np.take(drives, 0, axis=axis) + 1
+    two = np.take(drives, 1, axis=axis) + 1
     return (one | two << 16).astype(np.int32)
 
 
 def join(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Tables of several lists of packs as one, padded to common capacities."""
+    """Tables of several lists of packs as one, padded to common capacities: with 0, or with -1 where 0 is a number."""
     if len(parts) == 1:
         return parts[0]
-    return {name: _join([part[name] for part in parts], FILL.get(name, 0)) for name in parts[0]}
-
-
-def _join(values: list[np.ndarray], fill: int) -> np.ndarray:
-    shape = np.max([value.shape[1:] for value in values], axis=0).astype(int)
-    whole = np.full((sum(map(len, values)), *shape), fill, values[0].dtype)
-    begin = 0
-    for value in values:
-        whole[(slice(begin, begin + len(value)), *(slice(n) for n in value.shape[1:]))] = value
-        begin += len(value)
-    return whole
+    joined = {}
+    for name in parts[0]:
+        tables = [part[name] for part in parts]
+        shape = np.max([table.shape[1:] for table in tables], axis=0).astype(int)
+        fill = -1 if name in ("pushed", "fixed_at", "order") else 0
+        whole = np.full((sum(map(len, tables)), *shape), fill, tables[0].dtype)
+        begin = 0
+        for table in tables:
+            end = begin + len(table)
+            place = (slice(begin, end), *(slice(size) for size in table.shape[1:]))
+            whole[place] = table
+            begin = end
+        joined[name] = whole
+    return joined
 
 
 def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:

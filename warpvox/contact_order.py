@@ -24,8 +24,6 @@ MOST_OBJECTS = 1024  # whose pairs fit into the 20 bits above the path
 # Bucket counts of the library's hash tables, each the first of its prime list that at least doubles the last: enough
 # for the cells of the largest world.
 BUCKETS = (1, 13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753, 42043, 85229, 172933, 351061, 712697, 1447153)
-CARDINAL = ((-1, 0), (1, 0), (0, -1), (0, 1))  # row and column of neighbours: top, bottom, left, right
-DIAGONAL = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 SIDE = {(-1, 0): 1, (0, 1): 2, (1, 0): 4, (0, -1): 8}
 """The bit of ``Body.linked`` for a neighbour in this direction."""
 
@@ -137,7 +135,9 @@ def tree_of(body) -> Tree:
 def _neighbours(body, cell, node_of: dict) -> HashSet:
     """Nodes of the connected surface voxels beside a cell, of the diagonal ones only if there are none."""
     found = HashSet()
-    for steps in (CARDINAL, DIAGONAL):
+    cardinal = ((-1, 0), (1, 0), (0, -1), (0, 1))  # row and column: top, bottom, left, right
+    diagonal = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+    for steps in (cardinal, diagonal):
         if not len(found):
             for dy, dx in steps:
                 other = (cell[0] + dy, cell[1] + dx)
@@ -155,14 +155,6 @@ def _connected(body, cell, dy: int, dx: int) -> bool:
     over_row = bits[cell] & SIDE[dy, 0] and bits[row + dy, column] & SIDE[0, dx]
     over_column = bits[cell] & SIDE[0, dx] and bits[row, column + dx] & SIDE[dy, 0]
     return bool(over_row or over_column)
-
-
-def _union(a, b):
-    return min(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), max(a[3], b[3])
-
-
-def _area(box) -> float:
-    return (box[2] - box[0]) * (box[3] - box[1])
 
 
 def _merge(tree: Tree, near: list[HashSet]) -> None:
@@ -210,7 +202,10 @@ def _merge(tree: Tree, near: list[HashSet]) -> None:
             queue.clear()
             enqueue(open_nodes)
             continue
-        merged = tree.add(None, (a, b), _union(tree.boxes[a], tree.boxes[b]))
+        first, second = boxes[a], boxes[b]
+        low = min(first[0], second[0]), min(first[1], second[1])
+        high = max(first[2], second[2]), max(first[3], second[3])
+        merged = tree.add(None, (a, b), low + high)
         around = HashSet()
         for node in [*near[a], *near[b]]:
             around.add(node)
@@ -307,7 +302,7 @@ def _tree_table(body) -> TreeTable:
     return TreeTable(
         node=np.array(rows, np.int32),
         inner=np.array([pair is not None for pair in tree.children]),
-        area=np.array([_area(box) for box in tree.boxes]),
+        area=np.array([(right - left) * (top - bottom) for left, bottom, right, top in tree.boxes]),
         leaves=np.array([leaf_of[cell] for cell in body.surface], np.int32),
         cells=np.array(list(body.surface)),
         depth=tree.depth(),

@@ -47,15 +47,9 @@ LARGEST_FILE = 4_000_000
 ZOO_FOLDER = Path(__file__).parent / "robots" / "data"
 """The zoo: a stored robot for every task, ``TASK.npz``."""
 
-LEAST_CHANCE = 1e-6
-"""Least probability of a cell to be an actuator; below it hardly any body has one."""
-
 DESIGN_SUFFIXES = (".json", ".npz", ".npy")
 """Files that hold a design whatever else they hold, and that :func:`save_design` writes."""
 
-_MAX_DRAWS = 2_000_000
-_SIGNATURES = {b"{": ".json", b"[": ".json", b"PK\x03\x04": ".npz", b"\x93NUMPY": ".npy"}
-"""How files begin that have another suffix; all others are read as text."""
 _EXPECTED = (
     f"a design is a file ({', '.join(DESIGN_SUFFIXES)}), a text with a row of cell types on each line as numpy.savetxt"
     " writes it, a folder with body.npy, or the folder of a run"
@@ -248,7 +242,7 @@ def sample_design(
     except (TypeError, ValueError):
         raise DesignError(f"The seed must be None, an integer >= 0 or a numpy Generator, got {seed!r}.") from None
     # One body per draw, so that a shared Generator advances by the draws that were needed.
-    draws = max(1, _MAX_DRAWS // (rows * columns))
+    draws = max(1, 2_000_000 // (rows * columns))
     for _ in range(draws):
         body = draw_bodies(rng, 1, (rows, columns), weights)
         if are_valid(body)[0]:
@@ -459,9 +453,14 @@ def _read_file(path: Path) -> tuple[object, np.ndarray | None]:
     """Read the cells, and their connections if there are any, of a file."""
     suffix = path.suffix.lower()
     if suffix not in DESIGN_SUFFIXES:
+        # How the file begins says what it is.
         data = read_bytes(path, LARGEST_FILE)
-        suffix = next((suffix for start, suffix in _SIGNATURES.items() if data.lstrip().startswith(start)), ".txt")
-        if suffix == ".txt":
+        signatures = {b"{": ".json", b"[": ".json", b"PK\x03\x04": ".npz", b"\x93NUMPY": ".npy"}
+        for start, kind in signatures.items():
+            if data.lstrip().startswith(start):
+                suffix = kind
+                break
+        else:
             return _parse_grid(data), None
     if suffix == ".json":
         return _parse_list(read_text(path, LARGEST_FILE), source=f"The design file '{path}'"), None
@@ -540,8 +539,11 @@ def _robot_of(world: dict, source: str) -> np.ndarray:
         raise DesignError(
             f"{source} leaves {cuts} pair(s) of neighbouring cells unconnected, which a design cannot say."
         )
+
+    # Without empty rows and columns around it
     filled = grid != Cell.EMPTY
-    rows, columns = np.flatnonzero(filled.any(1)), np.flatnonzero(filled.any(0))
+    rows = np.flatnonzero(filled.any(1))
+    columns = np.flatnonzero(filled.any(0))
     return grid[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
 
@@ -570,7 +572,7 @@ def _check_weights(weights: Sequence[float]) -> np.ndarray:
         raise DesignError(f"The probabilities must be finite and not negative, got {given}.")
     if total == 0:
         raise DesignError(f"The probabilities are all zero: at least one weight must be positive, got {given}.")
-    if (array[Cell.H_ACT] + array[Cell.V_ACT]) / total < LEAST_CHANCE:
+    if (array[Cell.H_ACT] + array[Cell.V_ACT]) / total < 1e-6:  # hardly any body would have one
         raise DesignError(f"The probabilities must leave a chance for an actuator (the last two), got {given}.")
     return array / total
 

@@ -8,12 +8,13 @@ from typing import Any, ClassVar
 
 from rich.console import Console
 
-from warpvox.algos.candidate import DesignEvaluator, Listener, Search
-from warpvox.algos.codesign.evaluations import EVALUATIONS, Custom, Evaluation
+from warpvox.algos.candidate import DesignEvaluator, Search
+from warpvox.algos.codesign.evaluations import Custom
+from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.loop import Executor
 from warpvox.algos.codesign.results import Found
 from warpvox.algos.codesign.run import run_codesign
-from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.codesign.settings import EVALUATIONS, Codesign, Evaluation
 from warpvox.algos.search.base import BaseSearch
 from warpvox.algos.search.settings import ALGORITHMS, CustomSearch, SearchSettings
 from warpvox.checks import check_flag, check_known, check_path, is_integer, is_list
@@ -51,7 +52,7 @@ def codesign(
         folder: a search that is there is gone on with; ``auto``: a new one in ``outputs/codesign``, ``None``: a
             temporary one, which goes with the process.
         progress: show how the search goes.
-        listeners: objects with the callbacks of :class:`warpvox.algos.candidate.Listener`.
+        listeners: objects with the callbacks of :class:`warpvox.algos.codesign.listener.Listener`.
         settings: the others of :class:`Codesign`: ``training``, ``seed``, ``device``, ``start``, ...
 
     Raises:

@@ -124,18 +124,26 @@ class Gradients:
         self, state: torch.Tensor, actions: torch.Tensor, by_end: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Derivatives by a state and by actions from those by the state after the step."""
-        sim, before, taken = self.sim, self.sim.state(), self.sim.actions
+        sim = self.sim
+        before = sim.state()
+        taken = sim.actions
+
+        # Where the entries of a state lie in the arrays, and the derivatives by the end
         pack, lane = self._env
-        rows, padding = sim.rows[0], ~sim.rows[1]
+        rows, is_real = sim.rows
+        padding = ~is_real
         place = pack[:, None], rows, lane[:, None]
         for part, values in zip(self._by, by_end.unbind(1), strict=True):
             part.zero_()
             part.index_put_(place, values.masked_fill(padding, 0.0).to(part.dtype), accumulate=True)
-        # those that have been frozen since were not yet
+
+        # The step again, then back; environments that have been frozen since were not yet
         sim.set_state(before | _parts(state) | {"frozen": torch.zeros_like(before["frozen"])})
         sim.take(actions)
         sim.place_actions()
         sim.run(self._launches)
+
+        # The derivatives by the start; the simulation is then where it was
         by_start = torch.stack([part[place].masked_fill(padding, 0.0) for part in self._by], dim=1)
         low, high = sim.action_range
         by_actions = self._by_action[pack, :, lane] * ((actions >= low) & (actions <= high))

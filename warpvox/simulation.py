@@ -8,7 +8,7 @@ import weakref
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, NoReturn, cast
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ import warp as wp
 from warpvox.batch.arrays import Buffers, allocate_buffers, put_tables
 from warpvox.batch.objects import CompiledWorlds, Objects
 from warpvox.batch.options import SimKeywords, SimOptions
-from warpvox.batch.packs import Batch, group
+from warpvox.batch.packs import Actuators, Batch, group
 from warpvox.checks import check_choice, check_mask
 from warpvox.compile import mesh
 from warpvox.errors import ActionError, SimulationError
@@ -81,17 +81,25 @@ class Simulation(Sensing):
         if not isinstance(loose, Sequence) or isinstance(loose, str) or not all(isinstance(one, str) for one in loose):
             raise SimulationError(f"loose must be a list of names of objects, got {loose!r:.80}.")
         low, high = _check_range(action_range)
-        self.device, self.physics, self.grid = self.options.device, self.options.physics, self.options.grid
-        self.arithmetic, self.threads = self.options.arithmetic, self.options.threads
+        self.device = self.options.device
+        self.physics = self.options.physics
+        self.grid = self.options.grid
+        self.arithmetic = self.options.arithmetic
+        self.threads = self.options.threads
         self.dtype: torch.dtype = getattr(torch, self.options.dtype)
+
+        # Packs and their buffers; the group layout may have no room for these worlds
         different, index = group(worlds)
-        group_first = self.options.layout == "group"
-        for self.layout in ("group", "lanes") if group_first else ("lanes",):
+        self.layout = self.options.layout
+        self._batch = Batch(different, index, self.options, tuple(loose), self.layout)
+        state = allocate_buffers(self._batch, self.options.dtype)
+        if state is None:
+            self.layout = "lanes"
             self._batch = Batch(different, index, self.options, tuple(loose), self.layout)
             state = allocate_buffers(self._batch, self.options.dtype)
-            if state is not None:
-                self._state = state
-                break
+        self._state = cast(Buffers, state)
+
+        # Worlds, objects and actions
         self.designs = CompiledWorlds(self._batch)
         self.num_envs = len(worlds)
         self.design_index = torch.tensor(index, dtype=torch.long, device=self.device)
@@ -100,6 +108,12 @@ class Simulation(Sensing):
         self.object_names = self._objects.names
         self.loose = tuple(loose)
         self._loose = self._objects.loose_points(self.loose)
+        self.action_range = low, high
+        self.action_buffer = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
+        self._action_array = wp.from_torch(self.action_buffer)
+        self._action_places: dict[str, torch.Tensor] = {}
+
+        # Launches, and views on the buffers
         self.begin_threads()
         _living.add(self)
         self._launches: list[Recorded] = []
@@ -107,12 +121,9 @@ class Simulation(Sensing):
         self._views = {name: wp.to_torch(self._state.arrays[name]) for name in (*STATE_FIELDS, "drift")}
         self._env = tuple(wp.to_torch(array).long() for array in (self._state.env_pack, self._state.env_lane))
         self.slot = self._env[0] * self._state.lanes + self._env[1]
-        self.action_range = low, high
-        self.action_buffer = torch.zeros((self.num_envs, self.num_actions), dtype=self.dtype, device=self.device)
-        self._action_array = wp.from_torch(self.action_buffer)
         self._begin_sensing()
-        self._action_places: dict[str, torch.Tensor] = {}
         self._follow_worlds()
+
         # The buffers begin as after a reset. Lanes that belong to no environment stay frozen.
         self._views["frozen"].fill_(1)
         self._views["frozen"].view(-1)[self.slot] = 0
@@ -208,11 +219,14 @@ class Simulation(Sensing):
         if tuple(cells.shape) != (self.num_envs, 2) or cells.dtype.is_floating_point:
             raise SimulationError(f"Shifts must be integers [{self.num_envs}, 2], got {list(cells.shape)}.")
         point, corner, height, inside = self._loose
+
         # The expressions with which a world is compiled, one operation at a time: the last bit matters.
         x, y = (corner + cells[:, None]).double().unbind(-1)
         across, down = inside.double().unbind(-1)
         x = x * VOXEL + across * VOXEL
         y = (y * VOXEL + height.double() * VOXEL) - down * VOXEL
+
+        # Positions change, velocities become 0
         pack, lane = (index[:, None] for index in self._env)
         for row, values in ((2 * point, x), (2 * point + 1, y)):
             for name in ("pos", "vel", "true_vel"):
@@ -303,10 +317,13 @@ class Simulation(Sensing):
     @property
     def action_columns(self) -> list[dict[str, slice]]:
         """For each design where the actions of its robots lie, ``{name: slice}``."""
-        columns = {}  # designs of one size have one entry
+        columns: dict[Actuators, dict[str, slice]] = {}  # designs of one size have one entry
         for sizes in {entry.actuators for entry in self._batch.entries}:
-            stops = [0, *itertools.accumulate(count for _, count in sizes)]
-            columns[sizes] = {name: slice(*at) for (name, _), at in zip(sizes, itertools.pairwise(stops), strict=True)}
+            columns[sizes] = {}
+            start = 0
+            for name, count in sizes:
+                columns[sizes][name] = slice(start, start + count)
+                start += count
         return [columns[entry.actuators] for entry in self._batch.entries]
 
     def robot_actions(self, name: str) -> torch.Tensor:
@@ -387,14 +404,18 @@ class Simulation(Sensing):
         """
         least = 2 * int(self._objects.total.max())
         for name in STATE_FIELDS:
-            view, given = self._views[name], state.get(name) if isinstance(state, Mapping) else None
+            view = self._views[name]
+            given = state.get(name) if isinstance(state, Mapping) else None
             if not (
                 isinstance(given, torch.Tensor)
-                and (given.dtype, given.ndim, *given.shape[:1]) == (view.dtype, view.ndim - 1, self.num_envs)
-                and (given.ndim != 2 or given.shape[1] >= least)
+                and given.dtype == view.dtype
+                and given.ndim == view.ndim - 1
+                and len(given) == self.num_envs
+                and (given.ndim == 1 or given.shape[1] >= least)
             ):
                 kind = str(view.dtype).removeprefix("torch.")
-                expected = f"{kind} [{self.num_envs}{f', {least} or more' if view.ndim == 3 else ''}]"
+                columns = f", {least} or more" if view.ndim == 3 else ""
+                expected = f"{kind} [{self.num_envs}{columns}]"
                 got = f"{given.dtype} {list(given.shape)}" if isinstance(given, torch.Tensor) else f"{given!r:.60}"
                 raise SimulationError(
                     f"The state's {name!r} is not that of this simulation of {self.num_envs} environments: expected"
@@ -435,14 +456,20 @@ class Simulation(Sensing):
             raise SimulationError(f"{len(envs)} environments need a world each, got {len(worlds)}.")
         if not len(envs):
             return
+
+        # The other environments of the same packs, whose tables may change, keep their state.
         packs = self._batch.replace(envs.tolist(), worlds)
         touched = torch.isin(self._env[0], torch.as_tensor(packs, device=self.device))
-        others = (touched & ~mask).nonzero()[:, 0]  # of the same packs, whose tables may change
+        others = (touched & ~mask).nonzero()[:, 0]
         before = self._read(others)
+
+        # Tables
         tables, which = self._batch.tables(packs)
         put_tables(self._state, {name: values[which] for name, values in tables.items()}, packs)
         # Lanes without an environment too: torn apart, they would have the candidates of the others made again.
         self._views["pos"][packs] = self.array("rest_pos")[packs]
+
+        # What follows from them
         self._objects.refresh()
         for mine, new in zip(self._loose, self._objects.loose_points(self.loose), strict=True):
             mine.copy_(new)  # in place: a captured step may read it
@@ -456,6 +483,8 @@ class Simulation(Sensing):
         self.design_index.copy_(torch.as_tensor(self._batch.index))
         numbers = np.array([int.from_bytes(entry.key[:8], "little", signed=True) for entry in self._batch.entries])
         self.world_numbers = torch.as_tensor(numbers[self._batch.index], device=self.device)
+
+        # Where state and actions lie
         for buffer in self.sensing_buffers:  # entries of points that there are no more
             buffer.zero_()
         rows = self._objects.rows

@@ -29,11 +29,6 @@ class _Axes(dict[str, int]):
 
 AXES = _Axes(x=0, y=1)
 """Component of a vector by its name; TaskError: another name."""
-SUBSTEPS = 30
-"""Sub-steps of a control step (paper section A.2), the default of ``Physics.substeps``."""
-DT = 1.0e-4
-"""Inner time of a sub-step, the default of ``Physics.dt``. Gravity and stiffness belong to this clock, not to the
-nominal 1500 Hz."""
 ACTION_LOW, ACTION_HIGH = 0.6, 1.6
 """Bounds of an action: the target length of an actuator's sides in units of their rest length."""
 ACTION_CENTER, ACTION_SCALE = 1.1, 0.5
@@ -104,13 +99,14 @@ class Physics(Settings):
     prefix = "physics."
 
     name: str = "evogym"
+    # Gravity and stiffness belong to this clock, not to the nominal 1500 Hz.
     dt: float = key(
-        DT,
+        1.0e-4,
         "time step of a sub-step, 1e-8 to 0.01; stable up to about 1.3e-4 with the default constants",
         low=1e-8,
         high=1e-2,
     )
-    substeps: int = key(SUBSTEPS, "sub-steps of a control step, 1 to 10000", low=1, high=10_000)
+    substeps: int = key(30, "sub-steps of a control step, 1 to 10000", low=1, high=10_000)
     point_mass: float = key(1.0, "mass of every point, 0.001 to 1e6", low=1e-3, high=1e6)
     gravity: float = key(110.0, "downward acceleration, in simulator units", low=0)
     drag: float = key(0.1, "drag force on a point per unit of velocity", low=0)

@@ -23,8 +23,8 @@ from warpvox.errors import WorldError, did_you_mean, listing
 from warpvox.io.reading import Missing, Unreadable, parse_json, read_text
 from warpvox.io.world_files import LARGEST_GRID, read_objects
 from warpvox.io.writing import check_suffix, write_text
-from warpvox.types import ACTUATORS, Cell
-from warpvox.view.palette import body_svg
+from warpvox.palette import body_svg
+from warpvox.types import ACTUATORS, EMPTY_LETTER, MATERIALS, Cell
 
 LARGEST_FILE = 16_000_000
 """Bytes that a world file, or the text of one, may have."""
@@ -261,7 +261,8 @@ class World:
 
     def pretty(self) -> str:
         """Return a drawing in letters: R rigid, S soft, H and V actuators, F fixed, a dot for empty."""
-        return "\n".join("".join(".RSHVF"[cell] for cell in row) for row in self.grid())
+        letters = [EMPTY_LETTER, *(material.letter for material in MATERIALS.values())]
+        return "\n".join("".join(letters[cell] for cell in row) for row in self.grid())
 
     def __eq__(self, other: object) -> bool:
         return self.key() == other.key() if isinstance(other, World) else NotImplemented

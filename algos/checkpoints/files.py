@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from torch import nn
 from torch.func import functional_call
 
-from warpvox.algos.checkpoints.expected import check_plain
+from warpvox.algos.expected import check_plain
 from warpvox.algos.generators import Generators
 from warpvox.algos.policies.gait import GaitModel
 from warpvox.algos.policies.layout import VoxelLayout

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.codesign.archive import Archive, Record, body_text
+from warpvox.algos.archive import Archive, Record, body_text
 from warpvox.design import save_design
 from warpvox.errors import RunError
 from warpvox.io.writing import atomic_path, check_suffix, write_table, write_text

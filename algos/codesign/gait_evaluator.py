@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -23,9 +23,6 @@ from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.types import Cell
 
-if TYPE_CHECKING:
-    from warpvox.algos.codesign.evaluations.gaits import Gaits
-
 FRESH = 0.125
 """Share of the first gaits of a design with a parent that owe nothing to it."""
 KEPT = 0.5
@@ -36,6 +33,17 @@ STRETCH = (1.0, 3.0, 0.6, 2.0, 4.0, 1.4, 0.8)
 """By what the stages of one pass after another are longer: a throw or a turn takes its time, and they end elsewhere."""
 STREAM = 0x6A17
 """Keeps the random numbers of gaits apart from those of the environments."""
+
+
+class GaitSearch(Protocol):
+    """How many gaits are tried, and which: see the fields of the evaluation ``gaits``."""
+
+    gaits: int
+    rounds: int
+    stages: int
+    passes: int
+    beam: int
+    stage_steps: int
 
 
 @dataclass(frozen=True)
@@ -55,7 +63,7 @@ class GaitEvaluator:
     """
 
     factory: EnvFactory
-    settings: Gaits
+    settings: GaitSearch
     seed: int = 0
     episodes: int = 1
     known: Mapping[bytes, Gait] = field(default_factory=dict)

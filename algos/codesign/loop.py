@@ -14,18 +14,18 @@ from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 from typing import Any, Protocol, cast
 
+from warpvox.algos.archive import Archive, Finished, Record, body_text, repair_hint
 from warpvox.algos.candidate import (
     FINALIST,
     Candidate,
     DesignEvaluator,
-    Listener,
     Outcome,
     Parent,
     Parents,
     Search,
     checked_outcomes,
 )
-from warpvox.algos.codesign.archive import Archive, Finished, Record, body_text, repair_hint
+from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
 from warpvox.devices.startup import own_torch

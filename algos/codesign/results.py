@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from warpvox import __version__
-from warpvox.algos.candidate import FINALIST, Listener
+from warpvox.algos.archive import FILE as ARCHIVE, Archive, Record
+from warpvox.algos.candidate import FINALIST
 from warpvox.algos.checkpoints.policy import Policy
-from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
+from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.find import find_run
 from warpvox.algos.protocols import NOMINAL
@@ -29,10 +30,10 @@ from warpvox.envs.registry import get_task
 from warpvox.errors import WarpvoxError, counted
 from warpvox.io.text import duration
 from warpvox.io.writing import atomic_path, write_text
+from warpvox.palette import body_svg
 from warpvox.runs import read_summary, write_summary
 from warpvox.view.body_picture import draw_bodies
 from warpvox.view.painter import Painter, save_png
-from warpvox.view.palette import body_svg
 from warpvox.view.rollout import record
 
 FRESH = 64
@@ -44,26 +45,15 @@ SIZE, VOXELS = (320, 150), 13.0
 """Size of a picture in pixels, and the height of what it shows in voxels."""
 LONGEST, EVERY, PAUSE = 300, 5, 100
 """Control steps that are shown at most, those from one picture to the next, and the milliseconds that they take."""
-NAMES = {
-    "ga": "genetic algorithm",
-    "bo": "Bayesian optimisation",
-    "cppn_neat": "CPPN-NEAT",
-    "map_elites": "MAP-Elites",
-    "random": "random search",
-}
 
 
 class Results(Listener):
-    """Keeps ``generations/<n>.png``, ``report.html`` and ``summary.json`` up to date.
-
-    Args:
-    """
+    """Keeps ``generations/<n>.png``, ``report.html`` and ``summary.json`` up to date."""
 
     def __init__(self, folder: Path, archive: Archive, settings: Codesign) -> None:
         self.folder = folder
         self.archive = archive
         self.settings = settings
-        self.search = NAMES.get(settings.search.algorithm, settings.search.algorithm)
         summary = read_summary(folder)
         self.fresh = summary.get("fresh_seeds")
         self._began = time.monotonic() - summary.get("elapsed_seconds", 0.0)  # as if it had not been interrupted
@@ -80,7 +70,7 @@ class Results(Listener):
         if not best or (keep and path.is_file()):
             return path
         captions = [(f"{one.fitness:.3f}", f"#{one.id}  generation {one.candidate.generation}") for one in best]
-        title = f"{self.settings.task} · {self.search} · best designs after generation {generation}"
+        title = f"{self.settings.task} · {self.settings.search.title} · best designs after generation {generation}"
         return save_png(draw_bodies([record.candidate.body for record in best], captions, title), path)
 
     def write(self, status: str) -> dict[str, Any]:
@@ -123,7 +113,7 @@ class Results(Listener):
         """Write the report alone."""
         facts = {
             "task": self.settings.task,
-            "search": self.search,
+            "search": self.settings.search.title,
             "status": str(summary.get("status", "unknown")),
             "time": duration(summary.get("elapsed_seconds", 0.0)),
             "seed": str(self.settings.seed),

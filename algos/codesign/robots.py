@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive, Record
+from warpvox.algos.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.find import find_codesign, find_run
 from warpvox.algos.training.bodies import has_designs, read_bodies

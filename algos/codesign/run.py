@@ -6,29 +6,29 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import torch
 
-from warpvox.algos.candidate import Candidate, DesignEvaluator, Listener, Outcome, Search
-from warpvox.algos.codesign.archive import FILE as ARCHIVE, Archive
-from warpvox.algos.codesign.evaluations.base import full_body
+from warpvox.algos.archive import FILE as ARCHIVE, Archive
+from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Search
 from warpvox.algos.codesign.evaluations.custom import Custom
+from warpvox.algos.codesign.evaluations.workload import full_body
 from warpvox.algos.codesign.finalists import Finalists
+from warpvox.algos.codesign.listener import Listener, SearchRun
 from warpvox.algos.codesign.loop import Executor, LocalExecutor, Loop
 from warpvox.algos.codesign.results import Found, Results, evaluate_winner
 from warpvox.algos.codesign.robots import keep_start, read_start
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.codesign.stored_policies import StoredPolicies
+from warpvox.algos.metrics import check_logger
 from warpvox.algos.protocols import episodes_of
 from warpvox.algos.search import BaseSearch, make_search
 from warpvox.algos.search.factory import start_with
 from warpvox.algos.settings import sim_of
 from warpvox.algos.training.job import task_name
-from warpvox.algos.training.metrics import check_logger
 from warpvox.algos.training.pretrained import observed_by
 from warpvox.algos.training.settings import Training
 from warpvox.batch.options import lanes_for
@@ -53,24 +53,6 @@ MAX_BATCH_STEPS = 20e6
 """Control steps of a batch by default: about ten minutes of a core."""
 BEFORE = (CONFIG, "log.txt", "training", "code", "designs", f"{ARCHIVE}.lock")
 """Files and folders that a search has before its archive."""
-
-
-@dataclass(frozen=True)
-class SearchRun:
-    """A design search that is under way, as listeners see it.
-
-    Attributes:
-        total: evaluations that it may spend, those of finalists included, which come last.
-        costs: about how many control steps a design takes, and a finalist; None: not known.
-        workers: of Ray; 0: this process.
-    """
-
-    results: Results
-    total: int
-    finalists: int
-    costs: tuple[float, float] | None
-    workers: int
-    resumed: bool
 
 
 def check(settings: Codesign, folder: Path | None = None, search: Search | None = None) -> Codesign:
@@ -173,7 +155,7 @@ def run_codesign(
         run, loop = _loop(settings, search, executor, results, listeners, resumed is not None)
         opened.enter_context(ambient(settings.torch_threads))
         torch.manual_seed(settings.seed)  # of code of the user's
-        summary = _search(run, loop, settings, listeners)
+        summary = _search(run, loop, results, settings, listeners)
     return Found(folder, written, summary)
 
 
@@ -200,10 +182,12 @@ def _loop(
         listeners=[results, *heard],
     )
     workers = cast(Any, executor).size if settings.executor == "ray" else 0
-    return SearchRun(results, total, finalists, cost, workers, resumed), loop
+    return SearchRun(folder, results.archive, results.settings, total, finalists, cost, workers, resumed), loop
 
 
-def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[Listener]) -> dict[str, Any]:
+def _search(
+    run: SearchRun, loop: Loop, results: Results, settings: Codesign, listeners: Sequence[Listener]
+) -> dict[str, Any]:
     """Run the loop, and sum up however it ends; who has heard its beginning hears its end."""
     status, summary, begun = "failed", {}, []
     try:
@@ -212,7 +196,7 @@ def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[
             begun.append(listener)
         loop.run()
         # before it is done: what goes on with a search leaves alone those that are
-        run.results.fresh = evaluate_winner(run.results, settings)
+        results.fresh = evaluate_winner(results, settings)
         status = "done"
     except KeyboardInterrupt:
         status = "interrupted"
@@ -221,7 +205,7 @@ def _search(run: SearchRun, loop: Loop, settings: Codesign, listeners: Sequence[
         try:
             # a search that has failed may have failed because nothing can be written; that is the error to report
             with suppress(StorageError, RunError) if status == "failed" else nullcontext():
-                summary = run.results.write(status)
+                summary = results.write(status)
         finally:
             for listener in begun:
                 listener.ended(summary)

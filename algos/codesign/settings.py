@@ -7,13 +7,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from warpvox.algos.codesign.evaluations import EVALUATIONS, Evaluation, Specialist
 from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.search.settings import ALGORITHMS, GA, SearchSettings
 from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, physics_of, sim_of
@@ -25,7 +24,10 @@ from warpvox.robots.entry import Robot, zoo
 from warpvox.types import RULES
 
 if TYPE_CHECKING:
+    from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
+    from warpvox.algos.codesign.evaluations.workload import Workload
     from warpvox.algos.env_factory import EnvFactory
+    from warpvox.envs.spec import TaskSpec
 
 CHANGEABLE = (
     "executor", "address", "workers", "device", "threads", "torch_threads", "top", "name", "memory_check", "logger",
@@ -35,6 +37,74 @@ CHANGEABLE = (
 
 But for rounding on another device.
 """
+
+
+Kind = TypeVar("Kind", bound="Evaluation")
+
+EVALUATIONS: dict[str, type[Evaluation]] = {}
+"""The evaluations by name."""
+
+
+@dataclass
+class Evaluation(Settings):
+    """The base of all evaluations, and of your own: ``build`` says how designs are evaluated, the rest has defaults.
+
+    Settings are fields made by :func:`warpvox.keys.key`. ``search`` are always the settings of the design search.
+
+    Raises:
+        ConfigError: a setting out of range.
+    """
+
+    name: str = key("", "how designs are compared")
+
+    prefix = "evaluation."
+    finalists = 0
+    """Number of best designs that are evaluated once more at the end of a search (origin ``finalist``)."""
+
+    def build(self, search: Codesign, known: Any) -> DesignEvaluator:
+        """The evaluator, made in the process that evaluates; ``known`` is what :meth:`begins_with` has returned."""
+        raise NotImplementedError
+
+    def check(self, search: Codesign) -> None:
+        """Find settings that do not go together.
+
+        Raises:
+            ConfigError: which, and what would.
+        """
+
+    def resolved(self, search: Codesign, folder: Path | None) -> Evaluation:
+        """A copy with what its names stand for; ``folder``: of a search that is resumed.
+
+        Raises:
+            WarpvoxError: what is named does not exist, or does not fit the task and the bodies.
+        """
+        return self
+
+    def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
+        """Knowledge from before the search that the evaluator needs, such as gaits of ``start``; can be pickled."""
+        return None
+
+    def inherits(self, search: Codesign) -> bool:
+        """Whether candidates are evaluated with the policies of their parents at hand."""
+        return False
+
+    def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float] | None:
+        """About how many control steps a design takes, and all finalists; None: not known beforehand."""
+        return None
+
+    def workloads(self, search: Codesign) -> list[Workload]:
+        """The largest batches that are simulated, for estimates of memory; none: not known."""
+        return []
+
+    def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
+        """Settings of a training run that differ from the search's own for the policy of a design, to play it by."""
+        return {}
+
+
+def register_evaluation(kind: type[Kind]) -> type[Kind]:
+    """Make an evaluation known by its ``name``."""
+    EVALUATIONS[kind.name] = kind
+    return kind
 
 
 @dataclass
@@ -51,7 +121,7 @@ class Codesign(Settings):
     )
     rules: str = key("evogym", RULE_SETS, choices=RULES)
     search: SearchSettings = key(GA, "how designs are proposed")
-    evaluation: Evaluation = key(Specialist, "how designs are compared")
+    evaluation: Evaluation = key(lambda: EVALUATIONS["specialist"](), "how designs are compared")
     fitness: str = key(
         NOMINAL,
         "episodes by which designs and policies are compared: undisturbed (nominal), or several with noise on the"

@@ -14,7 +14,7 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch import nn
 
-from warpvox.algos.checkpoints.expected import AnyTensor, check_like
+from warpvox.algos.expected import AnyTensor, check_like
 from warpvox.algos.policies.network import observations
 from warpvox.algos.population.model import Normalizer, PopulationActor, PopulationModel, StackedGaussian
 from warpvox.algos.training.ppo import PPO

@@ -9,8 +9,8 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from warpvox.algos.archive import Archive, Record
 from warpvox.algos.candidate import FINALIST, best_so_far
-from warpvox.algos.codesign.archive import Archive, Record
 from warpvox.algos.find import find_run
 from warpvox.algos.report.charts import Series, chart, sparkline
 from warpvox.algos.report.members import SearchResult
@@ -18,8 +18,8 @@ from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.code import words_of_code
 from warpvox.errors import RunError
 from warpvox.io.text import in_html, shell_argument
+from warpvox.palette import body_svg
 from warpvox.runs import CONFIG
-from warpvox.view.palette import body_svg
 
 FILE, FILM = "report.html", "film.webp"
 """The report in the folder of a search, and an episode of a robot in that of its design."""

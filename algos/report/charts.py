@@ -80,7 +80,18 @@ def _figure(series: Sequence[Series], x_label: str, y_label: str, size: tuple[in
     parts = _axes(frame, x_label, y_label)
     # dots first: lines stay visible on top of them
     for one in sorted(series, key=lambda item: item.kind != "dots"):
-        parts += _marks(one, frame)
+        kept = [(k, point) for k, point in enumerate(one.points) if all(map(math.isfinite, point))]
+        places = [frame.at(point) for _, point in kept]
+        # A line of one point could not be seen.
+        if one.kind == "dots" or len(places) == 1:
+            for (number, _), (x, y) in zip(kept, places, strict=True):
+                note = f"<title>{in_html(one.notes[number])}</title>" if one.notes else ""
+                parts.append(f'<circle class="s{one.colour}" cx="{x:.1f}" cy="{y:.1f}" r="3.5">{note}</circle>')
+        elif places:
+            path = f"M{places[0][0]:.1f} {places[0][1]:.1f}"
+            for x, y in places[1:]:
+                path += f"H{x:.1f}V{y:.1f}" if one.kind == "step" else f"L{x:.1f} {y:.1f}"
+            parts.append(f'<path class="curve s{one.colour}" d="{path}"/>')
     label = in_html(f"{y_label} over {x_label}")
     head = f'<svg class="chart" role="img" aria-label="{label}" viewBox="0 0 {size[0]} {size[1]}">'
     return f"{head}{''.join(parts)}</svg>"
@@ -136,23 +147,6 @@ def _axes(frame: _Frame, x_label: str, y_label: str) -> list[str]:
     parts.append(f'<text class="label" x="{right}" y="{height - 4}" text-anchor="end">{in_html(x_label)}</text>')
     parts.append(f'<text class="label" x="{LEFT}" y="{TOP - 10}">{in_html(y_label)}</text>')
     return parts
-
-
-def _marks(series: Series, frame: _Frame) -> list[str]:
-    kept = [(k, point) for k, point in enumerate(series.points) if all(map(math.isfinite, point))]
-    places = [frame.at(point) for _, point in kept]
-    if series.kind == "dots" or len(places) == 1:  # a line of one point could not be seen
-        parts = []
-        for (number, _), (x, y) in zip(kept, places, strict=True):
-            note = f"<title>{in_html(series.notes[number])}</title>" if series.notes else ""
-            parts.append(f'<circle class="s{series.colour}" cx="{x:.1f}" cy="{y:.1f}" r="3.5">{note}</circle>')
-        return parts
-    if not places:
-        return []
-    path = f"M{places[0][0]:.1f} {places[0][1]:.1f}"
-    for x, y in places[1:]:
-        path += f"H{x:.1f}V{y:.1f}" if series.kind == "step" else f"L{x:.1f} {y:.1f}"
-    return [f'<path class="curve s{series.colour}" d="{path}"/>']
 
 
 def _number(value: float) -> str:

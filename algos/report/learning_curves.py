@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from warpvox.algos.metrics import read_metrics
 from warpvox.algos.report.members import SearchResult, progress
 from warpvox.algos.statistics import mean_interval
-from warpvox.algos.training.metrics import read_metrics
 from warpvox.errors import ConfigError
 from warpvox.io.text import escaped
 from warpvox.io.writing import atomic_path, check_suffix, write_table
@@ -23,7 +23,7 @@ PANELS = 4
 """Pictures beside each other at most."""
 COLOURS = ("#d96a14", "#2f6fb0", "#3a8a4d", "#8a4fa3", "#b03a48", "#5b6473")
 STYLES = ("-", "--", ":", "-.")
-"""Of groups that the colours do not suffice for."""
+"""Line styles of groups: the next one after each turn of the colours."""
 POINTS = 200  # of the mean of several runs
 
 
@@ -121,31 +121,49 @@ def write_curves(
     inches = (columns * size[0] / 100, rows * (size[1] + 22 * more) / 100)
     figure = Figure(figsize=inches, dpi=100, layout="constrained")
     for number, (title, several) in enumerate(panels.items()):
-        said = [curve.label for curve in several] == [title]  # by the legend
+        # The title says nothing more where the legend has it.
+        said = [curve.label for curve in several] == [title]
         axes = figure.add_subplot(rows, columns, number + 1, title="" if said else _plain(title))
-        _plot(several, axes)
-        _dress(axes, AXES[x])
+
+        # Lines
+        for index, curve in enumerate(several):
+            turn, colour = divmod(index, len(COLOURS))
+            look: dict[str, Any] = {"color": COLOURS[colour], "linestyle": STYLES[turn % len(STYLES)]}
+            if len(curve.runs) > 1:
+                axes.fill_between(curve.places, curve.low, curve.high, color=COLOURS[colour], alpha=0.18, linewidth=0)
+                for points in curve.runs:
+                    axes.plot(*points, **look, linewidth=0.8, alpha=0.3)
+            label = _plain(f"{curve.label} (n={len(curve.runs)})")
+            # A line of one point could not be seen.
+            dot = "o" if curve.places[0] == curve.places[-1] else None
+            axes.plot(curve.places, curve.mean, **look, linewidth=2.2, label=label, marker=dot)
+
+        # Axes, and the legend below them, off the curves
+        axes.set_xlabel(AXES[x])
+        axes.set_ylabel("deterministic return")
+        axes.grid(color="#dde2ea", linewidth=0.8)
+        axes.set_axisbelow(True)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+        axes.ticklabel_format(axis="x", style="plain")
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+        axes.margins(x=0.01)
+        axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0), borderaxespad=3.5)
         axes.locator_params(axis="x", nbins=max(2, size[0] // 110))
     # Equal runs make equal files: names inside an SVG are hashes with a random salt otherwise.
     kind = suffix.removeprefix(".")
     undated = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
     with atomic_path(target, follow=True) as temporary, rc_context({"svg.hashsalt": "warpvox"}):
         figure.savefig(temporary, format=kind, metadata=undated)
-    _write_csv(panels, target.with_suffix(".csv"), x)
+
+    # The same numbers as a table
+    rows_of_table = []
+    for label, curve in labelled(panels):
+        for numbers in zip(curve.places, curve.mean, curve.low, curve.high, strict=True):
+            place, *others = (f"{number:.9g}" if math.isfinite(number) else "" for number in numbers)
+            rows_of_table.append([label, place, len(curve.runs), *others])
+    write_table(target.with_suffix(".csv"), ("settings", x, "n", "mean", "low", "high"), rows_of_table)
     return target
-
-
-def _plot(curves: Sequence[Curve], axes: Any) -> None:
-    for number, curve in enumerate(curves):
-        turn, place = divmod(number, len(COLOURS))
-        look = {"color": COLOURS[place], "linestyle": STYLES[turn % len(STYLES)]}
-        if len(curve.runs) > 1:
-            axes.fill_between(curve.places, curve.low, curve.high, color=COLOURS[place], alpha=0.18, linewidth=0)
-            for points in curve.runs:
-                axes.plot(*points, **look, linewidth=0.8, alpha=0.3)
-        label = _plain(f"{curve.label} (n={len(curve.runs)})")
-        dot = "o" if curve.places[0] == curve.places[-1] else None  # a line of one point could not be seen
-        axes.plot(curve.places, curve.mean, **look, linewidth=2.2, label=label, marker=dot)
 
 
 def _plain(text: str) -> str:
@@ -159,25 +177,3 @@ def labelled(panels: Mapping[str, Sequence[Curve]]) -> Iterator[tuple[str, Curve
         for curve in several:
             alone = len(panels) == 1 or curve.label == title
             yield curve.label if alone else f"{title}, {curve.label}", curve
-
-
-def _write_csv(panels: Mapping[str, Sequence[Curve]], path: Path, x: str) -> None:
-    rows = []
-    for label, curve in labelled(panels):
-        for numbers in zip(curve.places, curve.mean, curve.low, curve.high, strict=True):
-            place, *others = (f"{number:.9g}" if math.isfinite(number) else "" for number in numbers)
-            rows.append([label, place, len(curve.runs), *others])
-    write_table(path, ("settings", x, "n", "mean", "low", "high"), rows)
-
-
-def _dress(axes: Any, label: str) -> None:
-    axes.set_xlabel(label)
-    axes.set_ylabel("deterministic return")
-    axes.grid(color="#dde2ea", linewidth=0.8)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    axes.ticklabel_format(axis="x", style="plain")
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
-    axes.margins(x=0.01)
-    axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0), borderaxespad=3.5)  # below, off the curves

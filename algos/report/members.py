@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from warpvox.algos.codesign.archive import FILE, Archive, Record
+from warpvox.algos.archive import FILE, Archive, Record
 from warpvox.algos.statistics import Interval
 from warpvox.keys import flat
 from warpvox.runs import read_summary

@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Mapping
 from functools import partial
 
-from warpvox.algos.codesign.archive import Record
+from warpvox.algos.archive import Record
 from warpvox.io.text import in_html
-from warpvox.view.palette import body_svg
+from warpvox.palette import body_svg
 from warpvox.view.player import asset, fill_template
 
 text = partial(asset, package="warpvox.algos.report")

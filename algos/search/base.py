@@ -19,18 +19,6 @@ from warpvox.errors import ConfigError, DesignError, SearchError
 BATCH = 32
 """Random bodies drawn at a time; about one in seven of 5x5 is valid."""
 
-MUTANTS_PER_DRAW = 16
-"""Mutants of one parent that are drawn at a time, of which the first that will do counts."""
-
-MAX_VOXELS = 2_000_000
-"""Voxels that are drawn by default before there is no new body to be found."""
-
-MAX_MUTANT_VOXELS = 100_000
-"""Voxels of mutants that are drawn before all mutants of a parent count as known."""
-
-FEW_CELLS = 6
-"""Up to here all bodies can be counted to see whether there are enough."""
-
 STREAM = 0x5EA2C4
 """Keeps the random numbers of a search apart from those of the trainings, which follow from (seed, candidate)."""
 
@@ -72,7 +60,8 @@ class BaseSearch(ABC):
         self.settings, self.shape, self.seed = settings, check_shape("shape", shape), check_integer("seed", seed, 0)
         (rows, columns), most = self.shape, settings.max_evaluations
         # a search that has to find nearly every body there is would spend its time on drawing known ones
-        if rows * columns <= FEW_CELLS and (bodies := count_valid(self.shape)) < 2 * most:
+        # Up to six voxels all bodies can be counted to see whether there are enough.
+        if rows * columns <= 6 and (bodies := count_valid(self.shape)) < 2 * most:
             raise ConfigError(
                 f"There are only {bodies} valid bodies of {rows}x{columns}: a search with max_evaluations={most} needs"
                 f" at least twice as many bodies. Use a larger shape or max_evaluations={bodies // 2} at most."
@@ -124,7 +113,7 @@ class BaseSearch(ABC):
         """Whether the body with this :func:`body_key` was proposed before."""
         return key in self._seen
 
-    def new_body(self, draw: Callable[[], np.ndarray], limit: int = MAX_VOXELS) -> np.ndarray | None:
+    def new_body(self, draw: Callable[[], np.ndarray], limit: int = 2_000_000) -> np.ndarray | None:
         """The first valid and new body of ``draw() -> [n, rows, columns]``, claimed; None after ``limit`` voxels."""
         drawn = 0
         while drawn < limit:
@@ -154,8 +143,10 @@ class BaseSearch(ABC):
     def mutant(self, rng: np.random.Generator, parents: Sequence[int], rate: float) -> Proposal:
         """A new mutant of a parent drawn uniformly; a random body if all their mutants are known."""
         for parent in rng.permutation(parents):
-            copies = np.repeat(self.bodies[int(parent)][None], MUTANTS_PER_DRAW, axis=0)
-            body = self.new_body(partial(mutate, rng, copies, rate), MAX_MUTANT_VOXELS)
+            # Sixteen mutants of a parent are drawn at a time, of which the first that will do counts. After 100,000
+            # voxels all mutants of the parent count as known.
+            copies = np.repeat(self.bodies[int(parent)][None], 16, axis=0)
+            body = self.new_body(partial(mutate, rng, copies, rate), 100_000)
             if body is not None:
                 return Proposal(body, (int(parent),), "mutation")
         return self.random_proposal(rng)

@@ -22,12 +22,6 @@ from warpvox.design import are_valid, draw_bodies
 TOP = 25
 """Best designs whose mutants enter the pool."""
 
-RATES = (0.04, 0.1)
-"""Mutation rates of the pool: about one voxel of 25, or two to three; the first for two mutants of three."""
-
-RANDOM_SHARE = 0.25
-"""Share of the pool that is random; the rest are mutants of the best."""
-
 DRAWS, ROUNDS = 500, 60
 """Bodies drawn at a time for the pool, and how often; small shapes may have fewer new bodies than are wanted."""
 
@@ -103,7 +97,8 @@ class BayesianSearch(BaseSearch):
                 yield summit, not np.array_equal(summit, start)
 
     def _summits(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
-        random = max(1, round(self.settings.candidates * RANDOM_SHARE))
+        # A quarter of the pool is random; the rest are mutants of the best.
+        random = max(1, round(self.settings.candidates * 0.25))
         pool, parents = self.pool(rng, random, self.settings.candidates - random)
         if not len(pool):
             return []
@@ -138,7 +133,8 @@ class BayesianSearch(BaseSearch):
 
         def draw_mutants() -> tuple[np.ndarray, list[tuple[int, ...]]]:
             parents = rng.choice(best, DRAWS)
-            rates = rng.choice(RATES, DRAWS, p=(2 / 3, 1 / 3))
+            # Of 25 voxels about one mutates in two mutants of three, and two to three in the others.
+            rates = rng.choice((0.04, 0.1), DRAWS, p=(2 / 3, 1 / 3))
             return mutate(rng, stack[parents], rates[:, None, None]), [(parent,) for parent in parents.tolist()]
 
         found: dict[bytes, tuple[np.ndarray, tuple[int, ...]]] = {}

@@ -1,4 +1,4 @@
-"""From settings to a search; each algorithm's module, and the libraries it needs, load when it is made."""
+"""From settings to a search."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -9,16 +9,6 @@ from warpvox.algos.search.settings import CustomSearch, SearchSettings
 from warpvox.code import check_code, load_code
 from warpvox.design import Design
 from warpvox.errors import ConfigError, listing
-
-SEARCHES = {
-    "ga": ("ga", "GeneticSearch"),
-    "random": ("base", "RandomSearch"),
-    "bo": ("bo", "BayesianSearch"),
-    "cppn_neat": ("cppn_neat", "CppnNeatSearch"),
-    "map_elites": ("map_elites", "MapElitesSearch"),
-    "custom": ("factory", "make_custom"),
-}
-"""Module of this package and class (or function) for each :attr:`SearchSettings.algorithm`."""
 
 VERBS = ("ask", "tell", "replay")
 
@@ -34,9 +24,9 @@ def make_search(
         seed: of all random numbers; the same seed and fitness give the same proposals.
         start: different bodies, int8 ``[rows, columns]``, that the first generation begins with.
     """
-    if isinstance(settings, type) or getattr(settings, "algorithm", None) not in SEARCHES:
+    if not isinstance(settings, SearchSettings):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise ConfigError(f"There is no search for settings of type {type(settings).__name__}.")
-    module, name = SEARCHES[settings.algorithm]
+    module, name = settings.implementation.split(":")
     search = getattr(import_module(f"warpvox.algos.search.{module}"), name)(settings, shape, seed)
     start_with(search, start)
     return search

@@ -5,7 +5,10 @@ They are what ``search=NAME`` stands for on the command line. One differs, becau
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import TypeVar
 
 from warpvox.errors import ConfigError, listing
 from warpvox.keys import Settings, key
@@ -18,11 +21,21 @@ MOST_CELLS = 10_000_000
 """Cells of MAP-Elites, whose archive holds all of them from the beginning."""
 
 
+Kind = TypeVar("Kind", bound="SearchSettings")
+
+ALGORITHMS: dict[str, type[SearchSettings]] = {}
+"""The settings of each algorithm, by its name."""
+
+
 @dataclass
 class SearchSettings(Settings):
     """Settings that every search has (paper section D.1, Table 2)."""
 
     prefix = "search."
+    title = "search"
+    """Name of the algorithm in reports."""
+    implementation = ""
+    """``MODULE:NAME`` of what makes the search, in this package; imported only then, with the libraries it needs."""
 
     algorithm: str = key("", "which search")
     population: int = key(25, "designs of a generation", low=2)
@@ -31,16 +44,19 @@ class SearchSettings(Settings):
     )
 
 
-@dataclass
-class RandomDesigns(SearchSettings):
-    """Random search, the baseline: designs by EvoGym's sampling rule."""
+def register_search(kind: type[Kind]) -> type[Kind]:
+    """Make a search known by the ``algorithm`` of its settings."""
+    ALGORITHMS[kind.algorithm] = kind
+    return kind
 
-    algorithm: str = key("random", "which search", choices=("random",))
 
-
+@register_search
 @dataclass
 class GA(SearchSettings):
     """Genetic algorithm (paper Algorithm 1, Table 3)."""
+
+    title = "genetic algorithm"
+    implementation = "ga:GeneticSearch"
 
     algorithm: str = key("ga", "which search", choices=("ga",))
 
@@ -58,9 +74,13 @@ class GA(SearchSettings):
             )
 
 
+@register_search
 @dataclass
 class BO(SearchSettings):
     """Bayesian optimisation (paper Algorithm 2, Table 4)."""
+
+    title = "Bayesian optimisation"
+    implementation = "bo:BayesianSearch"
 
     algorithm: str = key("bo", "which search", choices=("bo",))
 
@@ -79,18 +99,26 @@ class BO(SearchSettings):
     candidates: int = key(1000, "number of designs among which the starts of climbs are chosen", low=1)
 
 
+@register_search
 @dataclass
 class CppnNeat(SearchSettings):
     """CPPN-NEAT (paper section C.3, Table 5); Table 5 itself is ``cppn_neat.cfg`` beside this module."""
+
+    title = "CPPN-NEAT"
+    implementation = "cppn_neat:CppnNeatSearch"
 
     algorithm: str = key("cppn_neat", "which search", choices=("cppn_neat",))
 
     neat_config: str | None = key(None, "another configuration file of neat-python; null: Table 5 of the paper")
 
 
+@register_search
 @dataclass
 class MapElites(SearchSettings):
     """MAP-Elites: the best design of every kind of body."""
+
+    title = "MAP-Elites"
+    implementation = "map_elites:MapElitesSearch"
 
     algorithm: str = key("map_elites", "which search", choices=("map_elites",))
 
@@ -111,18 +139,27 @@ class MapElites(SearchSettings):
             raise ConfigError(f"{cells}, more than memory holds: take fewer bins or descriptors.")
 
 
+@register_search
+@dataclass
+class RandomDesigns(SearchSettings):
+    """Random search, the baseline: designs by EvoGym's sampling rule."""
+
+    title = "random search"
+    implementation = "base:RandomSearch"
+
+    algorithm: str = key("random", "which search", choices=("random",))
+
+
+@register_search
 @dataclass
 class CustomSearch(SearchSettings):
     """A search of your own; see docs/own_search.md."""
+
+    title = "custom"
+    implementation = "factory:make_custom"
 
     algorithm: str = key("custom", "which search", choices=("custom",))
 
     make: str | None = key(
         None, "a search of your own: FILE.py:NAME or MODULE:NAME, called with settings, shape and seed"
     )
-
-
-ALGORITHMS: dict[str, type[SearchSettings]] = {
-    kind.algorithm: kind for kind in (GA, BO, CppnNeat, MapElites, RandomDesigns, CustomSearch)
-}
-"""The settings of each algorithm, by its name."""

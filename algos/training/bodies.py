@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.algos.checkpoints.expected import AnyTensor, check_like
+from warpvox.algos.expected import AnyTensor, check_like
 from warpvox.algos.settings import REFRESH
 from warpvox.algos.training.settings import Training
 from warpvox.batch.options import lanes_for
@@ -81,7 +81,7 @@ def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) 
 
 
 def _of_folder(folder: Path, key: str) -> list[Design]:
-    from warpvox.algos.codesign.archive import FILE, Archive
+    from warpvox.algos.archive import FILE, Archive
 
     if (folder / FILE).is_file():
         with Archive.read(folder / FILE) as archive:

@@ -14,6 +14,7 @@ from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.checkpoints.policy import Policy, policy_of
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator, evaluator
 from warpvox.algos.generators import Generators
+from warpvox.algos.metrics import SERVICES, check_logger
 from warpvox.algos.policies.registry import MLP, check_network, check_policy, voxels_of
 from warpvox.algos.protocols import episodes_of
 from warpvox.algos.settings import physics_of, sim_of
@@ -25,13 +26,11 @@ from warpvox.algos.training.bodies import (
     read_bodies,
     training_bodies,
 )
-from warpvox.algos.training.distributed import ProcessGroup, join_process_group
+from warpvox.algos.training.distributed import join_process_group
 from warpvox.algos.training.held_out import HeldOut
-from warpvox.algos.training.metrics import SERVICES, check_logger
 from warpvox.algos.training.pretrained import OBS_OF_VOXELS, adopted
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.algos.training.settings import Designs, Training
-from warpvox.batch.options import SimOptions
 from warpvox.devices.names import resolve_device
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.devices.startup import own_torch, start_warp
@@ -39,7 +38,7 @@ from warpvox.envs.dumps import DivergenceDump
 from warpvox.envs.memory import ask, environment_bytes
 from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
-from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.envs.vec_env import make_vec
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, ResumeError, RunError, StorageError
 from warpvox.io.writing import check_writable, to_yaml
@@ -57,7 +56,6 @@ CHANGEABLE = (
 But for ``max_iterations`` where the rate falls to the end (``ppo.schedule=linear``), and rounding: another device, or
 other ``torch_threads``, adds up the products of matrices in another order.
 """
-PREPARING = "preparing the simulation (the first time on a machine its kernels are compiled)"
 
 
 class Listener:
@@ -141,37 +139,89 @@ class Job:
             self._learn(listeners, callbacks)
 
     def _prepare(self, listeners: Sequence[Listener]) -> None:
+        """Make the environments, the evaluator and the runner; nothing is written."""
         group = self.group
+        settings = self.settings
         with ExitStack() as stack:
             for listener in listeners:
                 stack.enter_context(listener.preparing("loading"))
             start_warp()
-            settings = resolved(_share(self.settings, group))
+
+            # The part of this process: its share of the environments, its own device and threads.
+            if group.size > 1:
+                if settings.num_envs % group.size:
+                    raise ConfigError(
+                        f"num_envs={settings.num_envs} cannot be shared out evenly to {group.size} processes."
+                    )
+                settings = dataclasses.replace(
+                    settings,
+                    num_envs=settings.num_envs // group.size,
+                    device=group.device,
+                    threads=settings.threads or max(1, usable_cores() // group.local_size),
+                )
+            settings = resolved(settings)
+            count = settings.num_envs
+            seed = group.seed(settings.seed)
+
+            # Bodies
             bodies = training_bodies(settings)
-            exchanged = Bodies.of(bodies, settings, group.seed(settings.seed)) if settings.is_many else None
-            designs = bodies.trained if exchanged is None else exchanged.first(settings.num_envs)
+            exchanged = None
+            designs = bodies.trained
+            if settings.is_many:
+                exchanged = Bodies.of(bodies, settings, seed)
+                designs = exchanged.first(count)
             sim = dataclasses.replace(sim_of(settings), grid=bodies.grid)
+
+            # Memory. With room for many bodies the number of environments need not be a multiple of theirs.
             if settings.memory_check:
-                _ask_for_memory(settings, designs, sim)
-        count = settings.num_envs
+                spec = get_task(settings.task).under(settings.rules)
+                worlds = [task_world(spec, design) for design in (designs if sim.grid is None else designs[:1])]
+                options = sim.resolved(count)
+                each = environment_bytes(spec, worlds, count, options, obs=settings.obs, ppo=settings.ppo)
+                ask(each, count, settings.device, step=len(worlds))
+
         advice = f"Train with fewer environments: num_envs={max(1, count // 2)} instead of {count}."
         with enough_memory(advice), ExitStack() as stack:
             for listener in listeners:
-                stack.enter_context(listener.preparing(PREPARING))
-            options: dict[str, Any] = {"rules": settings.rules, "obs": settings.obs}
-            seed = group.seed(settings.seed)
-            env = adapt(make_vec(settings.task, designs, count, seed=seed, sim=sim, **options), settings.ppo)
-            self.judge = self._make_judge(settings, bodies, options) if group.is_main_process else None
+                stack.enter_context(
+                    listener.preparing(
+                        "preparing the simulation (the first time on a machine its kernels are compiled)"
+                    )
+                )
+
+            # Environments
+            env = make_vec(settings.task, designs, count, seed=seed, sim=sim, rules=settings.rules, obs=settings.obs)
+            env = adapt(env, settings.ppo)
+            self.judge = self._make_judge(settings, bodies) if group.is_main_process else None
+
+            # The kind of network. One is tried before the one that is trained; None: mlp.
             generators = Generators(seed, str(env.device))
-            with generators:  # which a network is tried with, before the one that is trained
-                voxels = _voxels(settings, env.env)
+            voxels = None
+            if settings.policy != MLP:
+                with generators:
+                    check_network(env.env, settings.policy, settings.network)
+                    voxels = voxels_of(settings.policy, env.env, settings.network)
+            elif settings.network is not None:
+                raise ConfigError("network has the settings of the other policies; those of policy=mlp are ppo.hidden.")
+
+            # What checkpoints say about the training
+            trained_on: dict[str, Any] = {
+                "task": str(task_name(settings.task)), "rules": settings.rules, "seed": settings.seed,
+                "design": settings.design,
+            }  # fmt: skip
+            if settings.is_many:
+                names = ("bodies", "refresh", "held_out")
+                trained_on["design"] = None
+                trained_on["designs"] = {name: getattr(settings.designs, name) for name in names}
+
+            # Runner
             self.runner = Runner(
                 env,
                 settings.ppo,
                 Schedule(settings.max_iterations, settings.save_interval, settings.eval_interval, settings.stop_return),
                 voxels=voxels,
                 bodies=exchanged,
-                trained_on=_trained_on(settings),
+                trained_on=trained_on,
                 evaluator=self.judge,
                 group=group,
                 logger=settings.logger,
@@ -182,22 +232,31 @@ class Job:
                 go_on(self.checkpoint, self.runner)
             elif self.learned is not None:
                 self.runner.begin_with(self.learned)
+
         if group.size > 1:  # what the run was asked for, not the share of this process
             device = settings.device.split(":")[0]
             settings = dataclasses.replace(settings, num_envs=self.settings.num_envs, device=device)
         self.settings = settings
         self.written = dataclasses.replace(settings, task=task_name(settings.task))
 
-    def _make_judge(self, settings: Training, bodies: TrainingBodies, options: dict[str, Any]) -> Evaluator:
+    def _make_judge(self, settings: Training, bodies: TrainingBodies) -> Evaluator:
         """The evaluator: on the CPU, the same episodes every time, also after a resumption.
 
         On a GPU a few environments would take the launches of ten iterations, one after another.
         """
         lanes = bodies.lanes(settings, settings.device)
         sim = dataclasses.replace(sim_of(settings), device="cpu", lanes=lanes, grid=bodies.grid)
-        count = episodes_of(settings.eval_envs, settings.fitness) * len(bodies.judged)
-        options = options | {"auto_reset": False, "seed": settings.seed, "sim": sim}
-        judge = evaluator(make_vec(settings.task, bodies.judged, count, **options), settings.seed, settings.fitness)
+        env = make_vec(
+            settings.task,
+            bodies.judged,
+            episodes_of(settings.eval_envs, settings.fitness) * len(bodies.judged),
+            seed=settings.seed,
+            sim=sim,
+            rules=settings.rules,
+            obs=settings.obs,
+            auto_reset=False,
+        )
+        judge = evaluator(env, settings.seed, settings.fitness)
         if not settings.is_many:
             return judge
         return HeldOut(judge, bodies.judged, "bodies" if bodies.own else "held_out", str(task_name(settings.task)))
@@ -238,8 +297,8 @@ class Job:
 
         def report(row: Mapping[str, float]) -> None:
             self.rows.append(row)
-            for told in (*listeners, *callbacks):
-                told(row)
+            for callback in (*listeners, *callbacks):
+                callback(row)
 
         runner.report = report
         count = runner.env.num_envs
@@ -289,7 +348,7 @@ class Job:
 
 
 def resolved(settings: Training) -> Any:
-    """Settings with what their names stand for: bodies cell by cell, constants, device. Random bodies stay names."""
+    """Replace the names in settings by values: bodies cell by cell, constants, device. Random bodies stay names."""
     get_task(settings.task)
     check_policy(settings.policy)
     designs = {}
@@ -311,48 +370,6 @@ def resolved(settings: Training) -> Any:
 def task_name(task: Any) -> str:
     """A task by its name, in files."""
     return task.id if isinstance(task, TaskSpec) else task
-
-
-def _trained_on(settings: Training) -> dict[str, Any]:
-    known = {"task": str(task_name(settings.task)), "rules": settings.rules, "seed": settings.seed}
-    if not settings.is_many:
-        return known | {"design": settings.design}
-    names = ("bodies", "refresh", "held_out")
-    return known | {"design": None, "designs": {name: getattr(settings.designs, name) for name in names}}
-
-
-def _voxels(settings: Training, env: VoxelVecEnv) -> dict[str, Any] | None:
-    """``network``, ``settings`` and ``layout`` of the policy that is trained; None: mlp."""
-    if settings.policy == MLP:
-        if settings.network is not None:
-            raise ConfigError("network has the settings of the other policies; those of policy=mlp are ppo.hidden.")
-        return None
-    check_network(env, settings.policy, settings.network)
-    return voxels_of(settings.policy, env, settings.network)
-
-
-def _ask_for_memory(settings: Training, designs: list[Any], sim: SimOptions) -> None:
-    """Raise MemoryLimitError, with the number of environments that fits, if a training does not.
-
-    Args:
-        designs: one for each block of environments; of many bodies one for each environment, whose number does not
-            restrict that of environments.
-    """
-    spec = get_task(settings.task).under(settings.rules)
-    worlds = [task_world(spec, design) for design in (designs if sim.grid is None else designs[:1])]
-    options = sim.resolved(settings.num_envs)
-    each = environment_bytes(spec, worlds, settings.num_envs, options, obs=settings.obs, ppo=settings.ppo)
-    ask(each, settings.num_envs, settings.device, step=len(worlds))
-
-
-def _share(settings: Training, group: ProcessGroup) -> Training:
-    """A process's part of a training: its share of the environments, its own device and threads."""
-    if group.size == 1:
-        return settings
-    if settings.num_envs % group.size:
-        raise ConfigError(f"num_envs={settings.num_envs} cannot be shared out evenly to {group.size} processes.")
-    threads = settings.threads or max(1, usable_cores() // group.local_size)
-    return dataclasses.replace(settings, num_envs=settings.num_envs // group.size, device=group.device, threads=threads)
 
 
 def continued(settings: Training, source: Run) -> tuple[Training, Path]:

@@ -16,9 +16,9 @@ from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.checkpoints.policy import Policy, policy_of
 from warpvox.algos.find import find_run, run_of_robot
+from warpvox.algos.metrics import COLUMNS, read_metrics
 from warpvox.algos.protocols import NOMINAL, parts_of
 from warpvox.algos.training.bodies import lanes_of, load_bodies
-from warpvox.algos.training.metrics import COLUMNS, read_metrics
 from warpvox.algos.training.playing import SHOWN, Playing, disturbed, load_trained
 from warpvox.algos.training.settings import Training
 from warpvox.checks import check_path

@@ -18,8 +18,8 @@ from rsl_rl.utils import resolve_class
 from tensordict import TensorDict
 from torch import nn
 
-from warpvox.algos.checkpoints.expected import AnyTensor, check_like, optimizer_state
 from warpvox.algos.checkpoints.files import RNN
+from warpvox.algos.expected import AnyTensor, check_like, optimizer_state
 from warpvox.algos.generators import Generators
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.policies.network import LATENT, Gaussian, Network

@@ -15,7 +15,6 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")  # GitPython, which rsl-rl 
 from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils.logger import Logger
 
-from warpvox.algos.checkpoints.expected import check_like
 from warpvox.algos.checkpoints.files import (
     RNN,
     Controller,
@@ -28,12 +27,13 @@ from warpvox.algos.checkpoints.files import (
     spec_of,
 )
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator
+from warpvox.algos.expected import check_like
 from warpvox.algos.generators import Generators
 from warpvox.algos.interrupt import deferred_interrupts
+from warpvox.algos.metrics import Metrics, read_metrics
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
-from warpvox.algos.training.metrics import Metrics, read_metrics
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv

@@ -96,7 +96,34 @@ class BatchAdapter(Adapter):
         return obs
 
 
-class SubEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class OneEnv:
+    """Views of an environment of a :class:`warpvox.envs.vec_env.VoxelVecEnv`.
+
+    Attributes:
+        vec: the environments that it is one of.
+        number: which of them it is.
+    """
+
+    vec: Any
+    number = 0
+
+    @property
+    def sim(self) -> Any:
+        """The :class:`warpvox.Simulation` of ``vec``."""
+        return self.vec.sim
+
+    @property
+    def voxels(self) -> dict[str, Any]:
+        """With ``obs="voxel"`` the :class:`warpvox.envs.voxels.VoxelLayout` of every robot, by name."""
+        return self.vec.voxels
+
+    @property
+    def body(self) -> np.ndarray | dict[str, np.ndarray]:
+        """int8 ``[rows, columns]``: the robot; of several robots all, by name."""
+        return copy.deepcopy(self.vec.designs[int(self.vec.design_index[self.number])])
+
+
+class SubEnv(OneEnv, gymnasium.Env[np.ndarray, np.ndarray]):
     """One environment of a batch, with the attributes of a single environment within gymnasium's TimeLimit.
 
     It is stepped by the batch alone. ``sim``, ``vec`` and ``voxels`` are those of the batch.
@@ -110,30 +137,11 @@ class SubEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def __init__(self, batch: BatchAdapter, number: int) -> None:
         self.batch = batch
+        self.vec = batch.vec
         self.number = number
         self.render_mode = batch.render_mode
         self.render_size = batch.render_size
         self.observation_space, self.action_space = batch.single_spaces
-
-    @property
-    def vec(self) -> Any:
-        """The :class:`warpvox.envs.vec_env.VoxelVecEnv` of the batch."""
-        return self.batch.vec
-
-    @property
-    def sim(self) -> Any:
-        """The :class:`warpvox.Simulation` of the batch."""
-        return self.vec.sim
-
-    @property
-    def voxels(self) -> dict[str, Any]:
-        """With ``obs="voxel"`` the :class:`warpvox.envs.voxels.VoxelLayout` of every robot, by name."""
-        return self.vec.voxels
-
-    @property
-    def body(self) -> np.ndarray | dict[str, np.ndarray]:
-        """int8 ``[rows, columns]``: the robot; of several robots all, by name."""
-        return copy.deepcopy(self.vec.designs[int(self.vec.design_index[self.number])])
 
     @property
     def spec(self) -> EnvSpec | None:  # pyright: ignore[reportIncompatibleVariableOverride] # as gymnasium's wrappers

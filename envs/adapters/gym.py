@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from warpvox.checks import check_choice
-from warpvox.envs.adapters.base import FPS, Adapter, flat, metadata_here, spaces_of
+from warpvox.envs.adapters.base import FPS, Adapter, OneEnv, flat, metadata_here, spaces_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ActionError, ConfigError, DisplayError
@@ -16,7 +16,6 @@ from warpvox.types import FRAME_SECONDS
 from warpvox.view import window
 
 NAMESPACE = "warpvox"
-_NO_LIMIT = 2**62  # gymnasium's TimeLimit counts the steps
 
 
 def register() -> None:
@@ -52,7 +51,7 @@ def _register(namespace: str, name: str, task: str | TaskSpec) -> str:
     return f"{namespace}/{name}"
 
 
-class VoxelEnv(Adapter, gymnasium.Env):
+class VoxelEnv(Adapter, OneEnv, gymnasium.Env):
     """One robot in one task: numpy in and out, float64.
 
     Observations are ``[num_obs]`` (for their bounds see :func:`warpvox.envs.adapters.base.spaces_of`), actions
@@ -97,7 +96,7 @@ class VoxelEnv(Adapter, gymnasium.Env):
         self.metadata = metadata_here(VoxelEnv.metadata)
         bodies, links = (None if body is None else [body]), [connections]
         defaults = {"device": "cpu", "dtype": "float64", "threads": 1}
-        limit = {"auto_reset": False, "max_episode_steps": _NO_LIMIT}
+        limit = {"auto_reset": False, "max_episode_steps": 2**62}  # gymnasium's TimeLimit counts the steps
         self._make(task, bodies, 1, options, defaults, connections=links, body=None, **limit)
         self.render_mode, self.render_size = render_mode, render_size
         self.observation_space, self.action_space = spaces_of(self.vec)
@@ -107,24 +106,6 @@ class VoxelEnv(Adapter, gymnasium.Env):
         self._ended: tuple[np.ndarray, dict[str, float]] | None = None
         self._fast = fast_stepper(self.vec)
         self._zeros = np.zeros(self.action_space.shape)
-
-    @property
-    def sim(self) -> Any:
-        """The :class:`warpvox.Simulation`, with one environment."""
-        return self.vec.sim
-
-    @property
-    def voxels(self) -> dict[str, Any]:
-        """With ``obs="voxel"`` the :class:`warpvox.envs.voxels.VoxelLayout` of every robot, by name."""
-        return self.vec.voxels
-
-    @property
-    def body(self) -> np.ndarray | dict[str, np.ndarray]:
-        """int8 ``[rows, columns]``: the robot; of several robots all, by name."""
-        design: np.ndarray | dict[str, np.ndarray] = self.vec.designs[0]
-        if isinstance(design, dict):
-            return {name: cells.copy() for name, cells in design.items()}
-        return design.copy()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

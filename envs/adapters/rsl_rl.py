@@ -21,9 +21,6 @@ STOP_CAUSES = ("unstable", "diverged")
 OBS_GROUP = "policy"
 """rsl-rl's name for the one group of observations that there is."""
 
-REWARD_CLIP = 10.0
-REWARD_EPS = 1e-8
-
 
 class RslRlVecEnv(VecEnv):
     """Adapter: scales outputs of the policy to actions, scales rewards, and separates time limits from terminations.
@@ -224,8 +221,8 @@ class _ReturnScale:
         spread = grouped.var(1, unbiased=False) * new + gap.square() * count * new / total
         self._moments = torch.stack([total, mean + gap * new / total, squares + spread])
         self._return = self._return.masked_fill(done, 0.0)
-        scale = torch.sqrt(self._moments[2] / self._moments[0] + REWARD_EPS).repeat_interleave(new)
-        return (reward / scale).clamp(-REWARD_CLIP, REWARD_CLIP).to(reward.dtype)
+        scale = torch.sqrt(self._moments[2] / self._moments[0] + 1e-8).repeat_interleave(new)
+        return (reward / scale).clamp(-10.0, 10.0).to(reward.dtype)
 
     def forget(self, mask: torch.Tensor) -> None:
         """These environments begin new episodes."""

@@ -22,11 +22,6 @@ if TYPE_CHECKING:
     from warpvox.envs.vec_env import VoxelVecEnv
     from warpvox.simulation import Simulation
 
-OURS = "warpvox.envs.terms."
-"""Package of the terms that follow the rules: functions of states alone, without branches on values."""
-
-Result = tuple[np.ndarray, dict[str, float], bool, bool, bool]
-
 
 class Sensors:
     """Sensing of a simulation of one environment, as rows ``[1, ...]``.
@@ -194,7 +189,7 @@ class SingleStepper:
         state = Snapshot(self._sensors, self._before.memory_values)
         return self._terms.observe(state), self._terms.judge(self._before, state, False)
 
-    def step(self, action: np.ndarray) -> Result:
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, dict[str, float], bool, bool, bool]:
         """One control step with a finite ``action``.
 
         Returns:
@@ -230,7 +225,9 @@ def fast_stepper(env: VoxelVecEnv) -> SingleStepper | None:
     """The fast stepper of a single environment; None if the environment needs torch (see the module's docstring)."""
     terms = [*env.spec.observations, *env.spec.rewards, *env.spec.terminations]
     functions = [term.function for term in terms] + [memory.update for memory in env.spec.memory if memory.update]
-    own = all(str(getattr(getattr(f, "func", f), "__module__", "")).startswith(OURS) for f in functions)
+    # Terms of this package follow the rules: functions of states alone, without branches on values.
+    ours = "warpvox.envs.terms."
+    own = all(str(getattr(getattr(f, "func", f), "__module__", "")).startswith(ours) for f in functions)
     if env.num_envs != 1 or str(env.device) != "cpu" or env.auto_reset or not own:
         return None
     try:

@@ -16,21 +16,6 @@ _climb = partial(
     rewards=(rewards(displacement, axis="y"),),
 )
 
-MIXED_PIPE = columns(
-    "pipe",
-    "11F 2S 8F 2S 4F 2S 2F 2S 2F S 3F 3S 3F 2S 4F 3S 6F 5S 5F",
-    *5 * ["F 68. F"],
-    "8F S 6F 3S 5F 2S 3F 2S 5F 3S 7F 2S 4F 3S 2F 4S 10F",
-)
-
-BENT_PIPE = columns(
-    "pipe",
-    *["24F", "F 22. 8F", "F 29. 5F", "F 33. 4F", "F 36. 2F", "F 37. 2F", "20F 19. 2F"],
-    *["19. 9F 12. 2F", "27. 6F 8. F", "32. 2F 7. F", "33. 2F 6. F", "34. 2F 5. F"],
-    *14 * ["35. F 5. F"],
-    "35. 7F",
-)
-
 
 def _sees(terrain: Function) -> tuple[Observation, ...]:
     above = observes(terrain, reach=3, objects=("pipe",))
@@ -47,13 +32,28 @@ TASKS = (
     _climb(
         *("Climber-v1", "B.4.2"),
         *("Climb as high as possible through a vertical channel of rigid and soft walls.", "medium"),
-        objects=(MIXED_PIPE,),
+        objects=(
+            columns(
+                "pipe",
+                "11F 2S 8F 2S 4F 2S 2F 2S 2F S 3F 3S 3F 2S 4F 3S 6F 5S 5F",
+                *5 * ["F 68. F"],
+                "8F S 6F 3S 5F 2S 3F 2S 5F 3S 7F 2S 4F 3S 2F 4S 10F",
+            ),
+        ),
         max_episode_steps=600,
         terminations=(terminates(beyond, axis="y", limit=6.5, bonus=1.0),),
     ),
     _climb(
         *("Climber-v2", "B.4.3", "Climb as high as possible through a narrow stepwise channel.", "hard"),
-        objects=(BENT_PIPE,),
+        objects=(
+            columns(
+                "pipe",
+                *["24F", "F 22. 8F", "F 29. 5F", "F 33. 4F", "F 36. 2F", "F 37. 2F", "20F 19. 2F"],
+                *["19. 9F 12. 2F", "27. 6F 8. F", "32. 2F 7. F", "33. 2F 6. F", "34. 2F 5. F"],
+                *14 * ["35. F 5. F"],
+                "35. 7F",
+            ),
+        ),
         max_episode_steps=1000,
         observations=_sees(ceiling),
         rewards=(rewards(displacement, axis="y"), rewards(displacement, weight=0.2, axis="x")),

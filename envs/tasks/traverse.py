@@ -55,48 +55,24 @@ def _arrives(limit: float, bonus: float) -> tuple[Termination, ...]:
     return (terminates(reaches, axis="x", limit=limit, bonus=bonus),)
 
 
-STAIRS_UP = rows("ground", "21F", "20. 10F", "29. 8F", "36. 7F", "42. 6F", "47. 5F", "51. 5F", "55. 7F", "61. 9F")
-
-STAIRS_DOWN = rows(
-    *["ground", "65. 10F", "61. 5F", "57. 5F", "52. 6F", "47. 6F"], *["41. 7F", "35. 7F", "28. 8F", "20. 9F", "21F"]
-)
-
-BUMPS = heights(
-    "ground", "1x22 2 1x5 2 1x4 2x2 1x4 2 1x2 2x2 1 2 1 2 1x2 2x2 1x2 2 3 2x2 1 2 3 1 2x2 3 2 1 2x2 1x3 2 1x7"
-)
-
-ROUGH = heights(
-    "ground",
-    "3x2 4 3 4 3x3 2 3 2x2 3x2 2x2 1 3 4 3 2 3x2 4 3 2 3 2 3x2 2 3 4x2 2 3 4 3 4x3 2 3 4 5 4 3 4 3 4 3 2x2 3 4"
-    " 3 2 3 10x2",
-)
-
-HURDLES = heights("ground", "1x12 2 1x7 3 1x7 2 1x7 3x2 1x7 2 1x6 3 1x5 3 1x10 6")
-
-
 def _platforms(*places: tuple[int, int, int]) -> tuple[WorldObject, ...]:
     """Platforms of these widths at these cells, named from platform_1 on."""
     return tuple(block(f"platform_{k}", width, 1, x=x, y=y) for k, (width, x, y) in enumerate(places, 1))
 
 
-PLATFORMS = _platforms(*[(20, 0, 5), (10, 21, 7), (10, 33, 8), (10, 46, 6), (10, 57, 5), (10, 70, 6), (10, 81, 3)])
-GAPS = _platforms(*[(20, 0, 5), (10, 25, 5), (10, 40, 5), (10, 55, 5), (10, 70, 5)])
 _FALLS = terminates(short, axis="y", limit=0.4, bonus=-3.0)
 
-# Rigid squares by layers: height of the layer, then pairs of column and size.
-LAYERS = {
-    1: [(20, 3), (24, 3), (27, 2), (31, 3), (34, 3), (38, 2), (41, 3), (45, 3)],
-    4: [(21, 3), (24, 2), (26, 1), (29, 2), (31, 3), (34, 2), (36, 2), (40, 3), (43, 2), (46, 3)],
-    7: [(x, 2) for x in range(20, 45, 3)],
-}
-PIT = rows("ground", "19. 31F", *5 * ["19. F 29. F"], "19. F 29. 11F", "19. F", "20F")
-SQUARES = [(x, y, size) for y, layer in LAYERS.items() for x, size in layer]
-BLOCKS = tuple(block(f"block_{k}", size, size, "R", x=x, y=y) for k, (x, y, size) in enumerate(SQUARES))
 
-CAVE = rows(
-    *["terrain", "70F", "46. 5S 18. F", *2 * ["69. F"], "25. 6S 28. F 9. F", "23. 10S 9. 10S 7. 2F 8. F"],
-    *["21. 14S 4. 15S 4. 3F 8. F", "20. 2F 12. 36F", *2 * ["20. F 48. F"], *4 * ["20. F"]],
-)
+def _blocks() -> tuple[WorldObject, ...]:
+    """Rigid squares in three layers, named from block_0 on."""
+    # By the height of the layer: column and size of each
+    layers = {
+        1: [(20, 3), (24, 3), (27, 2), (31, 3), (34, 3), (38, 2), (41, 3), (45, 3)],
+        4: [(21, 3), (24, 2), (26, 1), (29, 2), (31, 3), (34, 2), (36, 2), (40, 3), (43, 2), (46, 3)],
+        7: [(x, 2) for x in range(20, 45, 3)],
+    }
+    squares = [(x, y, size) for y, layer in layers.items() for x, size in layer]
+    return tuple(block(f"block_{k}", size, size, "R", x=x, y=y) for k, (x, y, size) in enumerate(squares))
 
 
 def _sees_both(below: Function, above: Function) -> tuple[Observation, ...]:
@@ -107,27 +83,36 @@ def _sees_both(below: Function, above: Function) -> tuple[Observation, ...]:
 TASKS = (
     _course(
         ("UpStepper-v0", "B.5.1", "Climb up stairs of varying lengths.", "medium"),
-        STAIRS_UP,
+        rows("ground", "21F", "20. 10F", "29. 8F", "36. 7F", "42. 6F", "47. 5F", "51. 5F", "55. 7F", "61. 9F"),
         cell=(1, 1),
         steps=600,
         ends=(_passes(6.9), _tilts(75)),
     ),
     _course(
         ("DownStepper-v0", "B.5.2", "Climb down stairs of varying lengths.", "easy"),
-        STAIRS_DOWN,
+        rows(
+            *["ground", "65. 10F", "61. 5F", "57. 5F", "52. 6F", "47. 6F"],
+            *["41. 7F", "35. 7F", "28. 8F", "20. 9F", "21F"],
+        ),
         cell=(1, 11),  # as released: one voxel above the top stair
         steps=500,
         ends=(_passes(7.4), _tilts(90)),
     ),
     _course(
         ("ObstacleTraverser-v0", "B.5.3", "Walk across terrain that gets more and more bumpy.", "medium"),
-        BUMPS,
+        heights(
+            "ground", "1x22 2 1x5 2 1x4 2x2 1x4 2 1x2 2x2 1 2 1 2 1x2 2x2 1x2 2 3 2x2 1 2 3 1 2x2 3 2 1 2x2 1x3 2 1x7"
+        ),
         cell=(2, 1),
         ends=(_passes(7.9), _tilts(90)),
     ),
     _course(
         ("ObstacleTraverser-v1", "B.5.4", "Walk through very bumpy terrain.", "hard"),
-        ROUGH,
+        heights(
+            "ground",
+            "3x2 4 3 4 3x3 2 3 2x2 3x2 2x2 1 3 4 3 2 3x2 4 3 2 3 2 3x2 2 3 4x2 2 3 4 3 4x3 2 3 4 5 4 3 4 3 4 3 2x2 3 4"
+            " 3 2 3 10x2",
+        ),
         cell=(2, 4),
         # As released: the line lies inside the wall that closes the terrain, so that no robot gets the bonus.
         ends=(_passes(5.9),),
@@ -135,13 +120,13 @@ TASKS = (
     ),
     _course(
         ("Hurdler-v0", "B.5.5", "Walk across terrain with tall obstacles.", "hard"),
-        HURDLES,
+        heights("ground", "1x12 2 1x7 3 1x7 2 1x7 3x2 1x7 2 1x6 3 1x5 3 1x10 6"),
         cell=(2, 4),  # as released: three voxels above the ground
         ends=(_tilts(90),),
     ),
     _course(
         ("PlatformJumper-v0", "B.5.6", "Cross floating platforms at different heights.", "hard"),
-        *PLATFORMS,
+        *_platforms(*[(20, 0, 5), (10, 21, 7), (10, 33, 8), (10, 46, 6), (10, 57, 5), (10, 70, 6), (10, 81, 3)]),
         cell=(1, 6),
         # As released: a robot that falls and tilts pays twice. The top of the last platform lies at 0.4.
         ends=(_FALLS, _tilts(90)),
@@ -149,13 +134,16 @@ TASKS = (
     ),
     _course(
         ("GapJumper-v0", "B.5.7", "Cross floating platforms of one height with gaps between them.", "hard"),
-        *GAPS,
+        *_platforms(*[(20, 0, 5), (10, 25, 5), (10, 40, 5), (10, 55, 5), (10, 70, 5)]),
         cell=(1, 6),
         ends=(_FALLS,),
     ),
     _course(
         ("Traverser-v0", "B.5.8", "Cross a pit of loose rigid blocks without sinking into it.", "hard"),
-        *(PIT, *BLOCKS),  # the pit first: the blocks lie within its bounding box, and are terrain, too
+        *(
+            rows("ground", "19. 31F", *5 * ["19. F 29. F"], "19. F 29. 11F", "19. F", "20F"),
+            *_blocks(),
+        ),  # the pit first: the blocks lie within its bounding box, and are terrain, too
         cell=(1, 9),
         steps=600,
         ends=(_passes(5.9),),
@@ -166,7 +154,12 @@ TASKS = (
         section="B.5.9",
         summary="Squeeze through caves and below low-hanging obstacles.",
         difficulty="medium",
-        objects=(CAVE,),
+        objects=(
+            rows(
+                *["terrain", "70F", "46. 5S 18. F", *2 * ["69. F"], "25. 6S 28. F 9. F", "23. 10S 9. 10S 7. 2F 8. F"],
+                *["21. 14S 4. 15S 4. 3F 8. F", "20. 2F 12. 36F", *2 * ["20. F 48. F"], *4 * ["20. F"]],
+            ),
+        ),
         robot_cell=(1, 2),  # as released: one voxel above the ground
         max_episode_steps=1000,
         observations=_sees_both(floor, ceiling),

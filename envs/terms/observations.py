@@ -100,14 +100,21 @@ def overhang(state: Snapshot, name: str, reach: int, objects: tuple[str, ...]) -
 
 def _windows(state: Snapshot, name: str, reach: int, objects: tuple[str, ...], nothing: Tensor, above: bool) -> Tensor:
     """Height of the lowest point above or the highest below in windows that begin at the centre, else ``nothing``."""
-    centre, none = state.com(name), inf if above else -inf
-    xp, width = library(centre), 2 * reach + 3  # one more window on each side collects the rest
+    centre = state.com(name)
+    none = inf if above else -inf
+    xp = library(centre)
+    width = 2 * reach + 3  # one more window on each side collects the rest
     heights = filled(centre, (len(centre), width), none)
     for terrain in objects:
         points = double(state.positions(terrain))
-        x, y = points[..., 0], points[..., 1]
+        x = points[..., 0]
+        y = points[..., 1]
+
+        # Points on the other side do not count
         hidden = y <= centre[:, 1:] if above else y >= centre[:, 1:]
         seen = replaced(y, hidden, none)
+
+        # The extreme of each window
         along = (x - centre[:, :1]) / VOXEL
         # A point on the border of two windows belongs to both.
         for window in (xp.floor(along), xp.ceil(along) - 1):

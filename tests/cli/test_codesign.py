@@ -15,20 +15,20 @@ from PIL import Image
 from rich.console import Console
 from tiny import tiny
 
+from warpvox.algos.archive import FILE, Archive, Finished
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.codesign import results as results_of
-from warpvox.algos.codesign.archive import FILE, Archive, Finished
+from warpvox.algos.codesign.listener import SearchRun
 from warpvox.algos.codesign.results import Results
-from warpvox.algos.codesign.run import SearchRun
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.design import example_design, load_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
+from warpvox.palette import cell_colour
 from warpvox.progress import search as progress
 from warpvox.progress.search import SearchProgress
 from warpvox.runs import read_summary
 from warpvox.view.cell_text import body_rows
-from warpvox.view.palette import cell_colour
 
 SIZES = "search.population=5", "search.max_evaluations=8", "training.iterations=2", "training.eval_interval=2"
 ROUNDING = 1e-6  # of the rewards in a rollout, which are summed up in float64 and stored one by one in float32
@@ -217,7 +217,11 @@ def watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable:
 
     def watch(finalists: int = 0) -> SearchProgress:
         shown = SearchProgress(Console(width=120, file=output))
-        shown.begun(SearchRun(results, 4 + finalists, finalists, (100.0, 1000.0), 0, False))
+        shown.begun(
+            SearchRun(
+                results.folder, results.archive, results.settings, 4 + finalists, finalists, (100.0, 1000.0), 0, False
+            )
+        )
         return shown
 
     def news(watch: SearchProgress, seconds: float, asked: list[Candidate], steps: int) -> str:
@@ -256,7 +260,7 @@ def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None
     bodies = [example_design("walker"), sample_design((5, 5), 0)]
     results = Results(tmp_path, Archive.create(tmp_path / FILE, {}), Codesign(top=2))
     watch = SearchProgress(console)
-    watch.begun(SearchRun(results, 4, 0, (500.0, 0.0), 0, False))
+    watch.begun(SearchRun(results.folder, results.archive, results.settings, 4, 0, (500.0, 0.0), 0, False))
     with results.archive as archive:
         asked = [Candidate(k, body) for k, body in enumerate(bodies)]
         archive.propose(asked, 0)

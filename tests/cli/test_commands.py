@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from warpvox.algos.training.metrics import COLUMNS, read_metrics
+from warpvox.algos.metrics import COLUMNS, read_metrics
 from warpvox.design import example_design, zoo_file
 from warpvox.errors import RunError
 from warpvox.runs import read_summary

@@ -9,8 +9,8 @@ import pytest
 import yaml
 from tiny import tiny
 
+from warpvox.algos.archive import FILE, Archive, Record
 from warpvox.algos.candidate import FINALIST, START, Candidate, Outcome
-from warpvox.algos.codesign.archive import FILE, Archive, Record
 from warpvox.algos.codesign.robots import read_start, robots_of
 from warpvox.algos.codesign.run import check, environments
 from warpvox.algos.codesign.settings import Codesign

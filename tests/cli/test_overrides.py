@@ -73,7 +73,7 @@ def test_a_stored_configuration_runs_again(tmp_path: Path) -> None:
     assert (again.seed, again.ppo.gamma, again.num_envs, again.physics.gravity) == (4, 0.5, 4, 80.0)
     other = load("train", [f"config={file}", "ppo=parallel", "num_envs=16"])
     assert (other.ppo, other.num_envs, other.seed) == (load("train", []).ppo, 16, 3)
-    assert load("train", [f"config={file}", "ppo=parallel"]).num_envs == 4  # of the file: the group has its default
+    assert load("train", [f"config={file}", "ppo=parallel"]).num_envs == 4  # of the file: it is not in the section
     search = load("codesign", ["search=map_elites", "search.bins=3", "evaluation=gaits", "evaluation.beam=3"])
     file.write_text(to_yaml(search))
     assert load("codesign", [f"config={file}"]) == search

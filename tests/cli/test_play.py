@@ -9,7 +9,7 @@ import pytest
 import yaml
 from PIL import Image
 
-from warpvox.algos.training.metrics import read_metrics
+from warpvox.algos.metrics import read_metrics
 from warpvox.cli.commands.play import play_in_window
 from warpvox.envs.dumps import LIMIT
 from warpvox.envs.vec_env import make_vec

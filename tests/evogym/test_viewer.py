@@ -10,8 +10,8 @@ import warpvox.evogym.envs  # noqa: F401  registers the tasks
 from warpvox.errors import DisplayError
 from warpvox.evogym import EvoSim, EvoViewer, EvoWorld
 from warpvox.evogym.simulator_cpp import Camera, Viewer
+from warpvox.palette import cell_colour
 from warpvox.types import Cell
-from warpvox.view.palette import cell_colour
 
 SIZE = (300, 150)
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from warpvox.algos.archive import FILE, Archive
 from warpvox.algos.candidate import Candidate, Outcome, Parent, candidate_seed
-from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.search import ALGORITHMS
 from warpvox.design import sample_design

@@ -10,10 +10,10 @@ import yaml
 from learning import rows
 from tiny import tiny
 
+from warpvox.algos.archive import FILE, Archive
 from warpvox.algos.checkpoints.files import load_checkpoint
-from warpvox.algos.codesign.archive import FILE, Archive
 from warpvox.algos.codesign.stored_policies import policy_sha256
-from warpvox.algos.training.metrics import read_metrics
+from warpvox.algos.metrics import read_metrics
 from warpvox.io.writing import MARK
 
 TRAIN = tiny("train", "max_iterations=3", "save_interval=1")

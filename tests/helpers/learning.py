@@ -6,8 +6,8 @@ from typing import Any
 import torch
 from rsl_rl.algorithms import PPO as StockPPO
 
+from warpvox.algos.metrics import read_metrics
 from warpvox.algos.settings import Ppo
-from warpvox.algos.training.metrics import read_metrics
 from warpvox.algos.training.ppo import rsl_rl_config
 from warpvox.algos.training.runner import Runner
 from warpvox.cli.config import load

@@ -50,8 +50,8 @@ def checkpoint_content() -> dict[str, Any]:
 @cache
 def archive_bytes() -> bytes:
     """An archive of two generations."""
+    from warpvox.algos.archive import Archive, Finished
     from warpvox.algos.candidate import Candidate, Outcome
-    from warpvox.algos.codesign.archive import Archive, Finished
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "archive.sqlite")

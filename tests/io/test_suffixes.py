@@ -9,9 +9,9 @@ import torch
 from sample_files import archive_bytes, checkpoint_content, rollout_bytes
 
 import warpvox as wv
+from warpvox.algos.archive import Archive
 from warpvox.algos.checkpoints.export import write_onnx, write_script
 from warpvox.algos.checkpoints.files import load_controller
-from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.codesign.archive_export import write_csv, write_parquet
 from warpvox.algos.report.gallery import write_gallery
 from warpvox.algos.report.learning_curves import write_curves

@@ -18,9 +18,9 @@ from damage import damaged_bytes, damaged_tree, refusals
 from sample_files import archive_bytes, checkpoint_content, config_text, rollout_bytes, world_tree
 
 import warpvox as wv
+from warpvox.algos.archive import Archive
 from warpvox.algos.checkpoints.export import read_exported
 from warpvox.algos.checkpoints.files import load_controller
-from warpvox.algos.codesign.archive import Archive
 from warpvox.algos.find import find_run
 from warpvox.algos.report import family_tree
 from warpvox.algos.training.pretrained import check_learned

@@ -6,7 +6,6 @@ from hypothesis import given, settings, strategies as st
 from stages import launch_stage
 from worlds import ground, world
 
-from warpvox.batch.arrays import MARGIN
 from warpvox.kernels.broadphase import (
     GRID_FROM,
     boxes,
@@ -19,6 +18,8 @@ from warpvox.kernels.broadphase import (
 )
 from warpvox.kernels.state import DISTANT
 from warpvox.simulation import Simulation
+
+MARGIN = 0.04  # two fifths of a voxel
 
 LANES = 8
 

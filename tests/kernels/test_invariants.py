@@ -7,10 +7,11 @@ from worlds import fixed_rows, ground, world
 
 from warpvox.design import sample_design
 from warpvox.simulation import Simulation
-from warpvox.types import DT, SUBSTEPS, Physics
+from warpvox.types import Physics
 from warpvox.world import World
 
 PRESETS = Physics.presets()
+SUBSTEPS, DT = Physics().substeps, Physics().dt
 STEP = SUBSTEPS * DT
 
 

@@ -51,7 +51,7 @@ def test_a_walker_needs_no_memory_but_registers_and_shared_memory(architecture, 
 @needs_assembler
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-@pytest.mark.parametrize("sizes", [WALKER, CARRIER, group.SMALL, BEAM])
+@pytest.mark.parametrize("sizes", [WALKER, CARRIER, (48, 144), BEAM])
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_other_groups_neither(architecture, sizes, precision, tmp_path):
     check_group(*limits_of(sizes, precision, architecture, tmp_path))

@@ -10,7 +10,7 @@ from warpvox.design import sample_design
 from warpvox.kernels.reset import save, settle
 from warpvox.kernels.springs import goals
 from warpvox.simulation import STATE_FIELDS, Simulation
-from warpvox.types import SUBSTEPS
+from warpvox.types import Physics
 
 STEPS = 6
 
@@ -24,7 +24,7 @@ def make(dtype, arithmetic, lanes):
 def step_by_stages(state):
     launch_stage(save, state)
     launch_stage(goals, state)
-    for _ in range(SUBSTEPS):
+    for _ in range(Physics().substeps):
         launch_stages(state)
     launch_stage(settle, state)
 

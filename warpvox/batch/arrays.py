@@ -14,13 +14,6 @@ from warpvox.kernels.group import LINKS, Group, choose
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, STALE, allocate, structs
 from warpvox.types import Physics
 
-MARGIN = 0.04  # width added to boxes when candidates are collected, two fifths of a voxel
-HITS, HITS_PER_VOXEL = 64, 12  # capacity for contacts that are put in order, in exact arithmetic
-PAIRS_PER_VOXEL = 24  # capacity of the candidate list of an environment that has one of its own
-CELLS_PER_VOXEL = 16  # the same for cells of the terrain, in the group layout
-# Lanes share a list. One that holds all pairs cannot be filled by an environment that has collapsed or exploded at the
-# cost of the others; up to so many surface voxels (33 MB a pack) it does.
-ALL_PAIRS = 2048
 SIZES = {
     "point": "rest_pos", "active": "active", "joint": "link_start", "spring": "spring_rest", "link": "link",
     "rigid": "rigid_spring", "twin": "twin", "twin_end": "twin_end", "voxel": "body", "movable": "movable",
@@ -62,35 +55,62 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
 
     It has no room for large worlds, and no twins: points that stand for one point where connections are cut.
     """
-    device, lanes = batch.device, batch.lanes
+    device = batch.device
+    lanes = batch.lanes
     width = lanes if device == "cpu" else 1
-    units, packs = lanes // width, len(batch.pack_group)
+    units = lanes // width
+    packs = len(batch.pack_group)
+
+    # Tables, and which of them each pack has; with a grid any pack may come to differ from the others
     tables, which = batch.tables()
-    if batch.grid is not None:  # any pack may come to differ from the others
-        tables, which = {name: values[which] for name, values in tables.items()}, np.arange(packs)
+    if batch.grid is not None:
+        tables = {name: values[which] for name, values in tables.items()}
+        which = np.arange(packs)
     tables |= batch.frame_tables()
+
+    # Sizes
     sizes = array_sizes(batch, tables, batch.capacities())
     sizes["mesh"] = len(which) if batch.grid else int(which.max()) + 1
     tables.pop("actions")
-    taken = None
+    group = None
     if batch.layout == "group":
         links = np.diff(tables["link_start"])
         moves = ((links > 0) | (tables["free_lanes"] != 0)).any(0)
         sizes["mover"] = sizes["point"] if batch.grid else 1 + int(np.flatnonzero(moves).max(initial=0))
-        taken = choose(sizes["point"], sizes["spring"], precision, device, sizes["mover"])
-        if taken is None or batch.cut or links.max(initial=0) > LINKS:
+        group = choose(sizes["point"], sizes["spring"], precision, device, sizes["mover"])
+        if group is None or batch.cut or links.max(initial=0) > LINKS:
             return None
+
+    # Structs and their arrays
     arrays = allocate(MODEL | DATA, sizes, precision, device)
     types = structs(precision)
+    scratch_shape = (1, 1)
+    if group is not None and not on_cuda(device):
+        scratch_shape = (packs, group.row)
     state = Buffers(
-        batch.arithmetic, precision, device, width, lanes, units, packs, len(batch.index), batch.physics.dt, sizes,
-        types.Model(), types.Data(), arrays,
-        from_numpy(batch.env_pack, int, device), from_numpy(batch.env_lane, int, device), taken,
-        zeros((1, 1) if taken is None or on_cuda(device) else (packs, taken.row), wp.float64, device),
-    )  # fmt: skip
+        arithmetic=batch.arithmetic,
+        precision=precision,
+        device=device,
+        width=width,
+        lanes=lanes,
+        units=units,
+        packs=packs,
+        num_envs=len(batch.index),
+        dt=batch.physics.dt,
+        sizes=sizes,
+        model=types.Model(),
+        data=types.Data(),
+        arrays=arrays,
+        env_pack=from_numpy(batch.env_pack, int, device),
+        env_lane=from_numpy(batch.env_lane, int, device),
+        group=group,
+        scratch=zeros(scratch_shape, wp.float64, device),
+    )
     set_fields(state.model, arrays, MODEL)
     set_fields(state.data, arrays, DATA)
     _set_constants(state, batch.physics)
+
+    # Values
     put_tables(state, tables | {"pack_mesh": which.astype(np.int32)})
     # Lanes without an environment hold a body at rest, frozen.
     rest_pos = tables["rest_pos"][which]
@@ -108,15 +128,30 @@ def array_sizes(batch: Batch, tables: dict[str, np.ndarray], room: dict[str, int
     """
     width = batch.lanes if batch.device == "cpu" else 1
     packs = len(batch.pack_group)
+
+    # Meshes; x and y have a row each
     sizes = {symbol: tables[name].shape[1] for symbol, name in SIZES.items()}
-    sizes |= {"point": sizes["point"] // 2, "active": sizes["active"] // 2}
-    sizes |= {"action": int(tables["actions"].max(initial=0))}
-    sizes |= {name: max(sizes[name], size) for name, size in room.items()}
-    sizes |= {"frame": len(tables["terrain"]), "cell": tables["terrain_side"].shape[1], "mesh": len(tables["actions"])}
-    exact = batch.arithmetic == "exact"
-    sizes["pulled"] = sizes["spring" if exact else "point"]
-    sizes["hit"] = HITS + HITS_PER_VOXEL * sizes["movable"] if exact else 1
-    sizes |= {"pack": packs, "lane": batch.lanes, "unit": packs * batch.lanes // width}
+    sizes["point"] //= 2
+    sizes["active"] //= 2
+    sizes["action"] = int(tables["actions"].max(initial=0))
+    for name, size in room.items():
+        sizes[name] = max(sizes[name], size)
+    sizes["mesh"] = len(tables["actions"])
+
+    # Terrain
+    sizes["frame"] = len(tables["terrain"])
+    sizes["cell"] = tables["terrain_side"].shape[1]
+
+    # Environments
+    sizes["pack"] = packs
+    sizes["lane"] = batch.lanes
+    sizes["unit"] = packs * batch.lanes // width
+    if batch.arithmetic == "exact":
+        sizes["pulled"] = sizes["spring"]
+        sizes["hit"] = 64 + 12 * sizes["movable"]  # contacts that are put in order
+    else:
+        sizes["pulled"] = sizes["point"]
+        sizes["hit"] = 1
     return sizes | _capacities(sizes["voxel"], sizes["movable"], width, batch.layout == "group")
 
 
@@ -132,7 +167,8 @@ def put_tables(state: Buffers, tables: dict[str, np.ndarray], rows: np.ndarray |
 
 def _set_constants(state: Buffers, physics: Physics) -> None:
     for name in CONSTANTS:
-        setattr(state.model, name, MARGIN if name == "margin" else getattr(physics, name))
+        # The margin is added to boxes when candidates are collected: two fifths of a voxel.
+        setattr(state.model, name, 0.04 if name == "margin" else getattr(physics, name))
     contact = structs(state.precision).Contact()
     for name in CONTACT:
         setattr(contact, name, getattr(physics, name if name.startswith("friction") else f"contact_{name}"))
@@ -144,11 +180,17 @@ def _capacities(voxels: int, movables: int, width: int, grouped: bool) -> dict[s
 
     A group lists the cells of the terrain that may be touched behind the pairs.
     """
+    # Lanes share a list. One that holds all pairs cannot be filled by an environment that has collapsed or exploded at
+    # the cost of the others; up to 2048 surface voxels (33 MB a pack) it does.
+    pairs = voxels * (voxels - 1) // 2
+    if width == 1 or voxels > 2048:
+        pairs = min(pairs, 24 * voxels)
+    if grouped:
+        pairs += 16 * movables
+
     gridded = movables if movables >= GRID_FROM else 0
-    every = voxels * (voxels - 1) // 2
-    pairs = every if width > 1 and voxels <= ALL_PAIRS else min(every, PAIRS_PER_VOXEL * voxels)
     return {
-        "pair": pairs + (CELLS_PER_VOXEL * movables if grouped else 0),
+        "pair": pairs,
         "word": voxels * -(-voxels // 32),
         "entry": ENTRIES_PER_VOXEL * gridded,
         "slot": 1 << (2 * gridded).bit_length(),

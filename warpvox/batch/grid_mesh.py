@@ -18,20 +18,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpvox.types import VOXEL, Cell, Physics
+from warpvox.types import ACTUATORS, VOXEL, Cell, Physics
 from warpvox.world import WorldObject
 
-# The cells around a node, in the order in which a mesh is made: above left, above right, below left, below right.
 ABOVE_LEFT, ABOVE_RIGHT, BELOW_LEFT, BELOW_RIGHT = range(4)
-# For the corners of a cell (top left, top right, bottom right, bottom left): its place among the cells around that
-# node, and the node's row and column from the cell's.
-CORNER_PLACE = (BELOW_RIGHT, BELOW_LEFT, ABOVE_LEFT, ABOVE_RIGHT)
-CORNER_NODE = ((0, 0), (0, 1), (1, 1), (1, 0))
-# The order in which a cell makes its corners, as ranks of top left, top right, bottom right, bottom left.
-CREATION_RANK = (0, 1, 3, 2)
-DIAGONAL = (VOXEL * VOXEL + VOXEL * VOXEL) ** 0.5
+"""Places of the cells around a node, in the order in which a mesh is made."""
 TWIN_PAIRS = ((1, 0), (2, 0), (2, 1), (3, 0), (3, 1), (3, 2))
+"""Slots of a node that may hold one point: the twin's and the leader's."""
 NOBODY = -1
+"""The number of a cell, point or action that there is not."""
 
 
 @dataclass
@@ -51,33 +46,53 @@ class RobotBodies:
     @classmethod
     def of(cls, robots: Sequence[WorldObject], grid: tuple[int, int] = (1, 1)) -> RobotBodies:
         """Bodies of objects, on a grid of at least ``(rows, columns)``."""
-        rows = max(grid[0], *(robot.height for robot in robots))
+        height = np.array([robot.height for robot in robots])
+        rows = max(grid[0], height.max())
         columns = max(grid[1], *(robot.width for robot in robots))
         shape = (len(robots), rows, columns)
-        cells, right, down = np.zeros(shape, np.int8), np.zeros(shape, bool), np.zeros(shape, bool)
+        cells = np.zeros(shape, np.int8)
+        right = np.zeros(shape, bool)
+        down = np.zeros(shape, bool)
         for n, robot in enumerate(robots):
             top = rows - robot.height
             cells[n, top:, : robot.width] = robot.grid
-            a, b = robot.connections.T
-            row, column = np.divmod(a, robot.width)
-            beside = b - a == 1 if robot.width > 1 else np.zeros(len(a), bool)
+
+            # Connections: the second cell is the right neighbour of the first, or the one below it.
+            first, second = robot.connections.T
+            row, column = np.divmod(first, robot.width)
+            beside = (second == first + 1) & (robot.width > 1)
             right[n, row[beside] + top, column[beside]] = True
             down[n, row[~beside] + top, column[~beside]] = True
-        return cls(cells, right, down, np.array([robot.height for robot in robots]))
+        return cls(cells, right, down, height)
 
     def split_nodes(self) -> np.ndarray:
         """bool ``[bodies, nodes]``: inner grid nodes where two cells touch without being connected."""
+        # The four cells around each inner node, bool [bodies, rows - 1, columns - 1]
         filled = self.cells != 0
-        a, b, c, d = filled[:, :-1, :-1], filled[:, :-1, 1:], filled[:, 1:, :-1], filled[:, 1:, 1:]
-        split = (a & d & ~b & ~c) | (b & c & ~a & ~d)
-        cut = (a & b & ~self.right[:, :-1, :-1]) | (c & d & ~self.right[:, 1:, :-1])
-        cut |= (a & c & ~self.down[:, :-1, :-1]) | (b & d & ~self.down[:, :-1, 1:])
-        return (split | cut).reshape(len(filled), -1)
+        above_left = filled[:, :-1, :-1]
+        above_right = filled[:, :-1, 1:]
+        below_left = filled[:, 1:, :-1]
+        below_right = filled[:, 1:, 1:]
+
+        # Two cells that touch at their corners only
+        split = above_left & below_right & ~above_right & ~below_left
+        split |= above_right & below_left & ~above_left & ~below_right
+
+        # Two cells side by side, or one above the other, without a connection
+        split |= above_left & above_right & ~self.right[:, :-1, :-1]
+        split |= below_left & below_right & ~self.right[:, 1:, :-1]
+        split |= above_left & below_left & ~self.down[:, :-1, :-1]
+        split |= above_right & below_right & ~self.down[:, :-1, 1:]
+        return split.reshape(len(filled), -1)
 
     def join(self, other: RobotBodies) -> RobotBodies:
         """These bodies and others on a grid of the same size."""
-        pairs = [(getattr(self, name), getattr(other, name)) for name in ("cells", "right", "down", "height")]
-        return RobotBodies(*(np.concatenate(pair) for pair in pairs))
+        return RobotBodies(
+            np.concatenate([self.cells, other.cells]),
+            np.concatenate([self.right, other.right]),
+            np.concatenate([self.down, other.down]),
+            np.concatenate([self.height, other.height]),
+        )
 
     def take(self, kept: np.ndarray) -> RobotBodies:
         """Those of them that are ``kept``, bool ``[bodies]``."""
@@ -124,54 +139,68 @@ class _Springs:
 
 @functools.lru_cache(maxsize=64)
 def _springs(rows: int, columns: int) -> _Springs:
-    def cell(r: int, c: int) -> int:
-        return r * columns + c if 0 <= r < rows and 0 <= c < columns else NOBODY
+    def cell(row: int, column: int) -> int:
+        inside = 0 <= row < rows and 0 <= column < columns
+        return row * columns + column if inside else NOBODY
 
-    def node(r: int, c: int) -> int:
-        return r * (columns + 1) + c
+    def node(row: int, column: int) -> int:
+        return row * (columns + 1) + column
 
+    # Node by node, the springs that begin there: cell, other, second, across, side, ends, places of the cell, rest
     made: list[tuple] = []
-    index: dict[tuple, int] = {}
+    across: dict[tuple[int, int], int] = {}  # node -> the first spring of the side to the right
+    upright: dict[tuple[int, int], int] = {}  # node -> the first spring of the side downwards
+    diagonal = (VOXEL * VOXEL + VOXEL * VOXEL) ** 0.5
     for r in range(rows + 1):
-        for c in range(columns + 1):  # node by node, the springs that begin there
-            here = node(r, c)
+        for c in range(columns + 1):
+            begin = node(r, c)
+            below_right = cell(r, c)
             if c < columns:
-                above, below, ends = cell(r - 1, c), cell(r, c), (here, node(r, c + 1))
-                index["across", r, c] = len(made)
-                made.append((above, below, False, True, True, ends, (ABOVE_RIGHT, ABOVE_LEFT), VOXEL))
-                made.append((below, above, True, True, True, ends, (BELOW_RIGHT, BELOW_LEFT), VOXEL))
-            if r == rows:
-                continue
-            left, right, ends = cell(r, c - 1), cell(r, c), (here, node(r + 1, c))
-            index["upright", r, c] = len(made)
-            made.append((left, right, False, False, True, ends, (BELOW_LEFT, ABOVE_LEFT), VOXEL))
-            made.append((right, left, True, False, True, ends, (BELOW_RIGHT, ABOVE_RIGHT), VOXEL))
-            falling, rising = (BELOW_RIGHT, ABOVE_LEFT), (BELOW_LEFT, ABOVE_RIGHT)
-            for inside, to, places in ((right, c + 1, falling), (left, c - 1, rising)):
-                if inside != NOBODY:
-                    made.append((inside, NOBODY, False, False, False, (here, node(r + 1, to)), places, DIAGONAL))
+                above = cell(r - 1, c)
+                ends = (begin, node(r, c + 1))
+                across[r, c] = len(made)
+                made.append((above, below_right, False, True, True, ends, (ABOVE_RIGHT, ABOVE_LEFT), VOXEL))
+                made.append((below_right, above, True, True, True, ends, (BELOW_RIGHT, BELOW_LEFT), VOXEL))
+            if r < rows:
+                left = cell(r, c - 1)
+                ends = (begin, node(r + 1, c))
+                upright[r, c] = len(made)
+                made.append((left, below_right, False, False, True, ends, (BELOW_LEFT, ABOVE_LEFT), VOXEL))
+                made.append((below_right, left, True, False, True, ends, (BELOW_RIGHT, ABOVE_RIGHT), VOXEL))
+                if below_right != NOBODY:
+                    ends = (begin, node(r + 1, c + 1))
+                    places = (BELOW_RIGHT, ABOVE_LEFT)
+                    made.append((below_right, NOBODY, False, False, False, ends, places, diagonal))
+                if left != NOBODY:
+                    ends = (begin, node(r + 1, c - 1))
+                    places = (BELOW_LEFT, ABOVE_RIGHT)
+                    made.append((left, NOBODY, False, False, False, ends, places, diagonal))
     fields = [np.array(column) for column in zip(*made, strict=True)]
+
+    # The two entries of a side
     twin = np.arange(len(made))
-    for first in index.values():
-        twin[first], twin[first + 1] = first + 1, first
+    for first in [*across.values(), *upright.values()]:
+        twin[first] = first + 1
+        twin[first + 1] = first
+
+    # Node by node, the springs that end there, and with which end
     at_node = np.full(((rows + 1) * (columns + 1), 12), NOBODY)
-    end_at = np.zeros_like(at_node)
+    end_at_node = np.zeros_like(at_node)
     taken = np.zeros(len(at_node), int)
-    for s, ends in enumerate(fields[5]):
+    for spring, ends in enumerate(fields[5]):
         for end, n in enumerate(ends):
-            at_node[n, taken[n]], end_at[n, taken[n]] = s, end
+            at_node[n, taken[n]] = spring
+            end_at_node[n, taken[n]] = end
             taken[n] += 1
-    of_cell = np.array(
-        [
-            [
-                index["across", r, c], index["across", r, c] + 1, index["upright", r, c + 1],
-                index["across", r + 1, c], index["upright", r, c], index["upright", r, c] + 1,
-            ]
-            for r in range(rows)
-            for c in range(columns)
-        ]
-    )  # fmt: skip
-    return _Springs(*fields, twin=twin, at_node=at_node, end_at_node=end_at, of_cell=of_cell)
+
+    # Cell by cell, its sides
+    of_cell = []
+    for r in range(rows):
+        for c in range(columns):
+            top = across[r, c]
+            left = upright[r, c]
+            of_cell.append([top, top + 1, upright[r, c + 1], across[r + 1, c], left, left + 1])
+    return _Springs(*fields, twin=twin, at_node=at_node, end_at_node=end_at_node, of_cell=np.array(of_cell))
 
 
 class GridMesh:
@@ -200,9 +229,12 @@ class GridMesh:
     """
 
     def __init__(self, bodies: RobotBodies, index: np.ndarray, place: tuple[int, int], physics: Physics) -> None:
-        parts = (bodies.cells, bodies.right, bodies.down)
-        self.grid, self.right, self.down = (np.moveaxis(part[index], 1, -1) for part in parts)
-        self.height, self.place, self.physics = bodies.height[index], place, physics
+        self.grid = np.moveaxis(bodies.cells[index], 1, -1)
+        self.right = np.moveaxis(bodies.right[index], 1, -1)
+        self.down = np.moveaxis(bodies.down[index], 1, -1)
+        self.height = bodies.height[index]
+        self.place = place
+        self.physics = physics
         packs, self.rows, self.columns, lanes = self.grid.shape
         self.springs = _springs(self.rows, self.columns)
         self.cells = self.grid.reshape(packs, -1, lanes)
@@ -221,39 +253,59 @@ class GridMesh:
 
     def _share_points(self) -> None:
         """``owner`` [4, P, nodes, L]: which of the cells around a node has made the point that a cell has there."""
-        there = self._around(self.grid != Cell.EMPTY)
-        right, down = self._around(self.right), self._around(self.down)
-        top, bottom = right[ABOVE_LEFT], right[BELOW_LEFT]  # connections between the cells around a node
-        left, side = down[ABOVE_LEFT], down[ABOVE_RIGHT]
-        a = np.zeros(top.shape, np.int8)
-        b = np.where(top, a, ABOVE_RIGHT)
+        filled = self._around(self.grid != Cell.EMPTY)
+
+        # Connections between the four cells
+        right = self._around(self.right)
+        down = self._around(self.down)
+        above = right[ABOVE_LEFT]  # of the two above
+        below = right[BELOW_LEFT]
+        left = down[ABOVE_LEFT]
+        beside = down[ABOVE_RIGHT]  # of the two on the right
+
         # The rule of paper section A.1 as released: of several connected cells the last one looked at counts.
-        c = np.where((left & top) | (bottom & side), b, np.where(left, a, BELOW_LEFT))
-        d = np.where((side & top) | (bottom & left), a, np.where(bottom, c, np.where(side, b, BELOW_RIGHT)))
-        self.owner = np.stack([np.where(t, made, NOBODY) for t, made in zip(there, (a, b, c, d), strict=True)])
+        first = np.full(above.shape, ABOVE_LEFT, np.int8)
+        second = np.where(above, first, ABOVE_RIGHT)
+        third = np.where(left, first, BELOW_LEFT)
+        third = np.where((left & above) | (below & beside), second, third)
+        fourth = np.where(beside, second, BELOW_RIGHT)
+        fourth = np.where(below, third, fourth)
+        fourth = np.where((beside & above) | (below & left), first, fourth)
+
+        owners = []
+        for is_filled, owner in zip(filled, (first, second, third, fourth), strict=True):
+            owners.append(np.where(is_filled, owner, NOBODY))
+        self.owner = np.stack(owners)
         self.slot = _spread(self.owner)
 
     def _number_points(self) -> None:
-        owner, slot = self.owner, self.slot
-        packs, nodes, lanes = owner.shape[1:]
-        used = np.full((packs, nodes, 4, lanes), NOBODY, np.int8)  # whose point a slot holds
-        for place in range(4):
+        packs, nodes, lanes = self.owner.shape[1:]
+
+        # Whose point each slot of a node holds
+        used = np.full((packs, nodes, 4, lanes), NOBODY, np.int8)
+        for slot, owner in zip(self.slot, self.owner, strict=True):
             for s in range(4):
-                mine = (slot[place] == s)[..., None] & (owner[place] >= 0)
-                used[:, :, s] = np.where(mine, owner[place], used[:, :, s])
+                here = (slot == s)[..., None] & (owner >= 0)
+                used[:, :, s] = np.where(here, owner, used[:, :, s])
         self.used = used
+
+        # Slots that hold one point follow the lowest of them, which is looked at last.
         leader = np.broadcast_to(np.arange(4, dtype=np.int8)[:, None], used.shape).copy()
-        for s, t in reversed(TWIN_PAIRS):  # the lowest slot of a point is looked at last
-            same = (used[:, :, s] == used[:, :, t]) & (used[:, :, s] >= 0)
-            leader[:, :, s] = np.where(same, t, leader[:, :, s])
-        fixed_cell = self._around(self.grid == Cell.FIXED)
+        for twin, lower in reversed(TWIN_PAIRS):
+            same = (used[:, :, twin] == used[:, :, lower]) & (used[:, :, twin] >= 0)
+            leader[:, :, twin] = np.where(same, lower, leader[:, :, twin])
+
+        # Points of fixed cells
         fixed = np.zeros(used.shape, bool)
-        for place in range(4):
-            fixed |= (fixed_cell[place][:, :, None] & (owner[place][:, :, None] == used)) & (used >= 0)
+        for is_fixed, owner in zip(self._around(self.grid == Cell.FIXED), self.owner, strict=True):
+            fixed |= is_fixed[:, :, None] & (owner[:, :, None] == used) & (used >= 0)
+
         shape = (packs, nodes * 4, lanes)
         self.leader = leader.reshape(shape)
         self.point: np.ndarray = (used >= 0).reshape(shape)
         self.fixed = fixed.reshape(shape)
+
+        # Where the nodes lie
         row, column = np.divmod(np.arange(nodes), self.columns + 1)
         x = self.place[0] * VOXEL + column * VOXEL
         # Exactly these expressions: the last bit of a coordinate decides which touching voxels are in contact.
@@ -265,16 +317,23 @@ class GridMesh:
     def _order_points(self, used: np.ndarray, row: np.ndarray, column: np.ndarray) -> None:
         """Points by the cell that made them and its corner; a point counts once, as its leader."""
         packs, nodes, _, lanes = used.shape
-        # The cell at a place around a node, and the rank of that corner among those it makes.
-        rank = np.array([CREATION_RANK[CORNER_PLACE.index(place)] for place in range(4)])
+
+        # The key of the four cells around each node, int [nodes, 4]: the cell's number on a grid with a border, and
+        # when it makes this corner: top left, top right, bottom left, bottom right.
         above = np.array([1, 1, 0, 0])
         leftward = np.array([1, 0, 1, 0])
-        key = 4 * ((row[:, None] - above) * (self.columns + 1) + column[:, None] - leftward) + rank
-        key = key + 4 * (self.columns + 3)  # so that none is negative
+        rank = np.array([3, 2, 1, 0])
+        cell = (row[:, None] + 1 - above) * (self.columns + 1) + column[:, None] + 2 - leftward
+        key = 4 * cell + rank
+
+        # The keys of points; the largest number where there is none
+        none = 1 << 30
         chosen = (used >= 0) & (self.leader.reshape(used.shape) == np.arange(4)[:, None])
-        keys = np.where(chosen, np.take_along_axis(key[None, :, :, None], np.maximum(used, 0), axis=2), 1 << 30)
+        keys = np.take_along_axis(key[None, :, :, None], np.maximum(used, 0), axis=2)
+        keys = np.where(chosen, keys, none)
         keys = keys.reshape(packs, nodes * 4, lanes).transpose(0, 2, 1)
-        self.count = (keys < 1 << 30).sum(-1)
+
+        self.count = (keys < none).sum(-1)
         most = int(self.count.max())
         order = np.argsort(keys, axis=-1, kind="stable")[..., :most]
         self.order = np.where(np.arange(most) < self.count[..., None], order, NOBODY)
@@ -286,74 +345,87 @@ class GridMesh:
 
     def _place_springs(self) -> None:
         springs = self.springs
-        has = self._of(self.filled, springs.cell, False)
-        met = self._of(self.filled, springs.other, False)
-        joined = np.where(springs.across[:, None], *(self._joined(axis) for axis in ("down", "right")))
+
+        # The cells of each spring, bool [P, E, L]: there are its own, the other one, and they are connected
+        has_cell = self._of(self.filled, springs.cell, False)
+        has_other = self._of(self.filled, springs.other, False)
+        joined = np.where(springs.across[:, None], self._joined(self.down), self._joined(self.right))
+
+        # The points it runs between; whether both entries of a side run between the same ones in this pack
         slots = self.slot[springs.place, :, springs.node]  # [E, 2, P]
         slots = slots.transpose(2, 0, 1)
         self.ends = springs.node * 4 + np.maximum(slots, 0)
-        # Both entries of a side run between the same points in this pack.
         same = ((slots == slots[:, springs.twin]) & (slots >= 0)).all(-1)[..., None]
-        second, side = springs.second[:, None], springs.side[:, None]
-        as_second = has & ~joined & (met | ~same)
-        as_first = has | (met & same)
-        self.spring = np.where(side, np.where(second, as_second, as_first), has)
-        # The cells that have a part in a spring: its own, and the other where the side is common to both.
-        other = np.where(second | ~side, False, met & (joined | ~has))
-        kinds = self._of(self.cells, springs.cell, Cell.EMPTY), self._of(self.cells, springs.other, Cell.EMPTY)
-        self.stiffness = self._stiffness(kinds, has, other)
-        driven = np.where(springs.across, int(Cell.H_ACT), int(Cell.V_ACT))[:, None]
-        number = np.cumsum(np.isin(self.cells, (int(Cell.H_ACT), int(Cell.V_ACT))), axis=1) - 1
+
+        # Whether there is this spring
+        second = springs.second[:, None]
+        side = springs.side[:, None]
+        as_second = has_cell & ~joined & (has_other | ~same)
+        as_first = has_cell | (has_other & same)
+        self.spring = np.where(side, np.where(second, as_second, as_first), has_cell)
+
+        # The cells that have a part in it: its own, and the other one where the side is common to both
+        shared = np.where(second | ~side, False, has_other & (joined | ~has_cell))
+        kind = self._of(self.cells, springs.cell, Cell.EMPTY)
+        other_kind = self._of(self.cells, springs.other, Cell.EMPTY)
+        self.stiffness = self._stiffness(kind, other_kind, has_cell, shared)
+
+        # The actions that drive it: those of the cells, if they are actuators of its direction
+        number = np.cumsum(np.isin(self.cells, ACTUATORS), axis=1) - 1
         self.actions = number[:, -1] + 1
-        numbers = self._of(number, springs.cell, NOBODY), self._of(number, springs.other, NOBODY)
-        one, two = (
-            np.where(part & side & (kind == driven) & self.spring, n, NOBODY)
-            for part, kind, n in zip((has, other), kinds, numbers, strict=True)
-        )
-        self.drive = np.stack([np.where(one >= 0, one, two), np.where(one >= 0, two, NOBODY)], axis=2)
-        # Whose point a spring holds at each end.
+        actuator = np.where(springs.across, int(Cell.H_ACT), int(Cell.V_ACT))[:, None]
+        drives = has_cell & side & (kind == actuator) & self.spring
+        other_drives = shared & side & (other_kind == actuator) & self.spring
+        action = np.where(drives, self._of(number, springs.cell, NOBODY), NOBODY)
+        other_action = np.where(other_drives, self._of(number, springs.other, NOBODY), NOBODY)
+        one = np.where(action >= 0, action, other_action)
+        two = np.where(action >= 0, other_action, NOBODY)
+        self.drive = np.stack([one, two], axis=2)
+
+        # Whose point it holds at each end
         owners = self.owner.transpose(1, 2, 0, 3)  # [P, nodes, 4, L]
-        mine = owners[:, springs.node, springs.place]  # [P, E, 2, L]
-        others = mine[:, springs.twin]
-        self.held = np.where(has[:, :, None], mine, np.where(side[:, None], others, NOBODY))
+        own = owners[:, springs.node, springs.place]  # [P, E, 2, L]
+        others = own[:, springs.twin]
+        self.held = np.where(has_cell[:, :, None], own, np.where(side[:, None], others, NOBODY))
+
+        # The sides of rigid cells. Top and left, which may stand twice: where the lower (right) cell of a side shares
+        # it, it has the first entry.
         rigid = self.cells == Cell.RIGID
-        take_first = joined | (~met & same)  # for the lower (right) cell of a side
-        parts = []
-        for k, spring in enumerate(springs.of_cell.T):
-            if k in (0, 4):  # top and left, as the upper (left) cell has them
-                parts.append(rigid & take_first[:, spring + 1])
-            elif k in (1, 5):
-                parts.append(rigid & ~take_first[:, spring])
-            else:
-                parts.append(rigid)
+        takes_first = joined | (~has_other & same)
+        takes_top = takes_first[:, springs.of_cell[:, 1]]
+        takes_left = takes_first[:, springs.of_cell[:, 5]]
+        parts = [rigid & takes_top, rigid & ~takes_top, rigid, rigid, rigid & takes_left, rigid & ~takes_left]
         self.rigid = np.stack(parts, axis=2)
         self._drop_fixed()
 
-    def _joined(self, axis: str) -> np.ndarray:
+    def _joined(self, connections: np.ndarray) -> np.ndarray:
         """bool [P, E, L]: the two cells of a side are connected."""
         springs = self.springs
         first = np.where(springs.second, springs.other, springs.cell)  # the upper or left one
-        links = getattr(self, axis).reshape(self.cells.shape)
-        return self._of(links, first, False)
+        return self._of(connections.reshape(self.cells.shape), first, False)
 
-    def _stiffness(self, kinds, has: np.ndarray, other: np.ndarray) -> np.ndarray:
-        physics, springs = self.physics, self.springs
-        table = np.array([physics.stiffness(cell) for cell in range(len(Cell))])
-        main = [table[kind, 0] for kind in kinds]
-        upper = np.where(springs.second[:, None], False, True)
-        if physics.shared_edge == "stiffest":
-            k = np.maximum(np.where(has, main[0], 0.0), np.where(other, main[1], 0.0))
+    def _stiffness(
+        self, kind: np.ndarray, other_kind: np.ndarray, has_cell: np.ndarray, shared: np.ndarray
+    ) -> np.ndarray:
+        table = np.array([self.physics.stiffness(cell) for cell in Cell])  # of sides, of diagonals
+        own = table[kind, 0]
+        other = table[other_kind, 0]
+        if self.physics.shared_edge == "stiffest":
+            stiffness = np.maximum(np.where(has_cell, own, 0.0), np.where(shared, other, 0.0))
         else:  # the last soft or actuator voxel sets it; rigid ones never do
-            k = np.full(has.shape, physics.rigid_main)
-            for kind, value, part in ((kinds[0], main[0], has), (kinds[1], main[1], other & upper)):
-                k = np.where(part & (kind != Cell.RIGID) & (kind != Cell.FIXED), value, k)
-        k = np.where(springs.side[:, None], k, table[kinds[0], 1])
-        return np.where(self.spring, k, 0.0)
+            hard = (Cell.RIGID, Cell.FIXED)
+            last = shared & ~self.springs.second[:, None]
+            stiffness = np.full(has_cell.shape, self.physics.rigid_main)
+            stiffness = np.where(has_cell & ~np.isin(kind, hard), own, stiffness)
+            stiffness = np.where(last & ~np.isin(other_kind, hard), other, stiffness)
+        stiffness = np.where(self.springs.side[:, None], stiffness, table[kind, 1])
+        return np.where(self.spring, stiffness, 0.0)
 
     def _drop_fixed(self) -> None:
         """Springs between two fixed points are always at rest, unless they are driven: no force, no strain."""
-        fixed = [np.take_along_axis(self.fixed, self.ends[:, :, end, None], axis=1) for end in (0, 1)]
-        at_rest = self.spring & fixed[0] & fixed[1] & (self.drive == NOBODY).all(axis=2)
+        begins_fixed = np.take_along_axis(self.fixed, self.ends[:, :, 0, None], axis=1)
+        ends_fixed = np.take_along_axis(self.fixed, self.ends[:, :, 1, None], axis=1)
+        at_rest = self.spring & begins_fixed & ends_fixed & (self.drive == NOBODY).all(axis=2)
         self.free = self.point & ~self.fixed
         if at_rest.any():
             self.spring = self.spring & ~at_rest
@@ -361,27 +433,32 @@ class GridMesh:
             self.rigid = self.rigid & ~at_rest[:, self.springs.of_cell]
 
     def _link_springs(self) -> None:
-        springs = self.springs
         packs, _, lanes = self.point.shape
-        at, end = springs.at_node, springs.end_at_node
-        there = (self.spring[:, at] & (at >= 0)[None, :, :, None])[:, :, None]  # [P, nodes, 1, 12, L]
-        held = self.held[:, at, end][:, :, None]
+        at_node = self.springs.at_node
+        has_spring = self.spring[:, at_node] & (at_node >= 0)[None, :, :, None]  # [P, nodes, 12, L]
+        held = self.held[:, at_node, self.springs.end_at_node]
         used = self.used[:, :, :, None]  # [P, nodes, 4, 1, L]
-        link = there & (held == used) & (used >= 0)
-        self.link = link.reshape(packs, -1, at.shape[1], lanes)
+        link = has_spring[:, :, None] & (held[:, :, None] == used) & (used >= 0)
+        self.link = link.reshape(packs, -1, 12, lanes)
 
     def _mark_surface(self) -> None:
-        right, down = self.right, self.down
-        top = np.zeros_like(down)
-        top[:, 1:] = down[:, :-1]
-        left = np.zeros_like(right)
-        left[:, :, 1:] = right[:, :, :-1]
-        sides = np.stack([~top, ~right, ~down, ~left], axis=3)  # [P, rows, columns, 4, L]
-        packs, lanes = len(right), right.shape[-1]
+        packs, _, lanes = self.cells.shape
+
+        # Sides at which a cell is not connected
+        top = np.zeros_like(self.down)
+        top[:, 1:] = self.down[:, :-1]
+        left = np.zeros_like(self.right)
+        left[:, :, 1:] = self.right[:, :, :-1]
+        sides = np.stack([~top, ~self.right, ~self.down, ~left], axis=3)  # [P, rows, columns, 4, L]
         self.side = sides.reshape(packs, -1, 4, lanes) & self.filled[:, :, None]
+
+        # The nodes at the corners, and the place of the cell around each
         row, column = np.divmod(np.arange(self.cells.shape[1]), self.columns)
-        node = np.stack([(row + r) * (self.columns + 1) + column + c for r, c in CORNER_NODE], axis=-1)
-        slots = self.slot[list(CORNER_PLACE), :, node].transpose(2, 0, 1)  # [P, V, 4]
+        top_left = row * (self.columns + 1) + column
+        bottom_left = top_left + self.columns + 1
+        node = np.stack([top_left, top_left + 1, bottom_left + 1, bottom_left], axis=-1)  # [V, 4]
+        places = [BELOW_RIGHT, BELOW_LEFT, ABOVE_LEFT, ABOVE_RIGHT]
+        slots = self.slot[places, :, node].transpose(2, 0, 1)  # [P, V, 4]
         self.corner = node * 4 + np.maximum(slots, 0)
 
 
@@ -395,11 +472,14 @@ def _spread(owner: np.ndarray) -> np.ndarray:
     def apart(a: int, b: int) -> np.ndarray:
         return ((owner[a] != owner[b]) & (owner[a] >= 0) & (owner[b] >= 0)).any(-1)
 
-    a, b, c, d = range(4)
-    conflict = {pair: apart(*pair) for pair in ((a, b), (c, d), (a, c), (b, d), (a, d), (b, c))}
-    one = ~np.any(list(conflict.values()), axis=0)
-    by_rows = ~one & ~conflict[a, b] & ~conflict[c, d]
-    by_columns = ~one & ~by_rows & ~conflict[a, c] & ~conflict[b, d]
+    # Which neighbours need points of their own, bool [P, nodes]
+    beside = apart(ABOVE_LEFT, ABOVE_RIGHT) | apart(BELOW_LEFT, BELOW_RIGHT)
+    stacked = apart(ABOVE_LEFT, BELOW_LEFT) | apart(ABOVE_RIGHT, BELOW_RIGHT)
+    across = apart(ABOVE_LEFT, BELOW_RIGHT) | apart(ABOVE_RIGHT, BELOW_LEFT)
+
+    one = ~(beside | stacked | across)
+    by_rows = ~one & ~beside
+    by_columns = ~one & ~by_rows & ~stacked
     each = ~one & ~by_rows & ~by_columns
     slots = []
     for place in range(4):

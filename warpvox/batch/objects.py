@@ -65,14 +65,22 @@ class Objects:
 
     def refresh(self) -> None:
         """Update which points the environments have."""
+        # The tables of each environment
         state = self._state
-        pack, lane = (wp.to_torch(array).long() for array in (state.env_pack, state.env_lane))
+        pack = wp.to_torch(state.env_pack).long()
+        lane = wp.to_torch(state.env_lane).long()
         mesh = wp.to_torch(state.arrays["pack_mesh"]).long()[pack]
-        self.point_range = wp.to_torch(state.arrays["object_range"])[mesh, :, lane].long()  # [num_envs, objects, 2]
+
+        # Where the points of each object lie in the order of observations: begin and end, [num_envs, objects, 2]
+        self.point_range = wp.to_torch(state.arrays["object_range"])[mesh, :, lane].long()
         self.total = self.point_range[..., 1].max(1).values
+
+        # The rows of the points in this order, [num_envs, points]
         order = wp.to_torch(state.arrays["order"])[mesh, :, lane].long()
         last = (self.total - 1).clamp(min=0)[:, None]
-        self.rows = order.gather(1, torch.minimum(torch.arange(order.shape[1], device=order.device), last))
+        place = torch.minimum(torch.arange(order.shape[1], device=order.device), last)
+        self.rows = order.gather(1, place)
+
         index = np.asarray(self._batch.index)
         _, first = np.unique(index, return_index=True)
         self._example = torch.as_tensor(first, device=order.device)  # an environment of every world
@@ -101,7 +109,7 @@ class Objects:
 
     def _still(self, name: str) -> list[Body | None]:
         """The mesh of an object in every frame in which it never moves, else None."""
-        return [next((b for b in compiled.statics if b.name == name), None) for compiled in self._batch.compiled]
+        return [_named(compiled.statics, name) for compiled in self._batch.compiled]
 
     def counts(self, name: str) -> torch.Tensor:
         """int ``[worlds]``: points of an object in every world."""
@@ -146,40 +154,52 @@ class Objects:
 
     def loose_points(self, names: Sequence[str]) -> tuple[torch.Tensor, ...]:
         """All points of loose objects, for every environment: row, cell and height of the object, column and row."""
+        # Of each frame: x, y and height of the object, column and row of its points
         tables: list[list[list[int]]] = []
         for compiled in self._batch.compiled:
             rows = []
             for name in names:
-                body = next((body for body in compiled.bodies if body.name == name), None)
+                body = _named(compiled.bodies, name)
                 if body is None:
                     if any(name in frame.names for frame in self._batch.frames):
                         raise SimulationError(f"The robot {name!r} can be loose with arithmetic='exact' only.")
                     raise SimulationError(f"All worlds need the loose object {name!r}; one has no object of that name.")
                 source = body.source
                 for x, y in body.points:
-                    column, row = round(x / VOXEL) - source.x, source.y + source.height - round(y / VOXEL)
+                    column = round(x / VOXEL) - source.x
+                    row = source.y + source.height - round(y / VOXEL)
                     rows.append([source.x, source.y, source.height, column, row])
             tables.append(rows)
         if len({len(rows) for rows in tables}) != 1:
             raise SimulationError(f"The loose objects {listing(names)} must have the same cells in all worlds.")
         table = torch.tensor(tables, dtype=torch.long).reshape(len(tables), -1 if tables[0] else 0, 5)
         table = table[self._batch.frame_of_envs()].to(self.device)
+
+        # The rows of these points in each environment
+        rows = table[..., 0]
         places = []
         for name in names:
             begin = self.point_range[:, self.index(name), :1]
             places.append(begin + torch.arange(self.num_points[name], device=self.device))
-        rows = self.rows.gather(1, torch.cat(places, dim=1)) if places else table[..., 0]
+        if places:
+            rows = self.rows.gather(1, torch.cat(places, dim=1))
         return rows, table[..., 0:2], table[..., 2], table[..., 3:5]
 
     def scan_tables(self, objects: tuple[str, ...] | None) -> tuple[wp.array, wp.array, wp.array]:
         """For scans: static points in voxels by lattice column, where each column starts, and listed moving objects."""
         for name in objects or ():
             self.index(name)
+
+        # Points that never move, by lattice column
         still = []
         for compiled in self._batch.compiled:
-            listed = [body for body in compiled.statics if objects is None or body.name in objects]
-            points = [(x / VOXEL, y / VOXEL) for body in listed for x, y in body.points]
+            points = []
+            for body in compiled.statics:
+                if objects is None or body.name in objects:
+                    points += [(x / VOXEL, y / VOXEL) for x, y in body.points]
             still.append(sorted(points, key=lambda p: round(p[0])))
+
+        # As tables of all frames
         moving = [self.index(name) for name in objects or () if name in self.movable]
         columns = max(compiled.width for compiled in self._batch.compiled) + 1
         start = np.zeros((len(still), columns + 1), dtype=np.int32)
@@ -192,3 +212,7 @@ class Objects:
             from_numpy(table, wp.vec2d, self.device),
             from_numpy(moving or [-1], int, self.device),
         )
+
+
+def _named(bodies: Sequence[Body], name: str) -> Body | None:
+    return next((body for body in bodies if body.name == name), None)

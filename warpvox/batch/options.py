@@ -17,10 +17,8 @@ from warpvox.kernels.step import STAGES
 from warpvox.system import usable_cores
 from warpvox.types import Physics
 
-# Lane widths offered on the CPU; :func:`lanes_for` takes the narrowest that holds the environments of a pack.
 WIDTHS = (1, 8, 16, 32)
-LAYOUTS = ("group", "lanes")
-CUDA_LANES = 32  # environments of a pack on CUDA, one thread each
+"""Lane widths offered on the CPU."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +147,7 @@ def resolve_layout(layout: str | None, arithmetic: str, device: str, lanes: int 
     """
     if layout is None:
         return "group" if on_cuda(device) and arithmetic == "fast" and lanes is None else "lanes"
-    check_choice("layout", layout, [*LAYOUTS, None], SimulationError)
+    check_choice("layout", layout, ["group", "lanes", None], SimulationError)
     if layout == "group" and (arithmetic != "fast" or lanes is not None):
         raise SimulationError(
             f"layout='group' is for arithmetic='fast' and lanes=None, got {arithmetic!r} and {lanes!r:.80}."
@@ -158,7 +156,7 @@ def resolve_layout(layout: str | None, arithmetic: str, device: str, lanes: int 
 
 
 def lanes_for(environments: int) -> int:
-    """The lanes that are chosen on the CPU for a number of environments that can share packs."""
+    """The lanes that are chosen on the CPU for environments that can share packs: the fewest that hold them."""
     return next(width for width in WIDTHS if width >= min(environments, most_lanes()))
 
 
@@ -171,10 +169,10 @@ def most_lanes() -> int:
 
 def choose_lanes(index: np.ndarray, lanes: int | None, device: str) -> int:
     """Lanes of a pack, from the number of what each environment can share a pack with."""
-    if device != "cpu":
-        if lanes is not None and (type(lanes) is not int or lanes != CUDA_LANES):
-            raise SimulationError(f"lanes must be {CUDA_LANES} or None on CUDA, got {lanes!r}.")
-        return CUDA_LANES
+    if device != "cpu":  # one thread each
+        if lanes is not None and (type(lanes) is not int or lanes != MAX_WIDTH):
+            raise SimulationError(f"lanes must be {MAX_WIDTH} or None on CUDA, got {lanes!r}.")
+        return MAX_WIDTH
     if lanes is None:
         return lanes_for(int(np.bincount(index).max()))
     check_choice("lanes", lanes, WIDTHS, SimulationError)

@@ -1,5 +1,6 @@
 """Which environment lies in which lane of which pack, and the tables of these packs."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 from typing import NamedTuple
@@ -13,10 +14,8 @@ from warpvox.contact_order import no_order
 from warpvox.errors import SimulationError
 from warpvox.world import World
 
-MOST_ACTUATORS = 0xFFFF
-"""Robots of a world have no more: a spring's two share 32 bits (:func:`warpvox.compile.pack_drives`)."""
 Actuators = tuple[tuple[str, int], ...]
-FRAME_TABLES = ("fixed_at", "terrain", "terrain_side", "terrain_box")
+"""Names and numbers of actuators of the robots of a world."""
 
 
 def group(worlds: Sequence[World]) -> tuple[dict[bytes, World], list[int]]:
@@ -35,8 +34,10 @@ def group(worlds: Sequence[World]) -> tuple[dict[bytes, World], list[int]]:
 
 def _actuators(world: World) -> Actuators:
     found = tuple(sorted((obj.name, obj.num_actuators) for obj in world.objects.values() if obj.is_robot))
-    if (total := sum(count for _, count in found)) > MOST_ACTUATORS:
-        raise SimulationError(f"The robots of a world may have {MOST_ACTUATORS:,} actuators together, got {total:,}.")
+    total = sum(count for _, count in found)
+    most = 0xFFFF  # the two actions of a spring share 32 bits (warpvox.compile.pack_drives)
+    if total > most:
+        raise SimulationError(f"The robots of a world may have {most:,} actuators together, got {total:,}.")
     return found
 
 
@@ -81,13 +82,21 @@ class Batch:
     pack_group: list[int] = field(default_factory=list)
 
     def __post_init__(self, different: Mapping[bytes, World]) -> None:
-        self.physics, self.arithmetic, self.device = self.options.physics, self.options.arithmetic, self.options.device
+        self.physics = self.options.physics
+        self.arithmetic = self.options.arithmetic
+        self.device = self.options.device
         self.grid = self.options.grid
-        exact, worlds, numbers = self.arithmetic == "exact", list(different.values()), {}
-        self.entries = [
-            Entry(key, world, _actuators(world), numbers.setdefault(key if exact else frame_key(world), len(numbers)))
-            for key, world in different.items()
-        ]
+
+        # Groups of worlds that may share packs
+        exact = self.arithmetic == "exact"
+        numbers: dict[bytes | tuple, int] = {}
+        self.entries: list[Entry] = []
+        for key, world in different.items():
+            number = numbers.setdefault(key if exact else frame_key(world), len(numbers))
+            self.entries.append(Entry(key, world, _actuators(world), number))
+
+        # What the worlds of a group have in common
+        worlds = list(different.values())
         self.frames: list[Frame] = []
         if exact:
             self.compiled = [compile_world(world, self.physics, self.loose) for world in worlds]
@@ -96,20 +105,28 @@ class Batch:
                 own = [entry.world for entry in self.entries if entry.group == number]
                 self.frames.append(Frame(own, self.physics, self.loose, self.grid or (1, 1)))
             self.compiled = [frame.others for frame in self.frames]
+
+        # Packs: the environments of a group in the order of their worlds, so many to a pack as it has lanes. The last
+        # pack of a group repeats its last world.
         groups = self.frame_of_envs()
         self.lanes = 1 if self.layout == "group" else choose_lanes(groups, self.options.lanes, self.device)
-        self.env_pack, self.env_lane = (np.zeros(len(self.index), np.int32) for _ in range(2))
+        index = np.asarray(self.index)
+        self.env_pack = np.zeros(len(index), np.int32)
+        self.env_lane = np.zeros(len(index), np.int32)
         lane_world = []
         for number in range(len(numbers)):
             members = np.flatnonzero(groups == number)
-            members = members[np.argsort(self._rank(number)[np.asarray(self.index)[members]], kind="stable")]
-            self.env_pack[members] = len(self.pack_group) + np.arange(len(members)) // self.lanes
-            self.env_lane[members] = np.arange(len(members)) % self.lanes
-            packs = -(-len(members) // self.lanes)
+            rank = self._rank(number)[index[members]]
+            members = members[np.argsort(rank, kind="stable")]
+            place = np.arange(len(members))
+            self.env_pack[members] = len(self.pack_group) + place // self.lanes
+            self.env_lane[members] = place % self.lanes
+            packs = math.ceil(len(members) / self.lanes)
             self.pack_group += [number] * packs
-            filled = np.asarray(self.index)[members]
-            lane_world.append(np.pad(filled, (0, packs * self.lanes - len(filled)), mode="edge"))
+            lane_world.append(np.pad(index[members], (0, packs * self.lanes - len(members)), mode="edge"))
         self.lane_world = np.concatenate(lane_world).reshape(-1, self.lanes)
+
+        # Objects by name
         robot = {obj.name: obj.is_robot for world in worlds for obj in world.objects.values()}
         self.object_names = sorted(robot, key=lambda name: (not robot[name], name))
         self.cut = any(is_cut(obj) for world in worlds for obj in world.objects.values() if obj.is_robot)
@@ -140,16 +157,19 @@ class Batch:
         if self.grid is None:
             raise SimulationError("Worlds can be exchanged in a simulation made with grid=(rows, columns) only.")
         examples = {entry.group: entry.world for entry in self.entries}
-        known = {frame_key(world): group for group, world in examples.items()}
-        added: dict[int, list[Entry]] = {}
+        group_of = {frame_key(world): group for group, world in examples.items()}
         different = {id(world): world for world in worlds}
         keys = {number: world.key() for number, world in different.items()}
-        entries, chosen = {entry.key: entry for entry in self.entries}, []
+
+        # The entry of each, with those that are new
+        entries = {entry.key: entry for entry in self.entries}
+        added: dict[int, list[Entry]] = {}
+        chosen = []
         for env, world in zip(envs, worlds, strict=True):
             key = keys[id(world)]
             chosen.append(key)
             new = key not in entries
-            group = known.get(frame_key(world)) if new else entries[key].group
+            group = group_of.get(frame_key(world)) if new else entries[key].group
             if group is None or group != self.entries[self.index[env]].group:
                 raise SimulationError(
                     f"Environment {env} can be given worlds that differ from its own in the bodies of robots only."
@@ -181,11 +201,15 @@ class Batch:
         index = np.array(self.index)
         index[list(envs)] = worlds
         packs = np.unique(self.env_pack[list(envs)])
+
+        # Lanes without an environment repeat the one before them.
         self.lane_world[self.env_pack, self.env_lane] = index
         filled = np.zeros(self.lane_world.shape, bool)
         filled[self.env_pack, self.env_lane] = True
         last = np.maximum.accumulate(np.where(filled, np.arange(self.lanes), 0), axis=1)
         self.lane_world = np.take_along_axis(self.lane_world, last, axis=1)
+
+        # Forget worlds that no environment has any more.
         used, inverse = np.unique(index, return_inverse=True)
         self.lane_world = np.searchsorted(used, self.lane_world)
         self.index = inverse.tolist()
@@ -228,17 +252,19 @@ class Batch:
     def _spans(self, counts: np.ndarray, names: list[list[str]]) -> np.ndarray:
         """int [tables, objects, lanes, 2]: where the points of each object lie in the order of points."""
         stop = np.cumsum(counts, axis=1)
+        start = stop - counts
         spans = np.zeros((len(counts), len(self.object_names), counts.shape[2], 2), np.int32)
         column = {name: k for k, name in enumerate(self.object_names)}
         for row, own in enumerate(names):
             at = [column[name] for name in own]
+            spans[row, at, :, 0] = start[row, : len(own)]
             spans[row, at, :, 1] = stop[row, : len(own)]
-            spans[row, at, :, 0] = stop[row, : len(own)] - counts[row, : len(own)]
         return spans
 
     def frame_tables(self) -> dict[str, np.ndarray]:
         """Tables of the terrain of all frames; in exact arithmetic :meth:`tables` of all packs has them."""
-        parts = [{name: frame.arrays[name][None] for name in FRAME_TABLES} for frame in self.frames]
+        names = ("fixed_at", "terrain", "terrain_side", "terrain_box")
+        parts = [{name: frame.arrays[name][None] for name in names} for frame in self.frames]
         return join(parts) if parts else {}
 
     def capacities(self) -> dict[str, int]:

@@ -38,8 +38,6 @@ COMMANDS = {
     "tasks": "list the tasks, or show one in detail",
     "info": "versions, devices, kernel cache",
 }
-WORKING = ("train", "codesign", "play", "export", "demo")
-"""Commands that make files: they continue when the reader of their output has gone, and say so."""
 DONE, BAD_INPUT, INTERRUPTED, SIGNALLED = 0, 2, 130, 128
 
 
@@ -50,7 +48,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments without the program's name; None: those of the process.
     """
     name, *words = [*map(unquoted, sys.argv[1:] if argv is None else argv)] or [""]
-    gone = "warpvox: nobody reads the output any more; going on without it" if name in WORKING else None
+    # Commands that make files continue when the reader of their output has gone, and say so.
+    gone = None
+    if name in ("train", "codesign", "play", "export", "demo"):
+        gone = "warpvox: nobody reads the output any more; going on without it"
     with lasting_output(gone):
         try:
             with terminable(), enough_memory("Ask for less at once, such as a smaller num_envs."):

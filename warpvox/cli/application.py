@@ -12,14 +12,14 @@ from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.io.writing import to_yaml
 from warpvox.runs import check_output
 
-MULTIRUN = (
-    "run all combinations of listed values: seed=1,2,3 task=Walker-v0,Climber-v0; hydra/launcher=NAME and"
-    " hydra/sweeper=NAME take plugins of Hydra that are installed"
-)
 FOLDER = "folder with YAML files of your own, for instance FOLDER/ppo/mine.yaml for ppo=mine"
 OPTIONS: dict[tuple[str, str], dict[str, Any]] = {
     ("-h", "--help"): {"action": "store_true", "help": "this text"},
-    ("-m", "--multirun"): {"action": "store_true", "help": MULTIRUN},
+    ("-m", "--multirun"): {
+        "action": "store_true",
+        "help": "run all combinations of listed values: seed=1,2,3 task=Walker-v0,Climber-v0; hydra/launcher=NAME and"
+        " hydra/sweeper=NAME take plugins of Hydra that are installed",
+    },
     ("-c", "--cfg"): {
         "choices": ("job",),
         "metavar": "job",

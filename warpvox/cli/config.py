@@ -121,7 +121,13 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
         override = _parsed(f"{name}{given}{text}")
         if given and text and name in keys and keys[name].takes_text:
             place = os.path.expanduser(text)
-            if override is None or os.path.exists(place) or (keys[name].is_text and _is_other(override)):
+            # Hydra's grammar may take a text for a number, a list or the like.
+            is_other = (
+                override is not None
+                and not override.is_sweep_override()
+                and not isinstance(override.value(), str | None)
+            )
+            if override is None or os.path.exists(place) or (keys[name].is_text and is_other):
                 override = _parsed(f"{name}={quoted(place)}")
         if override is None:
             raise ConfigError(f"'{word:.200}' is not KEY=VALUE, or its value has unbalanced brackets or quotes.")
@@ -139,11 +145,6 @@ def _parsed(word: str) -> Override | None:
         return OverridesParser.create().parse_override(word)
     except (HydraException, ValueError, RecursionError):  # numbers of thousands of digits, brackets without end
         return None
-
-
-def _is_other(override: Override) -> bool:
-    """Whether Hydra's grammar takes a value for a number, list or the like."""
-    return not override.is_sweep_override() and not isinstance(override.value(), str | None)
 
 
 def _value(command: str, key: str, override: Override) -> Any:

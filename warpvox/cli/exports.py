@@ -34,10 +34,8 @@ WRITERS = {
     "strip": ("rollout_strip.png", "warpvox.view.render", "write_filmstrip"),
 }
 TILED = ("gif", "mp4", "png")
-SIZED = (*TILED, "strip")
 THINNED = {"usd": "stride", "gif": "every", "mp4": "every", "html": "every"}
 """Parameter of a writer for the key ``every``."""
-FILMS = ("gif", "mp4")
 TILES, BODIES = 16, 36
 """Environments that a picture shows at most; of a run over many bodies."""
 LARGE = (960, 540)
@@ -114,14 +112,17 @@ def write_exports(
     for name in dict.fromkeys(formats):
         file, module, function = WRITERS[name]
         with console.status(f"writing {file}") as status:
-            options: dict[str, Any] = {"size": tuple(size)} if size and name in SIZED else {}
+            options: dict[str, Any] = {}
+            if size and name in (*TILED, "strip"):
+                options["size"] = tuple(size)
             if name in TILED:
                 options["envs"] = tiles_of(rollout)
                 if len(options["envs"]) > TILES:
                     options = {"size": LARGE} | options
             if name in THINNED:
                 options[THINNED[name]] = every
-            if name in FILMS:
+            # Films take long enough to say how far they are.
+            if name in ("gif", "mp4"):
                 options["on_frame"] = partial(_tell, status, file)
             getattr(import_module(module), function)(rollout, folder / file, **options)
         written.append(folder / file)
@@ -161,18 +162,17 @@ def print_returns(rollout: Rollout, console: Console) -> None:
         table.add_row("mean", *([""] if several else []), *mean)
     console.print(table)
     if agent == "policy" and rollout.num_envs > len(rollout.scenes) and rollout.metadata.get("drawn") is False:
-        echo(console, _about_one_episode(rollout))
-
-
-def _about_one_episode(rollout: Rollout) -> str:
-    """That a deterministic policy in a task without chance shows one episode a design, however many are asked for."""
-    several = len(rollout.scenes)
-    differ = any(len(np.unique(rollout.returns[-1][rollout.design_index == design])) > 1 for design in range(several))
-    alike = "differ by rounding alone (of batched matrix products)" if differ else "are identical"
-    return (
-        f"the {rollout.num_envs} episodes {alike}: the task draws nothing at random and the policy is deterministic;"
-        f" num_envs={several} shows as much, stochastic=true samples its actions"
-    )
+        # A deterministic policy in a task without chance shows one episode a design, however many are asked for.
+        designs = len(rollout.scenes)
+        alike = "are identical"
+        for design in range(designs):
+            if len(np.unique(returns[rollout.design_index == design])) > 1:
+                alike = "differ by rounding alone (of batched matrix products)"
+        echo(
+            console,
+            f"the {rollout.num_envs} episodes {alike}: the task draws nothing at random and the policy is"
+            f" deterministic; num_envs={designs} shows as much, stochastic=true samples its actions",
+        )
 
 
 def _end(rollout: Rollout, env: int) -> str:

@@ -14,11 +14,6 @@ from warpvox.runs import Run
 
 PPO = ("parallel", "evogym")
 """Sets of settings: names of configs/ppo."""
-NOT_SETTINGS = (
-    "seed", "name", "output_dir", "resume", "config", "export", "threads", "torch_threads", "lanes", "save_interval",
-    "nan_guard", "logger", "memory_check", "preset",
-)  # fmt: skip
-"""Keys that do not make a run another experiment; what a preset has set stands in the other keys."""
 LONGEST = 28
 """Characters of a value in a label."""
 
@@ -41,7 +36,12 @@ def settings(run: Run) -> dict[str, Any]:
     flat: dict[str, Any] = flat_values("train", run.config) | {"checkpoint": run.checkpoint and run.checkpoint.name}
     if isinstance(flat.get("device"), str):
         flat["device"] = flat["device"].partition(":")[0]  # which of several GPUs makes no difference
-    return {name: value for name, value in flat.items() if name not in NOT_SETTINGS}
+    # These keys do not make a run another experiment; what a preset has set stands in the other keys.
+    left_out = (
+        "seed", "name", "output_dir", "resume", "config", "export", "threads", "torch_threads", "lanes",
+        "save_interval", "nan_guard", "logger", "memory_check", "preset",
+    )  # fmt: skip
+    return {name: value for name, value in flat.items() if name not in left_out}
 
 
 def _labels(groups: list[dict[str, Any]]) -> list[str]:

@@ -10,16 +10,16 @@ from typing import Any
 
 from warpvox.system import GONE
 
-OF_TERMINALS = {errno.EIO, errno.ENXIO, errno.EBADF}
-"""Errors of a terminal that was closed; those of a file mean that the disk has failed."""
-
 
 class _Lasting:
     """A text stream that goes to the null device once its reader has gone."""
 
     def __init__(self, stream: Any, message: str | None = None) -> None:
         self._stream, self._message = stream, message
-        self._gone = GONE | OF_TERMINALS if stream.isatty() else GONE
+        self._gone = GONE
+        if stream.isatty():
+            # A terminal that was closed has these errors; from a file they mean that the disk has failed.
+            self._gone = GONE | {errno.EIO, errno.ENXIO, errno.EBADF}
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)

@@ -23,13 +23,10 @@ from warpvox.io.console import echo, literal, make_console
 from warpvox.runs import STAMP, as_name, check_output, label, read_summary
 from warpvox.system import safe_start
 
-PLUGINS = ("hydra/", "hydra.")
-"""Beginnings of words that are Hydra's own: which launcher and sweeper, and their settings."""
 LONGEST_LABEL = 80
 """Characters of a folder's name that say what its run differs by."""
 OWN = "++words."
 """Beginning of our words for Hydra, which adds them to an empty configuration: it is to expand them, not to compose."""
-QUIET = ("hydra/job_logging=none", "hydra/hydra_logging=none", "hydra.output_subdir=null", "hydra.sweep.subdir=.")
 
 
 def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
@@ -41,7 +38,8 @@ def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
     Raises:
         WarpvoxError: a value is not valid, or a run has failed; the others are made all the same.
     """
-    plugins = [word for word in words if word.startswith(PLUGINS)]
+    # Words that are Hydra's own: which launcher and sweeper, and their settings
+    plugins = [word for word in words if word.startswith(("hydra/", "hydra."))]
     overrides = read_words(command, [word for word in words if word not in plugins])
     fixed = {key: str(one.input_line) for key, one in overrides.items() if not one.is_sweep_override()}
 
@@ -74,7 +72,9 @@ def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
     folder = Path(output_dir).absolute() / command / f"sweep_{datetime.now().strftime(STAMP)}"
     lines = [f"{OWN}{one.input_line}" for one in overrides.values()]
     task = functools.partial(_run, command, config_dir, frozenset(fixed))
-    run_hydra(["--multirun", *QUIET, f"hydra.sweep.dir={quoted(str(folder))}", *plugins, *lines], task)
+    # Hydra neither logs nor makes folders of its own: every run has its folder and its log.
+    quiet = ["hydra/job_logging=none", "hydra/hydra_logging=none", "hydra.output_subdir=null", "hydra.sweep.subdir=."]
+    run_hydra(["--multirun", *quiet, f"hydra.sweep.dir={quoted(str(folder))}", *plugins, *lines], task)
 
 
 def _run(command: str, config_dir: Path | None, fixed: Collection[str], _: Any) -> float | None:

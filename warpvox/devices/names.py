@@ -11,30 +11,38 @@ from warpvox.errors import DeviceError
 ENOUGH = 256
 """Environments from which "auto" takes a GPU. Beside 16 cores an H200 steps 64 environments faster; in a training the
 host launches for 0.1 s an iteration, however many environments there are (docs/performance.md)."""
-DRIVER = "NVIDIA driver 580 or newer"
-"""For Warp's own packages, which are built for CUDA 13."""
 
 
 def missing_cuda() -> str | None:
     """Which of torch and Warp has no CUDA device, and why; None: both have one."""
     start_warp()
-    found = torch.cuda.is_available(), wp.is_cuda_available()
-    if all(found):
+    torch_has = torch.cuda.is_available()
+    warp_has = wp.is_cuda_available()
+    if torch_has and warp_has:
         return None
-    toolkit, driver = wp.get_cuda_toolkit_version(), wp.get_cuda_driver_version()
-    of_torch, of_warp = f"finds no device (it is built for CUDA {torch.version.cuda})", "finds no device"
-    if torch.version.cuda is None:
+
+    # torch
+    of_torch = "has a device"
+    if not torch_has and torch.version.cuda is None:
         of_torch = f"{torch.__version__} is built without CUDA"
-    if toolkit is None:
+    elif not torch_has:
+        of_torch = f"finds no device (it is built for CUDA {torch.version.cuda})"
+
+    # Warp's own packages are built for CUDA 13.
+    needed = "NVIDIA driver 580 or newer"
+    toolkit = wp.get_cuda_toolkit_version()
+    driver = wp.get_cuda_driver_version()
+    if warp_has:
+        of_warp = "has a device"
+    elif toolkit is None:
         of_warp = "is built without CUDA"
     elif driver is None:
-        of_warp = f"finds no driver ({DRIVER} is needed)"
+        of_warp = f"finds no driver ({needed} is needed)"
     elif driver < (toolkit[0], 0):
-        of_warp = f"refuses the driver, which is of CUDA {driver[0]}.{driver[1]}: {toolkit[0]}.0 is needed ({DRIVER})"
-    return ", ".join(
-        f"{name} {'has a device' if has else why}"
-        for name, has, why in zip(("torch", "Warp"), found, (of_torch, of_warp), strict=True)
-    )
+        of_warp = f"refuses the driver, which is of CUDA {driver[0]}.{driver[1]}: {toolkit[0]}.0 is needed ({needed})"
+    else:
+        of_warp = "finds no device"
+    return f"torch {of_torch}, Warp {of_warp}"
 
 
 def resolve_device(device: str, num_envs: int | None = None) -> str:

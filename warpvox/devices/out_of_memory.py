@@ -7,32 +7,32 @@ from contextlib import contextmanager
 from warpvox.errors import DeviceError
 from warpvox.system import available_memory
 
-SIGNS = re.compile(
-    r"out of memory"  # torch and CUDA
-    r"|failed to allocate"  # Warp
-    r"|can't allocate memory|not enough memory"  # torch on the CPU
-    r"|unable to allocate"  # numpy
-    r"|cuda_error_out_of_memory|cublas_status_alloc_failed",
-    re.IGNORECASE,
-)
-"""By which an error of a library is known to be about memory; they have no common class."""
-BYTES = re.compile(r"(?:allocate|allocate:|tried to allocate)\D{0,40}?(\d+)\s+bytes", re.IGNORECASE)
-SENTENCE = re.compile(r"(?<=[.!])\s+(?=[A-Z])")
-
 
 def shortage(error: BaseException) -> str | None:
     """The allocation that failed according to an error, as part of a sentence; None if it is another error."""
     if not isinstance(error, (MemoryError, RuntimeError)):
         return None
     text = " ".join(str(error).split())
-    if not isinstance(error, MemoryError) and not SIGNS.search(text):
+
+    # Libraries have no common class for it.
+    signs = (
+        r"out of memory"  # torch and CUDA
+        r"|failed to allocate"  # Warp
+        r"|can't allocate memory|not enough memory"  # torch on the CPU
+        r"|unable to allocate"  # numpy
+        r"|cuda_error_out_of_memory|cublas_status_alloc_failed"
+    )
+    if not isinstance(error, MemoryError) and not re.search(signs, text, re.IGNORECASE):
         return None
-    asked = BYTES.search(text)
+
+    # What was asked for, or the first two sentences
+    asked = re.search(r"(?:allocate|allocate:|tried to allocate)\D{0,40}?(\d+)\s+bytes", text, re.IGNORECASE)
     if asked:
         where = re.search(r"'((?:cuda|cpu)[:\d]*)'", text)
         size = int(asked[1]) / 2**30
         return f"{size:.3g} GiB more could not be had{f' on {where[1]}' if where else ''}"
-    return ". ".join(part.rstrip(".") for part in SENTENCE.split(text)[:2])[:200] or "memory is used up"
+    sentences = re.split(r"(?<=[.!])\s+(?=[A-Z])", text)
+    return ". ".join(part.rstrip(".") for part in sentences[:2])[:200] or "memory is used up"
 
 
 def free_memory(device: str) -> int | None:

@@ -25,12 +25,8 @@ if TYPE_CHECKING:
 
 LOGGER = logging.getLogger("warpvox")
 """Takes the line about compilation, as a warning: it shows without any configuration."""
-NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
-"""Warp's native code prints this on every machine without a GPU, whatever its log level is."""
 PROCESS = threading.RLock()
 """Held by the thread that changes what all threads of the process share."""
-BUILDERS = {"build_cpu": "the CPU", "build_cuda": "CUDA"}
-"""Functions in which Warp compiles. It offers no other way to learn of it before it is over."""
 
 
 def start_warp() -> None:
@@ -48,7 +44,8 @@ def _start_warp() -> None:
     import warp as wp
     from warp._src import build, context
 
-    for name, where in BUILDERS.items():
+    # The functions in which Warp compiles; it offers no other way to learn of it before it is over.
+    for name, where in (("build_cpu", "the CPU"), ("build_cuda", "CUDA")):
         if hasattr(build, name):
             setattr(build, name, _announced(getattr(build, name), where))
     if getattr(context, "runtime", None) is not None:
@@ -66,13 +63,13 @@ def _start_warp() -> None:
 
 def _announced(build: Callable[..., Any], where: str) -> Callable[..., Any]:
     """``build``, with a line before its first call on behalf of this package."""
-    told = False
+    announced = False
 
     @functools.wraps(build)
     def call(*args: Any, **options: Any) -> Any:
-        nonlocal told
-        if not told and _is_ours():
-            told = True
+        nonlocal announced
+        if not announced and _is_ours():
+            announced = True
             LOGGER.warning("Compiling kernels for %s (once per version and machine; 10 to 40 s)", where)
         return build(*args, **options)
 
@@ -108,7 +105,8 @@ def _init_without_complaint() -> None:
             os.close(kept)
         caught.seek(0)
         for line in caught:
-            if NO_DRIVER not in line:
+            # Warp's native code prints this on every machine without a GPU, whatever its log level is.
+            if b"Could not find or load the NVIDIA CUDA driver" not in line:
                 sys.stderr.write(line.decode(errors="replace"))
 
 

@@ -27,7 +27,6 @@ BODY_SIDE = 32
 WORLD_SIZE = (400, 100)
 """Columns and rows that a world may have in the editor."""
 OBJECTS = 64
-LONGEST_FILE = 4_000_000
 LONGEST_NAME = 200
 """Bytes of a file's name, so that the file system takes it with its suffix and a temporary one beside it."""
 FILE_NAME = re.compile(r"[^\W_][\w.-]{0,63}")
@@ -47,10 +46,23 @@ def world_of(document: Mapping[str, Any]) -> World:
     free of those before it, and terrain may well reach around a robot.
     """
     types = _cells(document, WORLD_SIZE[1], WORLD_SIZE[0], WorldError)
-    owners = _owners(document, types)
+    names = _names(document)
     height, width = types.shape
+
+    # Whose each cell is: the number of a name
+    value = document.get("owners")
+    if not (
+        isinstance(value, list)
+        and len(value) == height
+        and all(isinstance(row, list) and len(row) == width for row in value)
+        and all(type(entry) is int and 0 <= entry < len(names) for row in value for entry in row)
+    ):
+        raise WorldError("owners must have an entry for every cell, the number of one of the names.")
+    owners = np.array(value, np.int16).reshape(types.shape)
+
+    # Objects
     objects = []
-    for number, name in enumerate(_names(document)):
+    for number, name in enumerate(names):
         cells = np.where(owners == number, types, Cell.EMPTY)
         if cells.any():
             rows, columns = box = _box(cells)
@@ -151,7 +163,7 @@ def read_file(path: Path) -> dict[str, Any]:
         near = did_you_mean(path.stem, (name.removesuffix(".json") for name in file_names(path.parent)))
         raise WorldError(f"There is no file '{path.name}' in {path.parent}.{near}")
     try:
-        content = parse_json(read_text(path, LONGEST_FILE), allow_nan=True)
+        content = parse_json(read_text(path, 4_000_000), allow_nan=True)
     except Unreadable as error:
         raise WorldError(f"'{path.name}' is not a JSON file that the editor can read: {error}.") from None
     if isinstance(content, dict) and "body" not in content:
@@ -181,18 +193,6 @@ def _cells(document: Mapping[str, Any], rows: int, columns: int, error: type[War
     if len(value) > rows or any(len(row) > columns for row in value):
         raise error(f"There is room for {columns} columns and {rows} rows.")
     return as_grid(value, what="grid", error=error)
-
-
-def _owners(document: Mapping[str, Any], types: np.ndarray) -> np.ndarray:
-    value, count = document.get("owners"), len(_names(document))
-    if not (
-        isinstance(value, list)
-        and len(value) == len(types)
-        and all(isinstance(row, list) and len(row) == types.shape[1] for row in value)
-        and all(type(entry) is int and 0 <= entry < count for row in value for entry in row)
-    ):
-        raise WorldError("owners must have an entry for every cell, the number of one of the names.")
-    return np.array(value, np.int16).reshape(types.shape)
 
 
 def _names(document: Mapping[str, Any]) -> list[str]:

@@ -43,8 +43,6 @@ from warpvox.view.rollout import AGENTS
 ADDRESS = "127.0.0.1"
 LARGEST = 1_000_000
 """Bytes of a request."""
-SILENCE = 15.0
-"""Seconds without a byte from a client, or without one taken by it, after which its connection is closed."""
 KEPT = 4
 """Rollouts that stay to be looked at."""
 HEADERS = {
@@ -137,10 +135,6 @@ class EditorServer(ThreadingHTTPServer):
         return {"rollout": number, "message": f"return {total:.3f} in {steps} steps"}
 
 
-ACTIONS = ("check", "files", "open", "sample", "save", "rollout")
-"""Methods that a page may call."""
-
-
 def _document(ask: dict[str, Any]) -> dict[str, Any]:
     document = ask.get("document")
     if not isinstance(document, dict):
@@ -159,7 +153,8 @@ class _Refused(Exception):
 class _Handler(BaseHTTPRequestHandler):
     """One request."""
 
-    timeout = SILENCE
+    # Seconds without a byte from a client, or without one taken by it, after which its connection is closed.
+    timeout = 15.0
     server: EditorServer
     server_version, sys_version, protocol_version = "warpvox", "", "HTTP/1.1"
 
@@ -192,7 +187,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _act(self) -> tuple[bytes, str]:
         name = self._path()
-        if name not in ACTIONS:
+        # Only these methods are for pages to call.
+        if name not in ("check", "files", "open", "sample", "save", "rollout"):
             raise _Refused(HTTPStatus.NOT_FOUND, "There is no such action.")
         ask = self._body()
         try:

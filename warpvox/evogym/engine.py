@@ -20,8 +20,6 @@ from warpvox.world import World
 
 __all__ = ["Engine"]
 
-_ANY_NUMBER = (-np.inf, np.inf)
-
 
 class Engine:
     """A world that is stepped in float64 with the release's physics.
@@ -51,7 +49,10 @@ class Engine:
 
     def _build(self) -> None:
         options = SimOptions("cpu", "float64", lanes=1, threads=1)
-        sim = self._sim = Simulation([self.world], options, loose=self._loose, action_range=_ANY_NUMBER)
+        # EvoGym takes actions beyond its own range, too.
+        anything = (-np.inf, np.inf)
+        sim = Simulation([self.world], options, loose=self._loose, action_range=anything)
+        self._sim = sim
         self.sensors, moving, statics = Sensors(sim), sim.designs[0].bodies, sim.designs[0].statics
         self._views = {name: sim.array(name).numpy().reshape(-1, 2) for name in ("pos", "vel", "true_vel", "rest_pos")}
         self._status = sim.array("status").numpy().reshape(-1)

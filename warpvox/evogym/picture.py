@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image, ImageDraw
 
+from warpvox.palette import colour_index, palette
 from warpvox.types import VOXEL
 from warpvox.view.painter import GRID, INK, SKY, seen
-from warpvox.view.palette import colour_index, palette
 from warpvox.view.scene import stretch
 
 if TYPE_CHECKING:
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 __all__ = ["paint"]
 
 SMOOTH = 2  # pictures are painted this many times larger, which makes their edges smooth
-WHITE = (255, 255, 255)
-OUTLINE = 1 / 14  # width of outlines in voxels
 
 
 def paint(
@@ -44,10 +42,20 @@ def paint(
     large = (size[0] * SMOOTH, size[1] * SMOOTH)
     scale = np.array(large) / view
     corner = np.array(middle) - np.array(view) / 2
-    image = Image.new("RGB", large, WHITE if hide_background else SKY)
+    image = Image.new("RGB", large, "white" if hide_background else SKY)
     draw = ImageDraw.Draw(image)
     if not hide_grid:
-        _grid(draw, corner, view, scale, large)
+        for axis in (0, 1):
+            # A line at every voxel; none where they would lie closer than three pixels
+            if scale[axis] * VOXEL < 3 * SMOOTH:
+                continue
+            low = np.ceil(corner[axis] / VOXEL)
+            high = np.floor((corner[axis] + view[axis]) / VOXEL)
+            for at in ((np.arange(low, high + 1) * VOXEL - corner[axis]) * scale[axis]).tolist():
+                line = (at, 0, at, large[1]) if axis == 0 else (0, large[1] - at, large[0], large[1] - at)
+                draw.line(line, fill=GRID, width=SMOOTH)
+
+    # Cells and outlines
     points = engine.positions(engine.time)
     # Clipped: drawing is exact within the picture, and far points would overflow Pillow's integers.
     places = np.clip((points - corner) * scale, -1e6, 1e6)
@@ -61,18 +69,8 @@ def paint(
             draw.polygon(quad, fill=tuple(colour))
     if not hide_edges:
         sides = places[engine.outlines]
-        width = max(1, round(OUTLINE * VOXEL * float(scale.min())))
+        # An outline is a fourteenth of a voxel wide.
+        width = max(1, round(1 / 14 * VOXEL * float(scale.min())))
         for side in sides[seen(sides, large)].reshape(-1, 4).tolist():
             draw.line(side, fill=INK, width=width)
     return np.asarray(image.reduce(SMOOTH))
-
-
-def _grid(draw: ImageDraw.ImageDraw, corner: np.ndarray, view: tuple, scale: np.ndarray, size: tuple) -> None:
-    """A line at every voxel; none where they would lie closer than three pixels."""
-    for axis in (0, 1):
-        if scale[axis] * VOXEL < 3 * SMOOTH:
-            continue
-        low, high = np.ceil(corner[axis] / VOXEL), np.floor((corner[axis] + view[axis]) / VOXEL)
-        for at in ((np.arange(low, high + 1) * VOXEL - corner[axis]) * scale[axis]).tolist():
-            line = (at, 0, at, size[1]) if axis == 0 else (0, size[1] - at, size[0], size[1] - at)
-            draw.line(line, fill=GRID, width=SMOOTH)

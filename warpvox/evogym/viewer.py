@@ -19,7 +19,6 @@ _LOCKS = ("lock_x", "lock_y", "lock_width", "lock_height")
 # for positions, a share for sizes).
 _GAIN, _SUM_GAIN, _SPEED_GAIN, _FADE = 0.04, 0.005, 0.08, 0.9
 _DEAD_PLACE, _DEAD_SIZE = 1.0, 0.3
-_JUMP_BACK = 50  # steps of the camera in one go after time has gone back
 
 
 class EvoViewer:
@@ -178,7 +177,8 @@ class EvoViewer:
         """Move the camera as often as the simulation has stepped since the last picture."""
         now = self._viewer.sim.get_time()
         if now < self._last_rendered:
-            self._last_rendered = now - _JUMP_BACK
+            # After time has gone back the camera makes 50 steps in one go.
+            self._last_rendered = now - 50
         for _ in range(now - self._last_rendered if self._tracked else 0):
             self._follow()
         self._last_rendered = now

@@ -34,7 +34,6 @@ END = "...\n"
 """The last line of a run's configuration, YAML's own mark of an end: what lacks it has been cut short."""
 DEEPEST = 32
 """Levels of lists and mappings that a YAML text may have."""
-_HALF = re.compile(r"\\u[dD][89a-fA-F]")
 
 
 class Unreadable(ValueError):
@@ -84,7 +83,8 @@ def parse_json(text: str, allow_nan: bool = False) -> Any:
     """
     try:
         value = json.loads(text, object_pairs_hook=_unique, parse_constant=None if allow_nan else _no_number)
-        if _HALF.search(text):
+        # Where halves of characters are written as escapes, only writing the value shows whether they pair up.
+        if re.search(r"\\u[dD][89a-fA-F]", text):
             json.dumps(value, ensure_ascii=False).encode()
     except RecursionError:
         raise Unreadable("it is nested too deeply") from None

@@ -7,11 +7,6 @@ import shlex
 import unicodedata
 from pathlib import Path
 
-CONTROL = {"Cc", "Cs", "Zl", "Zp"}
-"""Unicode's categories of control characters, halves of characters, and ends of lines and paragraphs."""
-TURNING = {*range(0x202A, 0x202F), *range(0x2066, 0x206A), 0x200E, 0x200F, 0x061C}
-"""Characters that turn the direction of writing, so that a text reads differently from what it is."""
-
 
 def shown(path: Path) -> str:
     """A path as people like to read it: relative to here where that is shorter."""
@@ -24,7 +19,20 @@ def shown(path: Path) -> str:
 
 def escaped(text: object) -> str:
     """``text`` with what a terminal would obey written as ``\\x1b``; an end of line is among it."""
-    return "".join(map(_escaped, str(text)))
+    written = []
+    for character in str(text):
+        number = ord(character)
+        # Unicode's categories of control characters, halves of characters, and ends of lines and paragraphs
+        is_control = unicodedata.category(character) in ("Cc", "Cs", "Zl", "Zp")
+        # Characters that turn the direction of writing, so that a text reads differently from what it is
+        turns = 0x202A <= number <= 0x202E or 0x2066 <= number <= 0x2069 or number in (0x200E, 0x200F, 0x061C)
+        if not is_control and not turns:
+            written.append(character)
+        elif number < 0x100:
+            written.append(f"\\x{number:02x}")
+        else:
+            written.append(f"\\u{number:04x}")
+    return "".join(written)
 
 
 def in_html(text: object) -> str:
@@ -49,10 +57,3 @@ def duration(seconds: float) -> str:
 def figure(value: float, digits: int = 3) -> str:
     """A number with so many decimals; a dash if there is none."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
-
-
-def _escaped(character: str) -> str:
-    number = ord(character)
-    if unicodedata.category(character) not in CONTROL and number not in TURNING:
-        return character
-    return f"\\x{number:02x}" if number < 0x100 else f"\\u{number:04x}"

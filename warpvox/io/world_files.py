@@ -105,7 +105,20 @@ def read_object(name: str, entry: Any, grid_width: object) -> ObjectCells:
     # Grid
     columns = [index % width for index in cells]
     rows = [index // width for index in cells]
-    x, y, box_width, box_height = _bounding_box(name, entry.get("box"), columns, rows)
+    x, y = min(columns), min(rows)
+    right, top = max(columns) + 1, max(rows) + 1
+    box = entry.get("box")
+    if box is not None:
+        # The box must hold the cells.
+        is_box = isinstance(box, list) and len(box) == 4 and all(is_integer(n) and n >= 0 for n in box)
+        if not is_box or box[0] > x or box[1] > y or box[0] + box[2] < right or box[1] + box[3] < top:
+            raise WorldError(
+                f"the box {box!r:.80} of the object '{name}' is no [x, y, width, height] that holds its cells."
+            )
+        x, y = box[0], box[1]
+        right, top = x + box[2], y + box[3]
+    box_width = right - x
+    box_height = top - y
     if box_width * box_height > LARGEST_GRID:
         raise WorldError(
             f"the box of the object '{name}' has {box_width} x {box_height} cells, and {LARGEST_GRID:,} are the limit."
@@ -139,19 +152,6 @@ def _check_width(value: object) -> int:
 def _is_one_of(value: object, options: Collection[int]) -> bool:
     """Return whether a number, which may be written as 3.0, is one of ``options``; True is not 1."""
     return (is_integer(value) or isinstance(value, float)) and value in options
-
-
-def _bounding_box(name: str, box: object, columns: list[int], rows: list[int]) -> tuple[int, int, int, int]:
-    """Return (x, y, width, height) in cells: the entry ``box`` if there is one, else the tightest."""
-    x, y = min(columns), min(rows)
-    right, top = max(columns) + 1, max(rows) + 1
-    if box is None:
-        return x, y, right - x, top - y
-    if isinstance(box, list) and len(box) == 4 and all(is_integer(n) and n >= 0 for n in box):
-        left, bottom, width, height = box
-        if left <= x and bottom <= y and left + width >= right and bottom + height >= top:
-            return left, bottom, width, height
-    raise WorldError(f"the box {box!r:.80} of the object '{name}' is no [x, y, width, height] that holds its cells.")
 
 
 def _touch(name: str, first: int, second: int, width: int) -> bool:

@@ -43,8 +43,6 @@ OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Errors of the system that are no defect of ours, wherever they appear: in a log, a cache, a library's own file."""
 LOGGERS = {"wandb"}
 """Folders that loggers make in that of a run."""
-OF_FULL_DISKS = {errno.ENOSPC, errno.EDQUOT}
-"""Those that more room cures."""
 
 
 @contextmanager

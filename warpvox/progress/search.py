@@ -12,10 +12,10 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.text import Text
 
-from warpvox.algos.candidate import FINALIST, Candidate, Listener
-from warpvox.algos.codesign.archive import Record
+from warpvox.algos.archive import Record
+from warpvox.algos.candidate import FINALIST, Candidate
+from warpvox.algos.codesign.listener import Listener, SearchRun
 from warpvox.algos.codesign.results import evaluated_text, fresh_text
-from warpvox.algos.codesign.run import SearchRun
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.find import find_run
 from warpvox.algos.report import FILE as REPORT
@@ -33,9 +33,32 @@ def with_tracker(settings: Codesign, listeners: Sequence[Listener]) -> list[List
     """The listeners of a search, before them the one that its ``logger`` names: films, made at the end, may fail."""
     if settings.logger != "wandb":
         return list(listeners)
-    from warpvox.progress.tracking import TrackedSearch
-
     return [TrackedSearch(settings), *listeners]
+
+
+class TrackedSearch(Listener):
+    """Sends a design search: fitness and best bodies of each generation, at the end the best robot as a film."""
+
+    def __init__(self, settings: Any) -> None:
+        self._settings = settings
+
+    def begun(self, run: SearchRun) -> None:
+        self._run = run
+        from warpvox.progress.tracking import Tracker
+
+        self._tracker = Tracker(run.folder, "codesign", self._settings.search.algorithm)
+
+    def told(self, generation: int, fresh: bool) -> None:
+        if fresh:
+            archive = self._run.archive
+            rows = archive.generations()
+            figures = {"mean": rows[generation]["mean"], "best": archive.best()[0].fitness}
+            figures |= {"evaluations": archive.trained(), "steps": sum(row["steps"] or 0 for row in rows)}
+            tagged = {f"Search/{name}": value for name, value in figures.items()}
+            self._tracker.log(tagged, generation, self._run.folder / "generations" / f"{generation:03}.png")
+
+    def ended(self, summary: Mapping[str, Any]) -> None:
+        self._tracker.end(summary, self._settings)
 
 
 class SearchProgress(Listener):
@@ -47,7 +70,7 @@ class SearchProgress(Listener):
         self._live: Live | None = None
 
     def begun(self, run: SearchRun) -> None:
-        self.run, self.archive = run, run.results.archive
+        self.run, self.archive = run, run.archive
         self._began = self._printed = time.monotonic()
         self._start = self.archive.trained()
         self._resumed = self.archive.count() > 0  # until a generation is whole: trainings may go on
@@ -65,11 +88,11 @@ class SearchProgress(Listener):
             self._show()
 
     def _say_where(self) -> None:
-        run, settings = self.run, self.run.results.settings
+        run, settings = self.run, self.run.settings
         where = f"{run.workers} workers of Ray" if run.workers else settings.device
         done = f", {self._counts()} done" if run.resumed else ""
-        echo(self.console, f"{run.results.search} on {settings.task}, rules {settings.rules}, on {where}{done}")
-        folder, budget = run.results.folder, settings.search.max_evaluations
+        echo(self.console, f"{run.settings.search.title} on {settings.task}, rules {settings.rules}, on {where}{done}")
+        folder, budget = run.folder, settings.search.max_evaluations
         echo(self.console, f"run folder: {shown(folder)}")
         if lost := [one for one in self.archive.records() if one.policy and not (folder / one.policy).is_file()]:
             echo(self.console, f"the policies of {len(lost)} designs are gone from {shown(folder / 'designs')}")
@@ -84,7 +107,7 @@ class SearchProgress(Listener):
             self._live.stop()
         if not summary:
             return
-        folder, best, status = self.run.results.folder, summary["best_design"], summary["status"]
+        folder, best, status = self.run.folder, summary["best_design"], summary["status"]
         words, under_way = (f"{status}, state saved", self.under_way) if status == "interrupted" else (status, "")
         designs = evaluated_text(summary)
         text = f"{words} after {designs} and {summary['steps']:,} control steps{under_way}"
@@ -99,7 +122,7 @@ class SearchProgress(Listener):
                 keys = words_of_code(find_run(str(folder), "").config)
                 echo(self.console, f"look at the best: warpvox play {shell_argument('run', folder)}{keys}")
         if status != "done":
-            keys = words_of_code(self.run.results.settings)
+            keys = words_of_code(self.run.settings)
             echo(self.console, f"go on: warpvox codesign {shell_argument('resume', folder)}{keys}")
 
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
@@ -217,7 +240,7 @@ class SearchProgress(Listener):
         self._live.update(Group(*parts, *([Text(), self._bodies()] if best else [])))
 
     def _bodies(self) -> Text:
-        best = self.archive.best(self.run.results.settings.top)
+        best = self.archive.best(self.run.settings.top)
         captions = [f"{record.fitness:.3f} #{record.id}" for record in best]
         return body_rows([record.candidate.body for record in best], captions, self.console)
 

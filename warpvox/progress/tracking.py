@@ -7,10 +7,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
-from warpvox.algos.candidate import Listener
 from warpvox.algos.find import find_run
+from warpvox.algos.metrics import tagged
 from warpvox.algos.training import job as training
-from warpvox.algos.training.metrics import tagged
 from warpvox.algos.training.playing import load_result
 from warpvox.errors import RunError
 from warpvox.io.reading import parse_yaml
@@ -77,26 +76,3 @@ class TrackedTraining(training.Listener):
 
     def end(self, job: training.Job) -> None:
         self._tracker.end(job.summary, job.settings)
-
-
-class TrackedSearch(Listener):
-    """Sends a design search: fitness and best bodies of each generation, at the end the best robot as a film."""
-
-    def __init__(self, settings: Any) -> None:
-        self._settings = settings
-
-    def begun(self, run: Any) -> None:
-        self._results = run.results
-        self._tracker = Tracker(run.results.folder, "codesign", self._settings.search.algorithm)
-
-    def told(self, generation: int, fresh: bool) -> None:
-        if fresh:
-            archive = self._results.archive
-            rows = archive.generations()
-            figures = {"mean": rows[generation]["mean"], "best": archive.best()[0].fitness}
-            figures |= {"evaluations": archive.trained(), "steps": sum(row["steps"] or 0 for row in rows)}
-            tagged = {f"Search/{name}": value for name, value in figures.items()}
-            self._tracker.log(tagged, generation, self._results.draw(generation))
-
-    def ended(self, summary: Mapping[str, Any]) -> None:
-        self._tracker.end(summary, self._settings)

@@ -20,8 +20,6 @@ from warpvox.runs import STATE
 
 QUIET_SECONDS = 10.0
 """Without a terminal, seconds between lines (an evaluation prints one in any case)."""
-WIDE = 110
-"""Columns from which on there is room for a bar."""
 
 
 def with_tracker(logger: str, listeners: Sequence[Listener]) -> list[Listener]:
@@ -69,7 +67,7 @@ class Terminal(Listener):
         self._total, self._start = runner.schedule.total, runner.current_learning_iteration
         self._began = self._printed = time.monotonic()
         if self.console.is_terminal:
-            wide = self.console.width >= WIDE
+            wide = self.console.width >= 110  # room for a bar
             self._bar = Progress(
                 TextColumn("{task.completed}/{task.total}"),
                 *([BarColumn(bar_width=16)] if wide else []),

@@ -23,17 +23,15 @@ from warpvox.design import Design, check_design, full_connections, zoo_file, zoo
 from warpvox.errors import DesignError, RunError
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path, check_suffix
+from warpvox.palette import body_svg
 from warpvox.robots.gait import ARRAYS, Gait
 from warpvox.robots.network import Network
-from warpvox.view.palette import body_svg
 
 FORMAT, VERSION = "warpvox robot", 1
 DIGITS = 9
 """Decimals of recorded returns. Rewards are sums over points, which round differently (about 1e-15) on other CPUs."""
 GAIT = {"kind": "gait"}
 """The header of a file with an open-loop policy, whose numbers are in the arrays."""
-LISTED = ("returns", "lengths", "seeds", "start")
-"""Entries of ``about`` that are lists: of numbers, and of what is known of other robots."""
 LARGEST, LARGEST_HEADER = 1 << 26, 1 << 20
 """Bytes of a file's arrays, and of its header."""
 
@@ -198,7 +196,9 @@ def _check_header(header: Any) -> None:
         if name in ("return", "control_steps", "wall_s") and not (value is None or is_number(value)):
             raise Unreadable(f"the {name} in its header is {value!r:.40}, not a number")
         fits = (lambda one: isinstance(one, dict)) if name == "start" else is_number
-        if name in LISTED and not (isinstance(value, list) and all(map(fits, value))):
+        # These entries are lists: of numbers, and of what is known of other robots.
+        is_list = name in ("returns", "lengths", "seeds", "start")
+        if is_list and not (isinstance(value, list) and all(map(fits, value))):
             raise Unreadable(f"the {name} in its header is {value!r:.40}, not a list")
 
 

@@ -1,7 +1,7 @@
 """Bodies and worlds as they begin, as pictures: nothing is simulated."""
 
+import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -10,16 +10,11 @@ from warpvox.checks import check_integer
 from warpvox.compile import compile_world
 from warpvox.design import Design, as_grid
 from warpvox.errors import DesignError
+from warpvox.palette import cell_colour
 from warpvox.types import Physics
 from warpvox.view.painter import BELOW, INK, Canvas, font
-from warpvox.view.palette import cell_colour
 from warpvox.view.scene import Scene, scene_of
 from warpvox.world import World
-
-PAPER, FAINT, EMPTY = (255, 255, 255), (88, 96, 110), (238, 241, 245)
-SHADE = (126, 200, 150)
-COLUMNS = 5
-"""Bodies in a row of a sheet."""
 
 
 def draw_bodies(
@@ -28,7 +23,7 @@ def draw_bodies(
     title: str = "",
     cell: int = 28,
     shades: Sequence[float] | None = None,
-    columns: int = COLUMNS,
+    columns: int = 5,
 ) -> Image.Image:
     """A sheet with bodies in rows, each above its caption.
 
@@ -43,42 +38,60 @@ def draw_bodies(
     Raises:
         DesignError: no body, one that is none, or missing captions.
     """
-    gap, line = cell, 22
     bodies = [as_grid(body) for body in bodies]
     if not bodies or len(captions or bodies) != len(bodies):
         raise DesignError(f"It takes a body or more, and a caption for each, not {len(bodies)} and {len(captions)}.")
-    high, wide = (max(body.shape[axis] for body in bodies) * cell for axis in (0, 1))
     captions = captions or [()] * len(bodies)
-    lines = max(len(caption) for caption in captions)
+
+    # Sizes in pixels
+    gap = cell
+    line = 22
+    high = max(body.shape[0] for body in bodies) * cell
+    wide = max(body.shape[1] for body in bodies) * cell
+    text_height = max(len(caption) for caption in captions) * line
     columns = min(len(bodies), check_integer("columns", columns, 1))
-    step = (wide + gap, high + lines * line + gap)
-    top = gap + (line + gap // 2 if title else 0)
-    size = (gap + columns * step[0], top + -(-len(bodies) // columns) * step[1])
-    # a title may be wider than a single body
-    size = (max(size[0], 2 * gap + round(font(20).getlength(title))), size[1])
-    image = Image.new("RGB", size, PAPER)
-    pen = ImageDraw.Draw(image)
+    rows = math.ceil(len(bodies) / columns)
+    step_x = wide + gap
+    step_y = high + text_height + gap
+    top = gap
     if title:
-        pen.text((gap, gap // 2 + 4), title, INK, font(20))
+        top += line + gap // 2
+    width = max(gap + columns * step_x, 2 * gap + round(font(20).getlength(title)))  # a title may be the wider
+    image = Image.new("RGB", (width, top + rows * step_y), "white")
+
+    draw = ImageDraw.Draw(image)
+    if title:
+        draw.text((gap, gap // 2 + 4), title, INK, font(20))
     for number, (body, caption) in enumerate(zip(bodies, captions, strict=True)):
-        left, upper = gap + number % columns * step[0], top + number // columns * step[1]
+        row, column = divmod(number, columns)
+        left = gap + column * step_x
+        upper = top + row * step_y
+        lower = upper + high
+
+        # Paper from white to green
         if shades is not None:
-            margin, low = gap // 3, upper + high + lines * line
-            paper = tuple(round(p + shades[number] * (s - p)) for p, s in zip(PAPER, SHADE, strict=True))
-            pen.rectangle((left - margin, upper - margin, left + wide + margin, low + margin), fill=paper)
+            margin = gap // 3
+            paper = tuple(round(255 + shades[number] * (green - 255)) for green in (126, 200, 150))
+            corners = (left - margin, upper - margin, left + wide + margin, lower + text_height + margin)
+            draw.rectangle(corners, fill=paper)
+
+        # Cells
         for (row, column), kind in np.ndenumerate(body):
-            x, y = left + column * cell, upper + high + (row - body.shape[0]) * cell
-            colours: dict[str, Any] = {"fill": cell_colour(int(kind)), "outline": INK} if kind else {"outline": EMPTY}
-            pen.rectangle((x, y, x + cell - 1, y + cell - 1), **colours)
+            x = left + column * cell
+            y = lower + (row - body.shape[0]) * cell
+            square = (x, y, x + cell - 1, y + cell - 1)
+            if kind:
+                draw.rectangle(square, fill=cell_colour(int(kind)), outline=INK)
+            else:
+                draw.rectangle(square, outline=(238, 241, 245))
+
         for place, text in enumerate(caption):
-            pen.text((left, upper + high + 8 + place * line), text, INK if place == 0 else FAINT, font(16))
+            draw.text((left, lower + 8 + place * line), text, (88, 96, 110) if place else INK, font(16))
     return image
 
 
-LONGEST = 1600
-"""Pixels that the longer side of a picture has at most, unless the world is very large."""
-SCALES = (6, 32)
-AIR = 2  # voxels above the world
+AIR = 2
+"""Voxels above the world in its picture."""
 
 
 def scene_of_world(world: World) -> tuple[Scene, np.ndarray]:
@@ -96,7 +109,9 @@ def draw_world(world: World) -> Image.Image:
     SimulationError: the world has nothing that can move.
     """
     scene, points = scene_of_world(world)
-    width, height = world.width + 2 * BELOW, world.height + BELOW + AIR
-    scale = int(np.clip(LONGEST / max(width, height), *SCALES))
+    width = world.width + 2 * BELOW
+    height = world.height + BELOW + AIR
+    # The longer side has 1600 pixels at most, unless the world is very large.
+    scale = int(np.clip(1600 / max(width, height), 6, 32))
     canvas = Canvas(scene, (round(width * scale), round(height * scale)), scale)
     return canvas.picture(points, (-round(BELOW * scale), -round(BELOW * scale)))

@@ -10,23 +10,20 @@ from rich.style import Style
 from rich.text import Text
 
 from warpvox.io.console import echo
+from warpvox.palette import cell_colour
 from warpvox.types import EMPTY_LETTER, MATERIALS, Cell
-from warpvox.view.palette import cell_colour
 from warpvox.world import World
 
 UPPER, LOWER = "▀", "▄"
-SAME_ROWS = 5
-"""Equal rows of a world that are printed one by one."""
-GAP = 3
-"""Columns between bodies."""
 
 
 def body_rows(bodies: Sequence[np.ndarray], captions: Sequence[str], console: Console) -> Text:
     """As many of the bodies as there is room for beside each other, with a caption below each."""
     colour = _has_colour(console)
     wide = 2 if colour else 1
-    columns = [max(body.shape[1] * wide, len(caption)) + GAP for body, caption in zip(bodies, captions, strict=True)]
-    room = sum(np.cumsum(columns) - GAP <= console.width) or 1
+    gap = 3
+    columns = [max(body.shape[1] * wide, len(caption)) + gap for body, caption in zip(bodies, captions, strict=True)]
+    room = sum(np.cumsum(columns) - gap <= console.width) or 1
     high = max(body.shape[0] for body in bodies[:room])
     text = Text(no_wrap=True)
     for row in range(-high, 0):  # bodies stand on the same line
@@ -60,7 +57,7 @@ def print_world(world: World, console: Console) -> None:
         lines = _blocks(piece) if colour else [Text("".join(map(_letter, row))) for row in piece]
         for _, equal in groupby(lines, key=lambda line: (line.plain, line.spans)):
             rows = list(equal)  # of many equal ones in succession only the first and the last
-            if len(rows) > SAME_ROWS:
+            if len(rows) > 5:
                 rows[1:-1] = [Text(f"  ({len(rows) - 2} more rows like these)", style="dim")]
             for row in rows:
                 console.print(row, soft_wrap=True)

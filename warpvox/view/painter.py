@@ -20,22 +20,16 @@ from PIL import Image, ImageDraw, ImageFont
 
 from warpvox.errors import RolloutError
 from warpvox.io.writing import atomic_path
+from warpvox.palette import colour_index, palette
 from warpvox.types import VOXEL, Cell
-from warpvox.view.palette import colour_index, palette
 from warpvox.view.rollout import Rollout, scenes_of
 from warpvox.view.scene import Scene, stretch
 
-SKY, GRID, GRID_STRONG = (249, 250, 252), (233, 237, 242), (214, 220, 229)
-BEYOND, BEYOND_INK = (226, 230, 236), (120, 128, 140)
-GROUND, GROUND_LINE, GROUND_EDGE = (74, 80, 92), (86, 93, 106), (40, 44, 52)
-INK, PALE_INK = (28, 30, 36), (98, 100, 108)
-LARGEST_SPRITE = 5e7  # pixels of terrain that are painted beforehand
-MAX_PIXELS = 8192
-SMOOTH = 4  # pictures of moving objects are painted this many times larger
-VIEW = 12.0  # voxels from the bottom to the top of a picture, if the robot is not higher than half of that
-BELOW = 1.25  # voxels that the camera shows below and beside the world
-ANCHOR = 0.42  # height of the robot's centre in the picture, if the world's bottom does not come into view
-STEADY = (9.0, 22.0)  # frames over which the camera's motion is smoothed, along x and along y
+SKY = (249, 250, 252)
+GRID = (233, 237, 242)
+INK = (28, 30, 36)
+BELOW = 1.25
+"""Voxels that the camera shows below and beside the world."""
 
 
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
@@ -64,35 +58,46 @@ def camera_path(scene: Scene, positions: np.ndarray, view: tuple[float, float]) 
         positions: its points, ``[T, P, 2]`` in simulator units.
         view: width and height of the picture in voxels.
     """
+    # The robot in each frame, in voxels
     points = np.clip(positions[:, scene.robot_points] / np.float32(VOXEL), -1e4, 1e4)
-    low, high = points.min(axis=1).astype(np.float64), points.max(axis=1).astype(np.float64)
+    low = points.min(axis=1).astype(np.float64)
+    high = points.max(axis=1).astype(np.float64)
     centre = points.mean(axis=1, dtype=np.float64)
-    size, anchor = np.array(view), np.array([0.5, ANCHOR])
-    corner = centre - size * anchor
+
+    # Its centre stands in the middle of the picture, a little below half of its height.
+    size = np.array(view)
+    corner = centre - size * np.array([0.5, 0.42])
+
+    # The world's ends on the left, on the right and at the bottom are borders; upwards there is always air.
     world = np.array([scene.width, scene.height], dtype=np.float64)
     room = world + 2 * BELOW - size
-    middle = (world - size) / 2
-    corner[:, 0] = np.clip(corner[:, 0], -BELOW, room[0] - BELOW) if room[0] > 0 else middle[0]
-    # Upwards there is always air: only the bottom of the world is a border.
+    if room[0] > 0:
+        corner[:, 0] = np.clip(corner[:, 0], -BELOW, room[0] - BELOW)
+    else:
+        corner[:, 0] = (world[0] - size[0]) / 2
     corner[:, 1] = np.maximum(corner[:, 1], -BELOW)
-    corner = np.stack([_smooth(corner[:, k], STEADY[k]) for k in (0, 1)], axis=1)
+
+    # Smooth the motion by a Gaussian over frames, wider along y.
+    for axis, width in ((0, 9.0), (1, 22.0)):
+        reach = int(3 * width)
+        weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
+        padded = np.pad(corner[:, axis], reach, mode="edge")
+        corner[:, axis] = np.convolve(padded, weights / weights.sum(), mode="valid")
+
     # The robot as a whole stays in the picture, if there is room for it.
-    least, most = high + 0.5 - size, low - 0.5
+    least = high + 0.5 - size
+    most = low - 0.5
     return np.where(least <= most, np.clip(corner, least, most), centre - size / 2)
 
 
 def fitting_scale(scene: Scene, size: tuple[int, int], voxels: float | None = None) -> int:
     """Pixels to a voxel: ``voxels`` from bottom to top, or (None) as many as suit the robots as they begin."""
-    rows = [(obj.y + obj.grid.shape[0] - obj.places[:, 0]) for obj in scene.robots]  # upper edges of cells
-    tall = max(row.max() for row in rows) - min(row.min() for row in rows) + 1
-    return max(3, round(size[1] / (voxels or max(VIEW, 2.4 * tall))))
-
-
-def _smooth(values: np.ndarray, width: float) -> np.ndarray:
-    reach = int(3 * width)
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
-    padded = np.pad(values, reach, mode="edge")
-    return np.convolve(padded, weights / weights.sum(), mode="valid")
+    if voxels is None:
+        # Twelve, or as many as leave the robot less than half of the picture
+        rows = [obj.y + obj.grid.shape[0] - obj.places[:, 0] for obj in scene.robots]  # upper edges of cells
+        tall = max(row.max() for row in rows) - min(row.min() for row in rows) + 1
+        voxels = max(12.0, 2.4 * tall)
+    return max(3, round(size[1] / voxels))
 
 
 @dataclass(frozen=True)
@@ -106,6 +111,31 @@ class Mesh:
     inner_dark: np.ndarray  # bool [m]: both cells are dark
     outer: np.ndarray  # [n, 2] sides of one cell
 
+    @classmethod
+    def of(cls, scene: Scene, number: int) -> Mesh:
+        """Mesh of a moving object of a scene."""
+        obj = scene.moving[number]
+        begin = sum(len(other.cells) for other in scene.moving[:number])
+
+        # Sides of cells, those between two cells once
+        sides = np.stack([obj.corners, np.roll(obj.corners, -1, axis=1)], axis=-1).reshape(-1, 2)
+        ends = np.sort(sides, axis=1)
+        _, first, index, counts = np.unique(ends, axis=0, return_index=True, return_inverse=True, return_counts=True)
+        is_inner = counts > 1
+
+        # Whether all cells of a side are dark
+        owners = np.repeat(np.arange(len(obj.cells)), 4)
+        pale = ~np.isin(obj.cells, (int(Cell.RIGID), int(Cell.FIXED)))
+        all_dark = np.bincount(index.reshape(-1), pale[owners]) == 0
+        return cls(
+            corners=obj.corners,
+            columns=np.arange(begin, begin + len(obj.cells)),
+            points=np.arange(obj.first_point, obj.first_point + obj.num_points),
+            inner=sides[first[is_inner]],
+            inner_dark=all_dark[is_inner],
+            outer=sides[first[counts == 1]],
+        )
+
 
 class Canvas:
     """Paints one scene, wherever its points and the camera are.
@@ -117,7 +147,7 @@ class Canvas:
 
     def __init__(self, scene: Scene, size: tuple[int, int], scale: int) -> None:
         self.scene, self.size, self.scale = scene, size, scale
-        self._meshes = [_mesh(scene, number) for number in range(len(scene.moving))]
+        self._meshes = [Mesh.of(scene, number) for number in range(len(scene.moving))]
         self._colours = [tuple(colour) for colour in palette().tolist()]
         self._low = self._high = np.zeros(2, int)
         self._sprite: Image.Image | None = None
@@ -140,6 +170,7 @@ class Canvas:
 
     def _paint(self, image: Image.Image, points: np.ndarray, mesh: Mesh, colours: np.ndarray) -> None:
         """Paint an object onto the picture through an enlarged copy of the box around it."""
+        # The box around the object, as far as it lies in the picture
         own = points[mesh.points]
         low = np.maximum(np.floor(own.min(axis=0)) - 2, 0).astype(int)
         high = np.minimum(np.ceil(own.max(axis=0)) + 3, self.size).astype(int)
@@ -147,27 +178,38 @@ class Canvas:
             return
         box = (*low.tolist(), *high.tolist())
         patch = image.crop(box)
-        large = patch.resize((patch.width * SMOOTH, patch.height * SMOOTH), Image.Resampling.NEAREST)
+
+        # Four times larger, which is what makes edges smooth
+        smooth = 4
+        large = patch.resize((patch.width * smooth, patch.height * smooth), Image.Resampling.NEAREST)
         draw = ImageDraw.Draw(large)
-        xy = (points - low) * SMOOTH
-        thin, thick = (max(1, round(SMOOTH * self.scale * share)) for share in (1 / 30, 1 / 16))
-        quads = seen(xy[mesh.corners], large.size)
-        for quad, colour in zip(xy[mesh.corners[quads]].reshape(-1, 8).tolist(), colours[quads].tolist(), strict=True):
+        xy = (points - low) * smooth
+        thin = max(1, round(smooth * self.scale / 30))
+        thick = max(1, round(smooth * self.scale / 16))
+
+        # Cells
+        is_seen = seen(xy[mesh.corners], large.size)
+        quads = xy[mesh.corners[is_seen]].reshape(-1, 8)
+        for quad, colour in zip(quads.tolist(), colours[is_seen].tolist(), strict=True):
             draw.polygon(quad, fill=self._colours[colour])
-        inner = seen(xy[mesh.inner], large.size, thin)
-        inks = mesh.inner_dark[inner].tolist()
-        for side, dark in zip(xy[mesh.inner[inner]].reshape(-1, 4).tolist(), inks, strict=True):
-            draw.line(side, fill=PALE_INK if dark else INK, width=thin)
+
+        # Sides between two cells, pale where both are dark
+        is_seen = seen(xy[mesh.inner], large.size, thin)
+        sides = xy[mesh.inner[is_seen]].reshape(-1, 4)
+        for side, dark in zip(sides.tolist(), mesh.inner_dark[is_seen].tolist(), strict=True):
+            draw.line(side, fill=(98, 100, 108) if dark else INK, width=thin)
+
+        # Sides of one cell, with round joints: lines alone would leave notches at corners
         outer = mesh.outer[seen(xy[mesh.outer], large.size, thick)]
         for side in xy[outer].reshape(-1, 4).tolist():
             draw.line(side, fill=INK, width=thick)
-        radius = (thick - 1) / 2  # round joints: lines alone would leave notches at corners
+        radius = (thick - 1) / 2
         for x, y in xy[np.unique(outer)].tolist():
             draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=INK)
-        image.paste(large.reduce(SMOOTH), box[:2])
+        image.paste(large.reduce(smooth), box[:2])
 
     def cover(self, low: np.ndarray, high: np.ndarray) -> Image.Image:
-        """Paint beforehand what cameras with corners from ``low`` to ``high`` (pixels, ``[2]`` each) will see."""
+        """Paint once what cameras with corners from ``low`` to ``high`` (pixels, ``[2]`` each) will see."""
         low = np.asarray(low) // self.scale
         high = -(-(np.asarray(high) + self.size) // self.scale)
         self._low, self._high = low, high
@@ -176,29 +218,73 @@ class Canvas:
 
     def _backdrop(self, left: int, bottom: int) -> Image.Image:
         corner = np.array([left, bottom])
-        seen = self._low * self.scale <= corner, corner + self.size <= self._high * self.scale
+        is_covered = np.all(self._low * self.scale <= corner) and np.all(corner + self.size <= self._high * self.scale)
         sprite = self._sprite
-        if sprite is None or not np.all(seen):
-            sprite = self.cover(corner - np.array(self.size) // 2, corner + np.array(self.size) // 2)
-        x, y = left - self._low[0] * self.scale, self._high[1] * self.scale - bottom - self.size[1]
+        if sprite is None or not is_covered:
+            half = np.array(self.size) // 2
+            sprite = self.cover(corner - half, corner + half)
+        x = left - self._low[0] * self.scale
+        y = self._high[1] * self.scale - bottom - self.size[1]
         return sprite.crop((x, y, x + self.size[0], y + self.size[1]))
 
     def _terrain(self) -> Image.Image:
         """All cells of the world from ``_low`` to ``_high`` that never move."""
         scale = self.scale
-        columns, rows = np.arange(self._low[0], self._high[0]), np.arange(self._low[1], self._high[1])[::-1]
+        columns = np.arange(self._low[0], self._high[0])
+        rows = np.arange(self._low[1], self._high[1])[::-1]
+
+        # Cells [rows, columns], and which of them belong to the world or lie above it
         height, width = self.scene.terrain.shape
-        inside_x, terrain = (columns >= 0) & (columns < width), np.zeros((len(rows), len(columns)), np.int8)
-        seen = (rows >= 0) & (rows < height)
-        terrain[np.ix_(seen, inside_x)] = self.scene.terrain[np.ix_(height - 1 - rows[seen], columns[inside_x])]
-        inside = (rows >= 0)[:, None] & inside_x[None, :]
-        colours = np.where(inside[..., None], np.array(SKY, np.uint8), np.array(BEYOND, np.uint8))
-        colours[terrain != Cell.EMPTY] = GROUND
+        in_width = (columns >= 0) & (columns < width)
+        in_height = (rows >= 0) & (rows < height)
+        terrain = np.zeros((len(rows), len(columns)), np.int8)
+        own_cells = np.ix_(height - 1 - rows[in_height], columns[in_width])
+        terrain[np.ix_(in_height, in_width)] = self.scene.terrain[own_cells]
+        solid = terrain != Cell.EMPTY
+        inside = (rows >= 0)[:, None] & in_width
+
+        # Colours, a square of pixels each
+        colours = np.where(inside[..., None], np.array(SKY, np.uint8), np.array((226, 230, 236), np.uint8))
+        colours[solid] = (74, 80, 92)
         pixels = np.repeat(np.repeat(colours, scale, axis=0), scale, axis=1)
-        _rule(pixels, terrain, inside, rows, columns, scale)
-        _edge(pixels, terrain, scale)
+
+        # The grid: a line at the left and at the bottom of every cell, stronger every ten. Lines closer than eight
+        # pixels would be a haze.
+        square = np.ones((scale, scale), bool)
+        solid_pixels = np.kron(solid, square)
+        inside_pixels = np.kron(inside, square)
+        lines = [((slice(None), k * scale), number) for k, number in enumerate(columns.tolist())]
+        lines += [(((k + 1) * scale - 1, slice(None)), number) for k, number in enumerate(rows.tolist())]
+        for line, number in lines:
+            is_strong = number % 10 == 0
+            if scale >= 8 or is_strong:
+                pixels[line][inside_pixels[line]] = (214, 220, 229) if is_strong else GRID
+            if scale >= 8:
+                pixels[line][solid_pixels[line]] = (86, 93, 106)
+
+        # The surface of the terrain: a dark rim on cells that have none beside them
+        rim = max(1, round(scale / 15))
+        near, far, whole = slice(0, rim), slice(scale - rim, scale), slice(0, scale)
+        padded = np.pad(solid, 1, mode="edge")
+        tiles = pixels.reshape(len(rows), scale, len(columns), scale, 3).swapaxes(1, 2)  # a view, cell by cell
+        for neighbour, tile_rows, tile_columns in (
+            (padded[:-2, 1:-1], near, whole),
+            (padded[2:, 1:-1], far, whole),
+            (padded[1:-1, :-2], whole, near),
+            (padded[1:-1, 2:], whole, far),
+        ):
+            for row, column in np.argwhere(solid & ~neighbour):
+                tiles[row, column, tile_rows, tile_columns] = (40, 44, 52)
+
+        # The distance in voxels below the world's bottom, every ten voxels
         image = Image.fromarray(pixels)
-        _number(image, rows, columns, scale, self.scene.width)
+        size = max(9, round(scale * 0.42))
+        if scale * BELOW >= size + 2:
+            draw = ImageDraw.Draw(image)
+            y = (int(rows[0]) + 1) * scale + round(scale * BELOW / 2)
+            for k, column in enumerate(columns.tolist()):
+                if column % 10 == 0 and 0 <= column <= self.scene.width:
+                    draw.text((k * scale, y), str(column), fill=(120, 128, 140), font=font(size), anchor="mm")
         return image
 
 
@@ -217,32 +303,16 @@ class Painter:
         self._canvas = Canvas(scene, size, scale)
         view = (size[0] / scale, size[1] / scale)
         self.camera = np.rint(camera_path(scene, rollout.positions[:, env], view) * scale).astype(int)
-        low, high = self.camera.min(axis=0), self.camera.max(axis=0)
-        if np.prod((high - low + size).astype(float)) < LARGEST_SPRITE:  # a robot may be flung away
+
+        # Terrain is painted once, unless the robot is flung too far away for that.
+        low = self.camera.min(axis=0)
+        high = self.camera.max(axis=0)
+        if np.prod((high - low + size).astype(float)) < 5e7:
             self._canvas.cover(low, high)
 
     def frame(self, frame: int) -> Image.Image:
         """The picture of a frame."""
         return self._canvas.picture(self.rollout.positions[frame, self.env], self.camera[frame])
-
-
-def _mesh(scene: Scene, number: int) -> Mesh:
-    obj = scene.moving[number]
-    begin = sum(len(other.cells) for other in scene.moving[:number])
-    sides = np.stack([obj.corners, np.roll(obj.corners, -1, axis=1)], axis=-1).reshape(-1, 2)
-    owners = np.repeat(np.arange(len(obj.cells)), 4)
-    ends = np.sort(sides, axis=1)
-    _, first, index, counts = np.unique(ends, axis=0, return_index=True, return_inverse=True, return_counts=True)
-    pale = ~np.isin(obj.cells, (int(Cell.RIGID), int(Cell.FIXED)))
-    all_dark = np.bincount(index.reshape(-1), pale[owners]) == 0
-    return Mesh(
-        corners=obj.corners,
-        columns=np.arange(begin, begin + len(obj.cells)),
-        points=np.arange(obj.first_point, obj.first_point + obj.num_points),
-        inner=sides[first[counts > 1]],
-        inner_dark=all_dark[counts > 1],
-        outer=sides[first[counts == 1]],
-    )
 
 
 def seen(shapes: np.ndarray, size: tuple[int, int], rim: int = 0) -> np.ndarray:
@@ -253,62 +323,14 @@ def seen(shapes: np.ndarray, size: tuple[int, int], rim: int = 0) -> np.ndarray:
     return ((shapes.max(axis=1) >= -rim) & (shapes.min(axis=1) <= np.array(size) + rim)).all(axis=1)
 
 
-def _rule(
-    pixels: np.ndarray, terrain: np.ndarray, inside: np.ndarray, rows: np.ndarray, columns: np.ndarray, scale: int
-) -> None:
-    """Draw the grid: a line at the left and at the bottom of every cell of the world, stronger every ten."""
-    ground, seen = (np.kron(cells, np.ones((scale, scale), bool)) for cells in (terrain != Cell.EMPTY, inside))
-    fine = scale < 8  # lines closer than that would be a haze
-
-    def line(where: tuple, strong: bool) -> None:
-        if not fine or strong:
-            pixels[where][seen[where]] = GRID_STRONG if strong else GRID
-        if not fine:
-            pixels[where][ground[where]] = GROUND_LINE
-
-    for k, column in enumerate(columns.tolist()):
-        line((slice(None), k * scale), column % 10 == 0)
-    for k, row in enumerate(rows.tolist()):
-        line(((k + 1) * scale - 1, slice(None)), row % 10 == 0)
-
-
-def _edge(pixels: np.ndarray, terrain: np.ndarray, scale: int) -> None:
-    """Draw the surface of the terrain: a dark rim on cells that have none beside them."""
-    width = max(1, round(scale / 15))
-    solid = terrain != Cell.EMPTY
-    padded = np.pad(solid, 1, mode="edge")
-    near, far, whole = slice(0, width), slice(scale - width, scale), slice(0, scale)
-    tiles = pixels.reshape(terrain.shape[0], scale, terrain.shape[1], scale, 3).swapaxes(1, 2)  # a view, cell by cell
-    for beside, rows, columns in (
-        (padded[:-2, 1:-1], near, whole),
-        (padded[2:, 1:-1], far, whole),
-        (padded[1:-1, :-2], whole, near),
-        (padded[1:-1, 2:], whole, far),
-    ):
-        for r, c in np.argwhere(solid & ~beside):
-            tiles[r, c, rows, columns] = GROUND_EDGE
-
-
-def _number(image: Image.Image, rows: np.ndarray, columns: np.ndarray, scale: int, width: int) -> None:
-    """Write the distance in voxels below the world's bottom, every ten voxels."""
-    draw = ImageDraw.Draw(image)
-    size = max(9, round(scale * 0.42))
-    if scale * BELOW < size + 2:
-        return
-    y = (int(rows[0]) + 1) * scale + round(scale * BELOW / 2)
-    for k, column in enumerate(columns.tolist()):
-        if column % 10 == 0 and 0 <= column <= width:
-            draw.text((k * scale, y), str(column), fill=BEYOND_INK, font=font(size), anchor="mm")
-
-
 def check_size(size: tuple[int, int]) -> tuple[int, int]:
     """``size`` of a picture as integers; RolloutError: it cannot be drawn."""
     try:
         width, height = map(operator.index, size)
     except (TypeError, ValueError):
         raise RolloutError(f"A size is (width, height) in whole pixels, got {size!r}.") from None
-    if not (16 <= width <= MAX_PIXELS and 16 <= height <= MAX_PIXELS):
-        raise RolloutError(f"Width and height must lie in 16 to {MAX_PIXELS} pixels, got {width} x {height}.")
+    if not (16 <= width <= 8192 and 16 <= height <= 8192):
+        raise RolloutError(f"Width and height must lie in 16 to 8192 pixels, got {width} x {height}.")
     return width, height
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
@@ -21,13 +22,8 @@ from warpvox.view.gif import write_pictures
 from warpvox.view.painter import INK, PNG_SUFFIXES, Painter, check_size, font, save_png
 from warpvox.view.rollout import Rollout
 
-SIZE = (640, 360)
-MARGIN = 2  # pixels between tiles
-PAPER = (255, 255, 255)
-FAINT = (112, 118, 130)
-GIF_COLOURS = 255  # one of a GIF's 256 is left for "as before", which makes its frames small
-MOST_OF_GIF = 10_000
-"""Pictures of a GIF; those who show one keep all of them in memory."""
+MARGIN = 2
+"""Pixels between tiles."""
 
 
 class Film:
@@ -48,11 +44,12 @@ class Film:
         self,
         rollout: Rollout,
         envs: int | Sequence[int] | None = None,
-        size: tuple[int, int] = SIZE,
+        size: tuple[int, int] = (640, 360),
         hud: bool = True,
         voxels: float | None = None,
     ) -> None:
-        self.rollout, self.hud = rollout, hud
+        self.rollout = rollout
+        self.hud = hud
         self.size = check_size(size)
         self.envs = rollout.check_envs(envs)[: 16 if envs is None else None]
         if voxels is not None and not 1 <= voxels <= 1000:
@@ -73,7 +70,7 @@ class Film:
             if self.hud:
                 self._write_hud(picture, frame)
             return picture
-        picture = Image.new("RGB", self.size, PAPER)
+        picture = Image.new("RGB", self.size, "white")
         for number, painter in enumerate(self._painters):
             row, column = divmod(number, self._columns)
             tile = painter.frame(frame)
@@ -85,6 +82,19 @@ class Film:
             self._write_band(picture, frame)
         return picture
 
+    def frames(
+        self, numbers: Sequence[int], on_frame: Callable[[int, int], None] | None = None
+    ) -> Iterator[Image.Image]:
+        """Yield the pictures of frames one after the other.
+
+        Args:
+            on_frame: called with the number of pictures that were taken and of all there are.
+        """
+        for done, number in enumerate(numbers, 1):
+            yield self.image(number)
+            if on_frame:
+                on_frame(done, len(numbers))
+
     def array(self, frame: int) -> np.ndarray:
         """The picture of a frame, uint8 ``[height, width, 3]``."""
         return np.array(self.image(frame))
@@ -92,22 +102,30 @@ class Film:
     def _write_hud(self, picture: Image.Image, frame: int) -> None:
         """Task, time and return on a light panel in the upper left corner."""
         unit = max(8, round(min(self.size[1] / 22, self.size[0] / 34)))
-        draw, large, small = ImageDraw.Draw(picture, "RGBA"), font(unit), font(round(unit * 0.86))
+        large = font(unit)
+        small = font(round(unit * 0.86))
+        draw = ImageDraw.Draw(picture, "RGBA")
+
+        # The panel, as wide as the title or the numbers
         title = escaped(self.rollout.title)
-        wide = max(draw.textlength(title, font=large), unit * 9.2) + unit * 1.6
+        width = max(draw.textlength(title, font=large), unit * 9.2) + unit * 1.6
         gap = unit // 2
-        draw.rounded_rectangle((gap, gap, gap + wide, gap + unit * 3.3), radius=gap, fill=(255, 255, 255, 216))
-        x, y, line = gap + unit * 0.8, gap + unit * 0.95, unit * 1.4
-        draw.text((x, y), title, fill=INK, font=large, anchor="lm")
-        gained = self.rollout.returns[frame, self.envs[0]]
+        draw.rounded_rectangle((gap, gap, gap + width, gap + unit * 3.3), radius=gap, fill=(255, 255, 255, 216))
+
         # Right-aligned numbers stand still while they count.
-        draw.text((x + unit * 3.2, y + line), f"{frame * FRAME_SECONDS:.2f} s", INK, small, "rm")
-        draw.text((x + unit * 4.2, y + line), "return", FAINT, small, "lm")
-        draw.text((x + unit * 9.6, y + line), f"{gained:.2f}", INK, small, "rm")
+        x = gap + unit * 0.8
+        y = gap + unit * 0.95
+        draw.text((x, y), title, fill=INK, font=large, anchor="lm")
+        y += unit * 1.4
+        gained = self.rollout.returns[frame, self.envs[0]]
+        draw.text((x + unit * 3.2, y), f"{frame * FRAME_SECONDS:.2f} s", INK, small, "rm")
+        draw.text((x + unit * 4.2, y), "return", (112, 118, 130), small, "lm")
+        draw.text((x + unit * 9.6, y), f"{gained:.2f}", INK, small, "rm")
 
     def _write_label(self, tile: Image.Image, env: int, frame: int) -> None:
         unit = max(8, round(self._tile[1] / 14))
-        draw, letters = ImageDraw.Draw(tile, "RGBA"), font(unit)
+        letters = font(unit)
+        draw = ImageDraw.Draw(tile, "RGBA")
         text = f"{escaped(self.rollout.names[env])}:  {self.rollout.returns[frame, env]:.2f}"
         if "names" in self.rollout.metadata:  # compared with each other: their returns stand there from the beginning
             text += f" of {self.rollout.returns[-1, env]:.2f}"
@@ -117,8 +135,10 @@ class Film:
 
     def _write_band(self, picture: Image.Image, frame: int) -> None:
         unit = round(self._band * 0.62)
-        draw, letters, middle = ImageDraw.Draw(picture), font(unit), self._band / 2
+        letters = font(unit)
+        middle = self._band / 2
         mean = self.rollout.returns[frame, self.envs].mean()
+        draw = ImageDraw.Draw(picture)
         draw.text((unit / 2, middle), escaped(self.rollout.title), INK, letters, "lm")
         right = f"{frame * FRAME_SECONDS:.2f} s    mean return {mean:.2f}"
         draw.text((self.size[0] - unit / 2, middle), right, INK, letters, "rm")
@@ -128,7 +148,7 @@ def draw_frame(
     rollout: Rollout,
     frame: int,
     env: int | Sequence[int] | None = 0,
-    size: tuple[int, int] = SIZE,
+    size: tuple[int, int] = (640, 360),
     hud: bool = True,
     voxels: float | None = None,
 ) -> np.ndarray:
@@ -141,7 +161,7 @@ def write_png(
     path: str | os.PathLike[str],
     frame: int = -1,
     envs: int | Sequence[int] | None = 0,
-    size: tuple[int, int] = SIZE,
+    size: tuple[int, int] = (640, 360),
     hud: bool = True,
     voxels: float | None = None,
 ) -> Path:
@@ -177,6 +197,8 @@ def write_filmstrip(
     check_suffix("The file of a strip", path, PNG_SUFFIXES, RolloutError)
     width, height = check_size(size)
     rollout.check_envs([env])
+
+    # Frames
     count = frames if is_integer(frames) else len(frames)
     if not 1 <= count <= 64:
         raise RolloutError(f"A strip shows 1 to 64 frames, got {count}.")
@@ -184,13 +206,17 @@ def write_filmstrip(
         last = int(rollout.lengths[env])
         frames = [int(frame) for frame in np.unique(np.rint(np.linspace(0, last, frames)))]
     chosen = [rollout.check_frame(frame) for frame in frames]
+
     each = (width + MARGIN) // len(chosen) - MARGIN
     if each < 1:
         raise RolloutError(f"A strip {width} pixels wide has no room for {len(chosen)} frames.")
+
     # The robot fills a good part of a picture, and what it stands on shows.
     tall = float(np.ptp(rollout.positions[0, env, rollout.scene(env).robot_points, 1])) / VOXEL
     painter = Painter(rollout, env, (each, height), voxels or max(6.5, 2.1 * tall))
-    strip, letters = Image.new("RGB", (width, height), PAPER), font(max(9, height // 14))
+
+    strip = Image.new("RGB", (width, height), "white")
+    letters = font(max(9, height // 14))
     for number, frame in enumerate(chosen):
         tile = painter.frame(frame)
         at = (each - height // 24, height // 24)
@@ -203,7 +229,7 @@ def write_gif(
     rollout: Rollout,
     path: str | os.PathLike[str],
     envs: int | Sequence[int] | None = 0,
-    size: tuple[int, int] = SIZE,
+    size: tuple[int, int] = (640, 360),
     fps: float = 25,
     start: int = 0,
     stop: int | None = None,
@@ -231,24 +257,25 @@ def write_gif(
     _check_rate(fps, 50)
     pause = round(100 / fps) * 10  # a GIF counts in hundredths of a second
     frames = _frames(rollout, 1000 / pause, start, stop, every)
-    if len(frames) > MOST_OF_GIF:
-        least = -(-len(frames) * every // MOST_OF_GIF)
+    most = 10_000  # viewers keep all pictures in memory
+    if len(frames) > most:
+        least = math.ceil(len(frames) * every / most)
         raise RolloutError(
-            f"A GIF of {len(frames):,} pictures is more than viewers can hold ({MOST_OF_GIF:,}); show time"
+            f"A GIF of {len(frames):,} pictures is more than viewers can hold ({most:,}); show time"
             f" {least} times as fast (every={least}), or write an MP4, which has no such limit."
         )
+
+    # One palette for all, from up to six pictures of the film
     film = Film(rollout, envs, size, hud, voxels)
-    sample = [film.image(frames[k]) for k in np.linspace(0, len(frames) - 1, min(6, len(frames))).astype(int)]
-    colours, table = _gif_palette(sample)
+    places = np.linspace(0, len(frames) - 1, min(6, len(frames))).astype(int)
+    colours, table = _gif_palette([film.image(frames[place]) for place in places])
 
     def pictures() -> Iterator[Image.Image]:
-        for number, frame in enumerate(frames):
-            if on_frame:
-                on_frame(number + 1, len(frames))
-            five = (film.array(frame) >> 3).astype(np.uint16)
-            picture = Image.fromarray(table[five[..., 0] << 10 | five[..., 1] << 5 | five[..., 2]])
-            picture.putpalette(colours)
-            yield picture
+        for picture in film.frames(frames, on_frame):
+            red, green, blue = np.moveaxis(np.asarray(picture) >> 3, -1, 0).astype(np.uint16)
+            reduced = Image.fromarray(table[red << 10 | green << 5 | blue])
+            reduced.putpalette(colours)
+            yield reduced
 
     with atomic_path(path, follow=True) as temporary, open(temporary, "wb") as file:
         write_pictures(file, pictures(), pause)
@@ -288,10 +315,8 @@ def write_mp4(
         try:
             with closing(encoder):
                 encoder.send(None)
-                for number, frame in enumerate(frames):
-                    encoder.send(film.array(frame))
-                    if on_frame:
-                        on_frame(number + 1, len(frames))
+                for picture in film.frames(frames, on_frame):
+                    encoder.send(np.array(picture))
             written, _ = imageio_ffmpeg.count_frames_and_secs(temporary)  # it does not report a failure
         except (OSError, RuntimeError):
             written = None
@@ -334,12 +359,20 @@ def _gif_palette(sample: Sequence[Image.Image]) -> tuple[bytes, np.ndarray]:
     One palette means that a pixel that does not change keeps its number, which is what makes the file small;
     a table is many times faster than asking for the nearest entry pixel by pixel.
     """
+    # One of a GIF's 256 colours is left for "as before", which makes its frames small.
+    most = 255
     sheet = Image.fromarray(np.concatenate([np.asarray(image) for image in sample]))
-    reduced = sheet.quantize(GIF_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    colours = np.array(reduced.getpalette("RGB"), np.uint8).reshape(-1, 3)[:GIF_COLOURS]
+    reduced = sheet.quantize(most, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    colours = np.array(reduced.getpalette("RGB"), np.uint8).reshape(-1, 3)[:most]
+
+    # The nearest entry, in parts, as all distances at once would take much memory
     cells = np.indices((32, 32, 32)).reshape(3, -1).T[:, None] * 8 + 4
-    near = [((part.astype(np.float32) - colours) ** 2).sum(-1).argmin(-1) for part in np.array_split(cells, 16)]
+    near = []
+    for part in np.array_split(cells, 16):
+        distance = ((part.astype(np.float32) - colours) ** 2).sum(-1)
+        near.append(distance.argmin(-1))
     table = np.concatenate(near).astype(np.uint8)
+
     # Of the colours that share a cell the most frequent one owns it, so that large areas keep their exact
     # colour.
     for entry in np.argsort(reduced.histogram()[: len(colours)], kind="stable"):
@@ -352,9 +385,10 @@ def _layout(count: int, size: tuple[int, int]) -> tuple[int, tuple[int, int]]:
     """Columns and size of tiles: the arrangement whose tiles come nearest to 16:9."""
 
     def tile(columns: int) -> tuple[int, int]:
-        numbers = columns, -(-count // columns)
-        wide, high = (max(1, (whole - MARGIN * (n - 1)) // n) for whole, n in zip(size, numbers, strict=True))
-        return wide, high
+        rows = math.ceil(count / columns)
+        width = (size[0] - MARGIN * (columns - 1)) // columns
+        height = (size[1] - MARGIN * (rows - 1)) // rows
+        return max(1, width), max(1, height)
 
     best = max(range(1, count + 1), key=lambda columns: min(tile(columns)[0] / 16, tile(columns)[1] / 9))
     return best, tile(best)

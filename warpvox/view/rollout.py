@@ -33,9 +33,6 @@ LARGEST = 1 << 32
 """Bytes that the arrays of a file may have together (4 GiB)."""
 LARGEST_HEADER = 1 << 26
 """Bytes of a file's header (64 MiB)."""
-_DESCRIPTIONS = 1 << 12  # bytes for shapes and types of all arrays
-MOST_SHOWN = 16
-"""Environments that a notebook shows."""
 AGENTS = ("zero", "random", "sine")
 """Agents that need no training: all actuators at rest, uniformly random actions, a steady gait."""
 ARRAYS = {
@@ -79,10 +76,10 @@ class Rollout:
         return f"Rollout({self.title}, {size}, returns {low:.3f} to {high:.3f})"
 
     def _repr_html_(self) -> str:
-        """The player, for notebooks; of many environments the first."""
+        """The player, for notebooks; of many environments the first 16."""
         from warpvox.view.player import page_of
 
-        page = html.escape(page_of(self, range(min(self.num_envs, MOST_SHOWN))))
+        page = html.escape(page_of(self, range(min(self.num_envs, 16))))
         return f'<iframe srcdoc="{page}" width="100%" height="420" style="border:0"></iframe>'
 
     @property
@@ -197,7 +194,7 @@ class Rollout:
         arrays = {name: getattr(self, name) for name in ARRAYS}
         total = len(text) + sum(array.nbytes for array in arrays.values())
         for what, size, limit in (("header", len(text), LARGEST_HEADER), ("arrays", total, LARGEST)):
-            if size > limit - _DESCRIPTIONS:
+            if size > limit - 4096:  # shapes and types of arrays need room, too
                 raise RolloutError(f"The rollout's {what} would have {size:,} bytes, and {limit:,} are the limit.")
         with atomic_path(path, follow=True) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(file, header=np.frombuffer(text, np.uint8), **arrays)
@@ -374,7 +371,13 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             if text.dtype != np.uint8:
                 raise RolloutError(f"{path} is damaged: its header is {text.dtype}, expected uint8.")
             header = parse_json(text.tobytes().decode())
-            _check_version(path, header)
+            if not isinstance(header, dict) or header.get("format") != FORMAT:
+                raise RolloutError(f"{path} is no rollout: its header is not one of {FORMAT}.")
+            version = header.get("version")
+            if not isinstance(version, int) or version < 1:
+                raise RolloutError(f"{path} is damaged: version {version!r} does not exist.")
+            if version > VERSION:
+                raise RolloutError(f"{path} has version {version}; this warpvox reads up to {VERSION}. Update warpvox.")
             arrays = {name: archive.read(name) for name in ARRAYS}
     except Missing:
         raise RolloutError(f"There is no rollout at {path}: no such file.") from None
@@ -386,16 +389,6 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         if arrays[name].dtype != dtype:
             raise RolloutError(f"{path} is damaged: {name} is {arrays[name].dtype}, expected {np.dtype(dtype)}.")
     return header, arrays
-
-
-def _check_version(path: Path, header: Any) -> None:
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise RolloutError(f"{path} is no rollout: its header is not one of {FORMAT}.")
-    version = header.get("version")
-    if not isinstance(version, int) or version < 1:
-        raise RolloutError(f"{path} is damaged: version {version!r} does not exist.")
-    if version > VERSION:
-        raise RolloutError(f"{path} has version {version}; this warpvox reads up to {VERSION}. Update warpvox.")
 
 
 def _check_shapes(rollout: Rollout) -> None:

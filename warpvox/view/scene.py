@@ -112,12 +112,16 @@ class Scene:
 
 def scene_of(world: CompiledWorld) -> Scene:
     """The scene of a compiled world, whose bodies are what moves."""
-    objects, moving = [], {body.name for body in world.bodies}
+    objects = []
+    moving = {body.name for body in world.bodies}
     for body in sorted(world.bodies + world.statics, key=lambda body: (not body.source.is_robot, body.name)):
-        source, corners, count = body.source, np.zeros((0, 4), np.int32), 0
+        source = body.source
+        corners = np.zeros((0, 4), np.int32)
+        first = count = 0
         if body.name in moving:
-            corners, count = np.array(list(body.corners.values()), np.int32) + body.first_point, len(body.points)
-        first = body.first_point if count else 0
+            corners = np.array(list(body.corners.values()), np.int32) + body.first_point
+            first = body.first_point
+            count = len(body.points)
         objects.append(SceneObject(body.name, source.grid, source.x, source.y, first, count, corners))
     return Scene(world.width, world.height, tuple(objects))
 

@@ -6,6 +6,7 @@
 # pyright: reportAttributeAccessIssue=false
 # The stubs of pxr lack most of its classes.
 
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -17,22 +18,15 @@ from warpvox.checks import check_integer
 from warpvox.devices.out_of_memory import free_memory
 from warpvox.errors import RolloutError
 from warpvox.io.writing import atomic_path, check_suffix
+from warpvox.palette import cell_colour, colour_index, palette
 from warpvox.types import ACTUATORS, FRAME_SECONDS, MATERIALS, VOXEL, Cell
 from warpvox.view.painter import camera_path
-from warpvox.view.palette import cell_colour, colour_index, palette
 from warpvox.view.rollout import Rollout
 
-SUFFIXES = (".usdc", ".usd", ".usda")
-ENVS_PER_ROW = 8  # environments side by side
-GAP = 10 * VOXEL  # between environments
-VIEW = 14 * VOXEL  # height of what the following camera sees
-BEHIND = 0.001  # the terrain's distance behind the voxels, against flicker where they touch
-APERTURE = (20.955, 11.787)  # of the cameras, mm: 35 mm film cut to 16:9
+APERTURE = (20.955, 11.787)
+"""Width and height of the cameras' film, mm: 35 mm film cut to 16:9."""
 FOCAL = 50.0
-BYTES_OF_POINT, BYTES_OF_CELL = 26, 10
-"""Bytes in a frame, at the peak: samples, and what they are made from."""
-MEMORY_SHARE = 0.9
-"""Share of the free memory that may be taken."""
+"""Focal length of the cameras, mm."""
 
 
 def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | None = None, stride: int = 1) -> Path:
@@ -47,11 +41,13 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     Raises:
         RolloutError: another suffix, no such environment, a stride below 1, or a stage that does not fit into memory.
     """
-    suffix = check_suffix("A USD file", path, SUFFIXES, RolloutError)
+    suffix = check_suffix("A USD file", path, (".usdc", ".usd", ".usda"), RolloutError)
     check_integer("stride", stride, 1, error=RolloutError)
     chosen = list(dict.fromkeys(rollout.check_envs(envs)))
     frames = list(range(0, rollout.num_frames, stride))
     _check_fits(rollout, chosen, len(frames), stride)
+
+    # The stage and what it says of the rollout
     stage = Usd.Stage.CreateInMemory(f"rollout{suffix}")
     layer = stage.GetRootLayer()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
@@ -67,18 +63,32 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
             name = Tf.MakeValidIdentifier(str(key))
             world.GetPrim().SetCustomDataByKey(f"warpvox:{name}", value)
     world.GetPrim().SetCustomDataByKey("warpvox:meanReturn", float(rollout.returns[-1, chosen].mean()))
+
+    # Environments
     materials = _define_materials(stage)
     places = _places(rollout, chosen)
     for env, place in zip(chosen, places, strict=True):
         # Values go straight to the layer: recomposing the stage after each of 64,000 would take minutes.
         _define_env(stage, rollout, env, place, materials)
+        scene = rollout.scene(env)
+        mesh = f"/World/env_{env:03d}/voxels"
+        points = np.zeros((len(frames), scene.num_points, 3), np.float32)
+        points[..., :2] = rollout.positions[frames, env, : scene.num_points]
+        colours = colour_index(scene.cells, rollout.stretch(slice(None), env)[frames]).astype(np.int32)
         with Sdf.ChangeBlock():
-            _animate(layer, rollout, env, frames)
+            for number in _changes(points, interpolated=True):
+                layer.SetTimeSample(f"{mesh}.points", float(frames[number]), _vec3(points[number]))
+            for number in _changes(colours, interpolated=False):
+                sample = Vt.IntArray.FromNumpy(colours[number])
+                layer.SetTimeSample(f"{mesh}.primvars:displayColor:indices", float(frames[number]), sample)
+
+    # Cameras and lights
     _define_cameras(stage, rollout, chosen, places, frames)
     sun = UsdLux.DistantLight.Define(stage, "/World/sun")
     sun.CreateIntensityAttr(2.0)
     UsdGeom.Xformable(sun).AddRotateXYZOp().Set(Gf.Vec3f(-35.0, 20.0, 0.0))
     UsdLux.DomeLight.Define(stage, "/World/sky").CreateIntensityAttr(0.6)
+
     with atomic_path(path, follow=True) as temporary:
         try:
             written = layer.Export(str(temporary))
@@ -94,17 +104,16 @@ def _check_fits(rollout: Rollout, envs: list[int], frames: int, stride: int) -> 
     """Raise RolloutError if the stage, which USD builds in memory, is larger than what is free."""
     cells = sum(len(rollout.scene(env).cells) for env in envs)
     points = sum(rollout.scene(env).num_points for env in envs)
-    needed, free = frames * (BYTES_OF_POINT * points + BYTES_OF_CELL * cells), free_memory("cpu")
-    if free is not None and needed > MEMORY_SHARE * free:
-        least = -(-stride * needed // int(MEMORY_SHARE * free))
+    # At the peak, samples and what they are made from take 26 bytes a point and 10 a cell in each frame.
+    needed = frames * (26 * points + 10 * cells)
+    free = free_memory("cpu")
+    share = 0.9
+    if free is not None and needed > share * free:
+        least = math.ceil(stride * needed / int(share * free))
         raise RolloutError(
             f"A USD stage of {frames:,} frames needs about {needed / 2**30:.3g} GiB, and {free / 2**30:.3g} GiB are"
             f" free; write every {least}th frame (every={least}) or fewer environments."
         )
-
-
-def _root(env: int) -> str:
-    return f"/World/env_{env:03d}"
 
 
 def _define_materials(stage: Any) -> dict[Cell, Any]:
@@ -148,28 +157,40 @@ def _sizes(rollout: Rollout, envs: list[int]) -> np.ndarray:
 
 
 def _places(rollout: Rollout, envs: list[int]) -> np.ndarray:
-    """Places of the environments, float64 ``[envs, 2]``: in rows of ENVS_PER_ROW, all cells of one size."""
-    step = _sizes(rollout, envs).max(axis=0) + GAP
-    number = np.arange(len(envs))
-    return np.stack([number % ENVS_PER_ROW, -(number // ENVS_PER_ROW)], axis=1) * step
+    """Places of the environments, float64 ``[envs, 2]``: in rows of eight, ten voxels between the largest of them."""
+    step = _sizes(rollout, envs).max(axis=0) + 10 * VOXEL
+    row, column = np.divmod(np.arange(len(envs)), 8)
+    return np.stack([column, -row], axis=1) * step
 
 
 def _define_env(stage: Any, rollout: Rollout, env: int, place: np.ndarray, materials: dict[Cell, Any]) -> None:
-    scene, root = rollout.scene(env), _root(env)
+    scene = rollout.scene(env)
+    root = f"/World/env_{env:03d}"
     xform = UsdGeom.Xform.Define(stage, root)
     xform.AddTranslateOp().Set(Gf.Vec3d(*place.tolist(), 0.0))
     prim = xform.GetPrim()
     prim.SetCustomDataByKey("warpvox:return", float(rollout.returns[-1, env]))
     prim.SetCustomDataByKey("warpvox:length", int(rollout.lengths[env]))
     prim.SetCustomDataByKey("warpvox:design", int(rollout.design_index[env]))
+
+    # What moves
     points = rollout.positions[:, env, : scene.num_points]
-    low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
+    low = points.min(axis=(0, 1))
+    high = points.max(axis=(0, 1))
     # Top left, bottom left, bottom right, top right: counter-clockwise seen from +Z.
     quads = scene.corners[:, [0, 3, 2, 1]]
     mesh = _define_mesh(stage, f"{root}/voxels", quads, np.array([[*low, 0], [*high, 0]]))
     mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.uniform).Set(_vec3(_linear(palette())))
     mesh.GetDisplayColorPrimvar().CreateIndicesAttr()
-    _bind(mesh, scene.cells, materials)
+
+    # A GeomSubset with its material for each cell type that occurs
+    binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
+    for cell in sorted(set(scene.cells.tolist())):
+        faces = Vt.IntArray.FromNumpy(np.flatnonzero(scene.cells == cell).astype(np.int32))
+        subset = binding.CreateMaterialBindSubset(_material_name(cell), faces, UsdGeom.Tokens.face)
+        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(materials[Cell(cell)])
+    binding.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
+
     _define_terrain(stage, f"{root}/terrain", scene.terrain, materials[Cell.FIXED])
 
 
@@ -184,46 +205,27 @@ def _define_mesh(stage: Any, path: str, quads: np.ndarray, extent: np.ndarray) -
     return mesh
 
 
-def _bind(mesh: Any, cells: np.ndarray, materials: dict[Cell, Any]) -> None:
-    """Add a GeomSubset with its material for each cell type that occurs."""
-    binding = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
-    for cell in sorted(set(cells.tolist())):
-        faces = Vt.IntArray.FromNumpy(np.flatnonzero(cells == cell).astype(np.int32))
-        subset = binding.CreateMaterialBindSubset(_material_name(cell), faces, UsdGeom.Tokens.face)
-        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(materials[Cell(cell)])
-    binding.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
-
-
 def _define_terrain(stage: Any, path: str, terrain: np.ndarray, material: Any) -> None:
     """One Mesh for all that stands still; neighbours share corners. None if there is nothing."""
     if not terrain.any():
         return
     height, width = terrain.shape
     rows, columns = np.nonzero(terrain)
-    upper = height - rows
-    ends = [(columns, upper), (columns, upper - 1), (columns + 1, upper - 1), (columns + 1, upper)]
-    numbers = np.stack([y * (width + 1) + x for x, y in ends], axis=1)
-    used, quads = np.unique(numbers, return_inverse=True)
-    corners = used % (width + 1) * VOXEL, used // (width + 1) * VOXEL, np.full(len(used), -BEHIND)
-    points = np.stack(corners, axis=1).astype(np.float32)
+
+    # Nodes of the grid, row by row from the bottom, at the corners of cells: from top left counter-clockwise
+    bottom_left = (height - rows - 1) * (width + 1) + columns
+    top_left = bottom_left + width + 1
+    nodes = np.stack([top_left, bottom_left, bottom_left + 1, top_left + 1], axis=1)
+    used, quads = np.unique(nodes, return_inverse=True)
+
+    # A little behind the voxels, against flicker where they touch
+    y, x = np.divmod(used, width + 1)
+    points = np.stack([x * VOXEL, y * VOXEL, np.full(len(used), -0.001)], axis=1).astype(np.float32)
     mesh = _define_mesh(stage, path, quads.reshape(-1, 4), np.array([points.min(axis=0), points.max(axis=0)]))
     mesh.GetPointsAttr().Set(_vec3(points))
     colour = _linear(np.array(cell_colour(Cell.FIXED)))
     mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set(_vec3(colour[None]))
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
-
-
-def _animate(layer: Any, rollout: Rollout, env: int, frames: list[int]) -> None:
-    """Time samples of an environment's points and colours."""
-    scene, mesh = rollout.scene(env), f"{_root(env)}/voxels"
-    points = np.zeros((len(frames), scene.num_points, 3), np.float32)
-    points[..., :2] = rollout.positions[frames, env, : scene.num_points]
-    colours = colour_index(scene.cells, rollout.stretch(slice(None), env)[frames]).astype(np.int32)
-    for number in _changes(points, interpolated=True):
-        layer.SetTimeSample(f"{mesh}.points", float(frames[number]), _vec3(points[number]))
-    for number in _changes(colours, interpolated=False):
-        sample = Vt.IntArray.FromNumpy(colours[number])
-        layer.SetTimeSample(f"{mesh}.primvars:displayColor:indices", float(frames[number]), sample)
 
 
 def _changes(values: np.ndarray, interpolated: bool) -> list[int]:
@@ -236,14 +238,18 @@ def _changes(values: np.ndarray, interpolated: bool) -> list[int]:
 
 def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.ndarray, frames: list[int]) -> None:
     """One camera that follows the first environment's robot, one that sees everything."""
-    view = np.array([VIEW * APERTURE[0] / APERTURE[1], VIEW])
+    # The one that follows sees 14 voxels from bottom to top.
+    height = 14 * VOXEL
+    view = np.array([height * APERTURE[0] / APERTURE[1], height])
     corner = camera_path(rollout.scene(envs[0]), rollout.positions[:, envs[0]], tuple((view / VOXEL).tolist())) * VOXEL
     follow = _define_camera(stage, "/World/camera")
-    distance = VIEW * FOCAL / APERTURE[1]
+    distance = height * FOCAL / APERTURE[1]
     for frame in frames:
         x, y = (corner[frame] + view / 2 + places[0]).tolist()
         follow.Set(Gf.Vec3d(x, y, distance), float(frame))
-    low, high = places.min(axis=0), (places + _sizes(rollout, envs)).max(axis=0)
+
+    low = places.min(axis=0)
+    high = (places + _sizes(rollout, envs)).max(axis=0)
     away = 1.1 * max((high[0] - low[0]) / APERTURE[0], (high[1] - low[1]) / APERTURE[1]) * FOCAL
     middle = ((low + high) / 2).tolist()
     _define_camera(stage, "/World/overview").Set(Gf.Vec3d(*middle, away))

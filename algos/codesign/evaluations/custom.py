@@ -8,16 +8,16 @@ import inspect
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
-from warpvox.algos.codesign.evaluations.base import Evaluation
+from warpvox.algos.codesign.settings import Codesign, Evaluation, register_evaluation
 from warpvox.code import check_code, load_code
 from warpvox.errors import ConfigError
 from warpvox.keys import key
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import DesignEvaluator
-    from warpvox.algos.codesign.settings import Codesign
 
 
+@register_evaluation
 @dataclass
 class Custom(Evaluation):
     """An evaluation of your own; see docs/own_search.md."""

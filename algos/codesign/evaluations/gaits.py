@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
-from warpvox.algos.codesign.evaluations.base import Workload, steps_of_training
 from warpvox.algos.codesign.evaluations.specialist import Specialist
+from warpvox.algos.codesign.evaluations.workload import Workload, steps_of_training
+from warpvox.algos.codesign.settings import Codesign, register_evaluation
 from warpvox.algos.protocols import ROBUST
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -18,7 +19,6 @@ from warpvox.robots.gait import Gait as RobotGait
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
-    from warpvox.algos.codesign.settings import Codesign
     from warpvox.envs.spec import TaskSpec
     from warpvox.robots.entry import Robot
 
@@ -26,6 +26,7 @@ COPIES = 4
 """Episodes of a gait where they differ: in tasks that draw at random, and with noise on the actions."""
 
 
+@register_evaluation
 @dataclass
 class Gaits(Specialist):
     """The fitness of a design is the best return of some open-loop gaits, which are handed on to its descendants."""

@@ -5,17 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from warpvox.algos.codesign.evaluations.base import Evaluation, Workload, steps_of_training
+from warpvox.algos.codesign.evaluations.workload import Workload, steps_of_training
+from warpvox.algos.codesign.settings import Codesign, Evaluation, register_evaluation
 from warpvox.algos.protocols import episodes_of
 from warpvox.errors import ConfigError
 from warpvox.keys import key
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import DesignEvaluator
-    from warpvox.algos.codesign.settings import Codesign
     from warpvox.envs.spec import TaskSpec
 
 
+@register_evaluation
 @dataclass
 class Specialist(Evaluation):
     """The fitness of a design is the best return of a policy that is trained for it alone (paper section C.1)."""

@@ -17,8 +17,8 @@ import warpvox as wv
 from lab.comparison import paper
 from lab.comparison.report import grouped, main as report, read_searches, scores_of
 from lab.comparison.run import Member, finished, main, named_settings, run
+from warpvox.algos.archive import Archive, Finished
 from warpvox.algos.candidate import Candidate, Outcome
-from warpvox.algos.codesign.archive import Archive, Finished
 from warpvox.envs.registry import known_returns
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -13,9 +13,10 @@ from fault_cases import digest
 from tiny import tiny
 
 import warpvox as wv
-from warpvox.algos.candidate import START, Listener
-from warpvox.algos.codesign.archive import FILE, Archive
+from warpvox.algos.archive import FILE, Archive
+from warpvox.algos.candidate import START
 from warpvox.algos.codesign.evaluations.custom import Custom
+from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.search.base import RandomSearch

@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from warpvox.algos.archive import APPLICATION, BACKUP, FILE, VERSION, Archive, Finished
 from warpvox.algos.candidate import Candidate, Outcome, candidate_seed
-from warpvox.algos.codesign.archive import APPLICATION, BACKUP, FILE, VERSION, Archive, Finished
 from warpvox.algos.codesign.archive_export import COLUMNS, FORMATS, write_csv, write_parquet
 from warpvox.design import full_connections, load_design, sample_design
 from warpvox.errors import RunError, StorageError
 from warpvox.runs import END
 
 SETTINGS = {"task": "Walker-v0", "search": {"name": "ga"}}
-ENDLESS = "import sys, time; from pathlib import Path; from warpvox.algos.codesign.archive import Archive\n"
+ENDLESS = "import sys, time; from pathlib import Path; from warpvox.algos.archive import Archive\n"
 
 
 def bodies(count: int, seed: int = 0) -> list[np.ndarray]:
@@ -348,7 +348,7 @@ def test_every_command_refuses_a_foreign_view(filled: Archive, warpvox: Callable
     db.executescript(FOREIGN["another view"])
     db.close()
     filled.path.rename(folder / "archive.sqlite")
-    (folder / "config.yaml").write_text(f"task: Walker-v0\nsearch: {{}}\ntraining: {{}}\n{END}")
+    (folder / "config.yaml").write_text(f"task: Walker-v0\nsearch: {{algorithm: ga}}\ntraining: {{}}\n{END}")
     for words in (
         ["play", f"run={folder}"],
         ["evaluate", f"runs=[{folder}]"],
@@ -363,7 +363,7 @@ def test_an_interrupt_ends_a_query(filled: Archive) -> None:
     code = f"""
 import signal, sqlite3, threading
 from pathlib import Path
-from warpvox.algos.codesign.archive import Archive
+from warpvox.algos.archive import Archive
 path = Path({str(filled.path)!r})
 with Archive.read(path) as archive:
     archive.generations()

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
+from warpvox.algos.archive import FILE, Archive, Finished
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome, best_so_far
-from warpvox.algos.codesign.archive import FILE, Archive, Finished
-from warpvox.algos.codesign.evaluations import EVALUATIONS
 from warpvox.algos.codesign.finalists import TwoStages
 from warpvox.algos.codesign.results import Found
-from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.codesign.settings import EVALUATIONS, Codesign
 from warpvox.algos.report import report_page
 from warpvox.algos.report.members import read_members
 

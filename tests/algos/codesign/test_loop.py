@@ -15,8 +15,9 @@ import pytest
 import torch
 from codesign_toys import GENERATIONS, POPULATION, SEED, ToyEvaluator, ToySearch, make_loop
 
-from warpvox.algos.candidate import Candidate, Listener, Outcome, Parent
-from warpvox.algos.codesign.archive import BACKUP, FILE, Archive
+from warpvox.algos.archive import BACKUP, FILE, Archive
+from warpvox.algos.candidate import Candidate, Outcome, Parent
+from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.report import report_page
 from warpvox.algos.search import BO, GA, CppnNeat, MapElites, RandomDesigns, make_search

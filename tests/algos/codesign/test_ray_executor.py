@@ -13,8 +13,9 @@ import parallel
 import pytest
 from codesign_toys import POPULATION, ToyEvaluator, ToySearch, make_loop
 
-from warpvox.algos.candidate import Candidate, Listener, Outcome
-from warpvox.algos.codesign.archive import Archive
+from warpvox.algos.archive import Archive
+from warpvox.algos.candidate import Candidate, Outcome
+from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.loop import Batch
 from warpvox.errors import ConfigError, RunError
 

@@ -12,8 +12,8 @@ import pytest
 from codesign_toys import make_loop
 from hypothesis import given, settings, strategies as st
 
+from warpvox.algos.archive import FILE, Archive, Finished, Record, archives_in
 from warpvox.algos.candidate import Candidate, Outcome
-from warpvox.algos.codesign.archive import FILE, Archive, Finished, Record, archives_in
 from warpvox.algos.report import family_tree, places, report_page
 from warpvox.algos.report.charts import Series, chart, ticks
 from warpvox.algos.report.members import progress, read_members

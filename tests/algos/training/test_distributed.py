@@ -35,7 +35,7 @@ def test_alone_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_one_gpu_for_all_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {"WORLD_SIZE": 2, "RANK": 1, "LOCAL_RANK": 1, "LOCAL_WORLD_SIZE": 2}.items():
         monkeypatch.setenv(name, str(value))
-    with pytest.raises(ConfigError, match="device=cuda, not cuda:0"):
+    with pytest.raises(ConfigError):
         join_process_group("cuda:0")
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.console import Console
 
-from warpvox.algos.codesign.archive import FILE, Archive
+from warpvox.algos.archive import FILE, Archive
 from warpvox.algos.codesign.archive_export import FORMATS
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.find import find_codesign
@@ -41,6 +41,7 @@ def run(config: CodesignConfig, given: Collection[str], console: Console) -> Pat
     folder = _resumed(config)
     config = dataclasses.replace(config, resume=None)
     with console.status("loading"):
+        from warpvox.algos.codesign.results import Results
         from warpvox.algos.codesign.run import run_codesign
         from warpvox.progress.search import SearchProgress, with_tracker
 
@@ -48,7 +49,7 @@ def run(config: CodesignConfig, given: Collection[str], console: Console) -> Pat
         def ended(self, summary: Mapping[str, Any]) -> None:  # before another process may write to the folder
             super().ended(summary)
             if summary.get("status") == "done":
-                results = self.run.results
+                results = Results(self.run.folder, self.run.archive, self.run.settings)
                 with console.status("filming the best"):
                     results.film(config)
                     results.report(summary)

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
-from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
@@ -28,16 +27,21 @@ from warpvox.io.console import echo, literal
 from warpvox.io.writing import check_suffix
 from warpvox.runs import Run
 
-AXES_OF_RUNS, AXES_OF_SEARCHES = ("steps", "elapsed", "iteration"), ("steps", "evaluations")
-
 
 def run(config: CurvesConfig, given: Collection[str], console: Console) -> None:
     """Draw the picture, print the table and write it."""
     check_suffix("file", config.file, SUFFIXES, ConfigError)
     searches = find_searches(config.runs, config.output_dir)
-    what, axes = ("design searches", AXES_OF_SEARCHES) if searches else ("trainings", AXES_OF_RUNS)
-    check_choice(f"x of {what}", config.x, axes)
-    panels, young = (_of_searches(searches, config.x), []) if searches else _of_runs(config)
+    if searches:
+        check_choice("x of design searches", config.x, ("steps", "evaluations"))
+        members = [one for one in read_members(searches) if len(one.best)]
+        if not members:
+            raise RunError("None of the design searches has evaluated a design yet: there is nothing to draw.")
+        panels = curves_of_searches(members, config.x)
+        young = []
+    else:
+        check_choice("x of trainings", config.x, ("steps", "elapsed", "iteration"))
+        panels, young = _of_runs(config)
     path = write_curves(panels, config.file, config.x, (config.size[0], config.size[1]))
     _print(panels, config.x, console)
     if young:
@@ -57,13 +61,6 @@ def _of_runs(config: CurvesConfig) -> tuple[dict[str, list[Curve]], list[str]]:
         tasks.setdefault(str(each_run.config["task"]), []).append(each_run)
     young = [each_run.folder.name for each_run in found if each_run not in judged]
     return {task: curves_of(group_runs(runs), config.x) for task, runs in tasks.items()}, young
-
-
-def _of_searches(folders: Sequence[Path], x: str) -> dict[str, list[Curve]]:
-    members = [one for one in read_members(folders) if len(one.best)]
-    if not members:
-        raise RunError("None of the design searches has evaluated a design yet: there is nothing to draw.")
-    return curves_of_searches(members, x)
 
 
 def _print(panels: Mapping[str, Sequence[Curve]], x: str, console: Console) -> None:

@@ -26,10 +26,6 @@ from warpvox.runs import ZOO, Run, as_name, new_folder, write_summary
 if TYPE_CHECKING:
     from warpvox.algos.training.policy_table import EvaluatedPolicy, Judged
 
-LABELS = ("settings", "episodes", "n", "over")
-SEVERAL = "several"
-"""Name of the folder where the runs are of more than one task."""
-
 
 def run(config: EvaluateConfig, given: Collection[str], console: Console) -> Path:
     """Evaluate the runs, print and write tables; returns the folder of the results.
@@ -60,10 +56,20 @@ def run(config: EvaluateConfig, given: Collection[str], console: Console) -> Pat
     found = [each_run for each_run in found if id(each_run) in rows]
     judged = judged_groups(group_runs(found), lambda each_run: rows[id(each_run)])
     tasks = {str(each_run.config["task"]) for each_run in found}
-    place = as_name(tasks.pop()) if len(tasks) == 1 else SEVERAL
+    place = as_name(tasks.pop()) if len(tasks) == 1 else "several"
     with new_folder(config.output_dir, "evaluate", place, config.name, to_yaml(config)) as folder:
         _print(judged, config, console)
-        _say_alike([row for one in rows.values() for row in one], config, console)
+
+        # Where all episodes with a body are the same, more of them add no information.
+        policies = [row for several in rows.values() for row in several]
+        alike = [row for row in policies if not row.drawn and len(row.independent) < len(row.returns)]
+        if alike and config.protocol == NOMINAL:
+            which = "all runs" if len(alike) == len(policies) else f"{len(alike)} of {len(policies)} runs"
+            echo(
+                console,
+                f"The {config.episodes} episodes of {which} are one for each body: the task draws nothing at random and"
+                " the policy is deterministic. One each says as much, stochastic=true samples actions.",
+            )
         _write(folder, judged, config)
     for name in ("runs.csv", "groups.csv", "comparisons.csv", "summary.json"):
         if (folder / name).is_file():
@@ -123,7 +129,8 @@ def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]
     table = Table(title=title, title_justify="left")
     columns = list(zip(*(row for rows in sections for row in rows), strict=True))
     wide = sum(max(map(len, (heading, *cells))) + 3 for heading, cells in zip(headings, columns, strict=True))
-    alike = [len({*cells} - {""}) == 1 and heading in LABELS for heading, cells in zip(headings, columns, strict=True)]
+    labels = ("settings", "episodes", "n", "over")
+    alike = [len({*cells} - {""}) == 1 and heading in labels for heading, cells in zip(headings, columns, strict=True)]
     kept = [k for k in range(len(headings)) if wide < console.width or not alike[k]]
     for heading in (headings[k] for k in kept):
         right = heading in ("mean", "difference", "n")
@@ -133,18 +140,6 @@ def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]
             table.add_row(*(literal(row[k]) for k in kept))
         table.add_section()
     console.print(table)
-
-
-def _say_alike(rows: list[EvaluatedPolicy], config: EvaluateConfig, console: Console) -> None:
-    """Report runs whose episodes with a body are all the same, so that more of them add no information."""
-    alike = [row for row in rows if not row.drawn and len(row.independent) < len(row.returns)]
-    if alike and config.protocol == NOMINAL:
-        which = "all runs" if len(alike) == len(rows) else f"{len(alike)} of {len(rows)} runs"
-        echo(
-            console,
-            f"The {config.episodes} episodes of {which} are one for each body: the task draws nothing at random and the"
-            " policy is deterministic. One each says as much, stochastic=true samples actions.",
-        )
 
 
 def _cells(interval: Interval) -> tuple[str, str]:

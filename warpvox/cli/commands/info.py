@@ -14,57 +14,50 @@ import warpvox
 from warpvox.io.console import literal
 from warpvox.system import processor_name, usable_cores
 
-PACKAGES = ("warp-lang", "torch", "rsl-rl-lib", "numpy", "gymnasium", "hydra-core", "usd-core")
-OLDEST = 7, 5
-"""Compute capability that CUDA 13 compiles for, at the least."""
-
 
 def run(config: object, given: Collection[str], console: Console) -> None:
     """Print the table."""
-    table = Table(show_header=False, box=None, pad_edge=False)
-    for name, value in [*_versions(), *_devices(), *_cache()]:
-        table.add_row(literal(name), literal(value))
-    console.print(table, highlight=False)
+    import torch
+    import warp as wp
 
+    from warpvox.devices.names import missing_cuda
 
-def _versions() -> list[tuple[str, str]]:
+    # Versions
     rows = [
         ("warpvox", f"{warpvox.__version__} in {Path(warpvox.__file__).parent}"),
         ("python", f"{platform.python_version()} in {sys.prefix}"),
         ("system", platform.platform()),
     ]
-    for package in PACKAGES:
+    for package in ("warp-lang", "torch", "rsl-rl-lib", "numpy", "gymnasium", "hydra-core", "usd-core"):
         try:
             rows.append((package, version(package)))
         except PackageNotFoundError:
             rows.append((package, "not installed"))
-    return rows
 
-
-def _devices() -> list[tuple[str, str]]:
-    import torch
-
-    from warpvox.devices.names import missing_cuda
-
-    missing = missing_cuda()
+    # Devices
     vectors = torch.backends.cpu.get_cpu_capability()
-    rows = [("cpu", f"{processor_name()} ({vectors}), {usable_cores()} of {os.cpu_count()} cores usable")]
+    rows.append(("cpu", f"{processor_name()} ({vectors}), {usable_cores()} of {os.cpu_count()} cores usable"))
+    missing = missing_cuda()
     if missing is not None:
-        return [*rows, ("cuda", f"none: {missing}")]
-    for index in range(torch.cuda.device_count()):
+        rows.append(("cuda", f"none: {missing}"))
+    for index in range(torch.cuda.device_count() if missing is None else 0):
         properties = torch.cuda.get_device_properties(index)
         capability = properties.major, properties.minor
         about = f"{properties.name}, {properties.total_memory / 2**30:.0f} GiB, compute capability "
-        about += ".".join(map(str, capability)) + ("" if capability >= OLDEST else " (7.5 or newer is needed)")
+        about += ".".join(map(str, capability))
+        # CUDA 13 compiles for nothing older.
+        if capability < (7, 5):
+            about += " (7.5 or newer is needed)"
         rows.append((f"cuda:{index}", about))
-    return rows
 
-
-def _cache() -> list[tuple[str, str]]:
-    import warp as wp
-
+    # Kernel cache
     folder = Path(str(wp.config.kernel_cache_dir))
     files = [file for file in folder.rglob("*") if file.is_file()] if folder.is_dir() else []
     modules = sum(1 for item in folder.iterdir() if item.is_dir()) if folder.is_dir() else 0
     size = sum(file.stat().st_size for file in files) / 1e6
-    return [("kernel cache", f"{folder}: {modules} modules, {size:.1f} MB")]
+    rows.append(("kernel cache", f"{folder}: {modules} modules, {size:.1f} MB"))
+
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for name, value in rows:
+        table.add_row(literal(name), literal(value))
+    console.print(table, highlight=False)

@@ -131,26 +131,22 @@ def write_results(
         if keep:
             rollout.save(folder / ROLLOUT)
         write_exports(rollout, folder, formats, console, config.size, config.every)
-        write_summary(folder, summary_of(rollout, command, source))
+
+        # The rollout in figures
+        returns = rollout.returns[-1]
+        summary = {
+            "command": command,
+            "task": rollout.title,
+            "source": source,
+            "seed": rollout.metadata.get("seed"),
+            "mean_return": float(returns.mean()),
+            "returns": [float(value) for value in returns],
+            "lengths": [int(value) for value in rollout.lengths],
+        }
+        if "names" in rollout.metadata:
+            summary["environments"] = rollout.names
+        write_summary(folder, summary)
     return folder
-
-
-def summary_of(rollout: Rollout, command: str, source: str) -> dict[str, Any]:
-    """The rollout in figures, for ``summary.json``; ``source``: what made it."""
-    returns = rollout.returns[-1]
-    return {
-        "command": command,
-        "task": rollout.title,
-        "source": source,
-        "seed": rollout.metadata.get("seed"),
-        "mean_return": float(returns.mean()),
-        "returns": [float(value) for value in returns],
-        "lengths": [int(value) for value in rollout.lengths],
-        **({"environments": rollout.names} if "names" in rollout.metadata else {}),
-    }
-
-
-REST = 1.0  # seconds that the last picture stands before the episode is shown again
 
 
 def wants_window(choice: str) -> bool:
@@ -185,6 +181,7 @@ def play_in_window(
         else:
             time.sleep(FRAME_SECONDS / 4)
         window.show(picture)  # also the same one again: this is when the window answers
-        if passed > last * FRAME_SECONDS + REST:
+        # The last picture stands for a second before the episode is shown again.
+        if passed > last * FRAME_SECONDS + 1.0:
             start = clock()
     return count

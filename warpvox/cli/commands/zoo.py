@@ -15,7 +15,6 @@ from warpvox.io.console import echo, literal
 from warpvox.io.text import duration, figure
 from warpvox.robots.entry import read_robot
 from warpvox.robots.gait import Gait
-from warpvox.robots.network import Network
 from warpvox.view.cell_text import body_rows
 
 
@@ -77,12 +76,31 @@ def _print_one(path: Path, console: Console) -> None:
     console.print(body_rows([robot.body], [robot.task], console))
     about = robot.about
     limit = f" of at most {get_task(robot.task).max_episode_steps}" if robot.task in task_ids() else ""
+
+    # What acts
+    if robot.policy is None:
+        policy = "none"
+    elif isinstance(robot.policy, Gait):
+        stages = counted(robot.policy.num_stages, "stages")
+        policy = f"gait, open loop: {robot.policy.num_parameters} parameters, {stages}"
+    else:
+        sizes = [robot.policy.num_obs, *(len(bias) for bias in robot.policy.biases)]
+        policy = f"{'-'.join(map(str, sizes))}, {robot.policy.activation}"
+
+    # What it took
+    steps = about.get("control_steps")
+    seconds = about.get("wall_s")
+    training = "unknown" if steps is None else f"{steps:,} control steps"
+    if seconds is not None:
+        training += f" in {duration(seconds)}"
+
+    # The table
     rows: list[tuple[str, Any]] = [
         ("under noise", f"{figure(robot.robust_return)}, the mean of 32 episodes"),
         ("return", _returns(about)),
         ("control steps", f"{listing(about.get('lengths', []))}{limit}"),
-        ("policy", _policy(robot.policy)),
-        ("training", _training(about)),
+        ("policy", policy),
+        ("training", training),
         *(("first", before["command"]) for before in about.get("start", ()) if "command" in before),
         ("command", about.get("command", "unknown")),
         (
@@ -99,23 +117,8 @@ def _print_one(path: Path, console: Console) -> None:
     console.print(table)
 
 
-def _policy(policy: Network | Gait | None) -> str:
-    if policy is None:
-        return "none"
-    if isinstance(policy, Gait):
-        return f"gait, open loop: {policy.num_parameters} parameters, {counted(policy.num_stages, 'stages')}"
-    sizes = [policy.num_obs, *(len(bias) for bias in policy.biases)]
-    return f"{'-'.join(map(str, sizes))}, {policy.activation}"
-
-
 def _returns(about: Mapping[str, Any]) -> str:
     returns, seeds = about.get("returns", []), about.get("seeds", [])
     if min(len(returns), len(seeds)) < 2:
         return f"{about.get('return')}"
     return f"{about.get('return')}, the mean over the seeds {seeds[0]} to {seeds[-1]}: {listing(returns)}"
-
-
-def _training(about: Mapping[str, Any]) -> str:
-    steps, seconds = about.get("control_steps"), about.get("wall_s")
-    told = "unknown" if steps is None else f"{steps:,} control steps"
-    return told if seconds is None else f"{told} in {duration(seconds)}"

@@ -18,7 +18,6 @@ from warpvox.types import VOXEL
 
 __all__ = ["BiWalk", "Goal", "GoalBase", "WalkToX"]
 
-_NEAR = 2 * VOXEL  # a goal is reached within this distance
 _BEFORE, _AFTER = "robot_com_pos_initial", "robot_com_pos_final"
 
 
@@ -47,7 +46,8 @@ class WalkToX(Goal):
     def evaluate(self, args: Mapping[str, np.ndarray]) -> tuple[float, bool]:
         """How much closer the robot has come, and whether it is within two voxels."""
         before, after = (abs(self.x_goal * VOXEL - np.mean(args[key][0])) for key in (_BEFORE, _AFTER))
-        return before - after, bool(after < _NEAR)
+        # A goal is reached within two voxels.
+        return before - after, bool(after < 2 * VOXEL)
 
     def get_obs(self, args: Mapping[str, np.ndarray]) -> np.ndarray:
         """``[2]``: the place, and the way to it."""

@@ -17,7 +17,6 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW
 __all__ = ["TaskEnv", "TimeLimit", "task_env"]
 
 _BOUND = 100.0  # as released: nominal, observations are not clipped
-_FOLLOWED = ("package", "beam")
 
 
 class TaskEnv(BenchmarkBase):
@@ -51,7 +50,9 @@ class TaskEnv(BenchmarkBase):
     ) -> None:
         self.world = self._make_world(self._rules(), body, connections)
         BenchmarkBase.__init__(self, self.world, render_mode, render_options)
-        self.default_viewer.track_objects("robot", *(name for name in _FOLLOWED if name in self.world.objects))
+        # The camera follows what the robot handles, too.
+        handled = [name for name in ("package", "beam") if name in self.world.objects]
+        self.default_viewer.track_objects("robot", *handled)
         for params in (dict(term.params) for term in self._rules().observations):
             if "reach" in params:
                 self.sight_dist, self.terrain_list = params["reach"], list(params["objects"])

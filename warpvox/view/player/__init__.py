@@ -23,7 +23,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -34,17 +34,12 @@ from warpvox.io.writing import check_suffix, write_text
 from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, MATERIALS, VOXEL
 from warpvox.view.scene import Scene
 
-if TYPE_CHECKING:
-    from warpvox.view.rollout import Rollout
-
-PRECISION = 4096  # steps per simulator unit: 0.24 % of a voxel
 MOST_NUMBERS = 1 << 28
 """Coordinates of all points in all frames of a page, for which a browser takes about 2 GB."""
-SCRIPTS = ("data.js", "view.js", "player.js")
 
 
 def write_html(
-    rollout: Rollout,
+    rollout: Any,
     path: str | os.PathLike[str],
     envs: Sequence[int] | None = None,
     title: str | None = None,
@@ -53,7 +48,7 @@ def write_html(
     """Write a rollout as a page that plays it in a browser; return the path.
 
     Args:
-        rollout: what was recorded.
+        rollout: the :class:`warpvox.view.rollout.Rollout`; it shows itself by this module, which does not import it.
         path: where to; written whole or not at all.
         envs: environments to show; None: all.
         title: heading of the page; None: the task.
@@ -68,10 +63,22 @@ def write_html(
     return Path(path)
 
 
-def page_of(rollout: Rollout, envs: Sequence[int] | None = None, title: str | None = None, every: int = 1) -> str:
+def page_of(rollout: Any, envs: Sequence[int] | None = None, title: str | None = None, every: int = 1) -> str:
     """The page that :func:`write_html` writes, as text."""
     chosen = rollout.check_envs(envs)
-    _check_length(rollout, chosen, every)
+
+    # More than a browser can hold?
+    check_integer("every", every, 1, error=RolloutError)
+    points = sum(rollout.scene(env).num_points for env in chosen)
+    numbers = 2 * points * len(range(0, rollout.num_frames, every))
+    if numbers > MOST_NUMBERS:
+        least = -(-numbers * every // MOST_NUMBERS)
+        raise RolloutError(
+            f"A page with {points:,} points in {rollout.num_frames:,} frames is more than a browser can hold; show"
+            f" every {least}th frame (every={least}), fewer environments, or write an MP4."
+        )
+
+    # The page
     scale, data = _pack(rollout, chosen, every)
     meta = _describe(rollout, chosen, scale, every) | {"title": title or rollout.title}
     return fill_template(
@@ -79,7 +86,7 @@ def page_of(rollout: Rollout, envs: Sequence[int] | None = None, title: str | No
         values={"meta": meta},
         title=in_html(meta["title"]),
         style=asset("player.css"),
-        script="\n".join(asset(name) for name in SCRIPTS),
+        script="\n".join(asset(name) for name in ("data.js", "view.js", "player.js")),
         data=base64.b64encode(data).decode(),
     )
 
@@ -99,11 +106,32 @@ def asset(name: str, package: str = __name__) -> str:
     return files(package).joinpath(name).read_text(encoding="utf-8")
 
 
-def _describe(rollout: Rollout, envs: list[int], scale: int, every: int) -> dict[str, Any]:
+def _describe(rollout: Any, envs: list[int], scale: int, every: int) -> dict[str, Any]:
     """All but the trajectories, as JSON values."""
-    used = sorted({int(rollout.design_index[env]) for env in envs})
+    designs = [int(rollout.design_index[env]) for env in envs]
+    used = sorted(set(designs))
     known = {key: rollout.metadata.get(key) for key in ("rules", "physics", "agent", "seed", "iteration")}
-    lengths, names = rollout.lengths, rollout.names
+    shown = []
+    for env, design in zip(envs, designs, strict=True):
+        length = int(rollout.lengths[env]) // every
+        shown.append({"env": env, "name": rollout.names[env], "scene": used.index(design), "length": length})
+    scenes = []
+    for number in used:
+        scene: Scene = rollout.scenes[number]
+        objects = []
+        for obj in scene.moving:
+            parts = {part: getattr(obj, part).tolist() for part in ("cells", "places", "corners")}
+            objects.append({"name": obj.name} | parts)
+        scenes.append(
+            {
+                "width": scene.width,
+                "height": scene.height,
+                "terrain": ["".join(map(str, row)) for row in scene.terrain.tolist()],
+                "points": scene.num_points,
+                "robot": scene.robot_points.tolist(),
+                "objects": objects,
+            }
+        )
     return {
         "frames": len(rollout.positions[::every]),
         "dt": FRAME_SECONDS * every,
@@ -113,34 +141,12 @@ def _describe(rollout: Rollout, envs: list[int], scale: int, every: int) -> dict
         "about": {key: value for key, value in known.items() if isinstance(value, str | int)},
         "colours": {int(cell): material.colours for cell, material in MATERIALS.items()},
         "names": {int(cell): material.name for cell, material in MATERIALS.items()},
-        "scenes": [_describe_scene(rollout.scenes[number]) for number in used],
-        "envs": [
-            {
-                "env": env,
-                "name": names[env],
-                "scene": used.index(int(rollout.design_index[env])),
-                "length": int(lengths[env]) // every,
-            }
-            for env in envs
-        ],
+        "scenes": scenes,
+        "envs": shown,
     }
 
 
-def _describe_scene(scene: Scene) -> dict[str, Any]:
-    return {
-        "width": scene.width,
-        "height": scene.height,
-        "terrain": ["".join(map(str, row)) for row in scene.terrain.tolist()],
-        "points": scene.num_points,
-        "robot": scene.robot_points.tolist(),
-        "objects": [
-            {"name": obj.name} | {part: getattr(obj, part).tolist() for part in ("cells", "places", "corners")}
-            for obj in scene.moving
-        ],
-    }
-
-
-def _pack(rollout: Rollout, envs: list[int], every: int) -> tuple[int, bytes]:
+def _pack(rollout: Any, envs: list[int], every: int) -> tuple[int, bytes]:
     """Steps per simulator unit, and the compressed arrays; environment by environment, so that it takes little."""
 
     def track(env: int) -> np.ndarray:
@@ -148,13 +154,19 @@ def _pack(rollout: Rollout, envs: list[int], every: int) -> tuple[int, bytes]:
         return shown.reshape(len(shown), -1).T.astype(np.float64)
 
     # Differences must fit into 16 bits, what they start from into 32.
-    jump = max(max(np.abs(np.diff(values)).max(initial=0), np.abs(values).max() / 2**16) for values in map(track, envs))
-    scale = PRECISION
-    # A leap too long for 16 bits costs precision everywhere; in a simulation there is none.
+    jump = 0.0
+    for env in envs:
+        values = track(env)
+        jump = max(jump, np.abs(np.diff(values)).max(initial=0), np.abs(values).max() / 2**16)
+
+    # 4096 steps per simulator unit are 0.24 % of a voxel. A leap too long for 16 bits costs precision everywhere; in a
+    # simulation there is none.
+    scale = 4096
     while scale > 1 and jump * scale > 32766:
         scale //= 2
     if jump * scale > 32766:
         raise RolloutError(f"Points leap {jump:.3g} simulator units in a step: too far for the page's format.")
+
     packer = zlib.compressobj(6, zlib.DEFLATED, -zlib.MAX_WBITS)
     steps = len(rollout.positions[::every]) - 1
 
@@ -168,16 +180,3 @@ def _pack(rollout: Rollout, envs: list[int], every: int) -> tuple[int, bytes]:
                 yield (moves >> shift).astype(np.uint8)
 
     return scale, b"".join([*(packer.compress(array.tobytes()) for array in arrays()), packer.flush()])
-
-
-def _check_length(rollout: Rollout, envs: list[int], every: int) -> None:
-    """Raise RolloutError if a browser could not hold the page."""
-    check_integer("every", every, 1, error=RolloutError)
-    points = sum(rollout.scene(env).num_points for env in envs)
-    numbers = 2 * points * len(range(0, rollout.num_frames, every))
-    if numbers > MOST_NUMBERS:
-        least = -(-numbers * every // MOST_NUMBERS)
-        raise RolloutError(
-            f"A page with {points:,} points in {rollout.num_frames:,} frames is more than a browser can hold; show"
-            f" every {least}th frame (every={least}), fewer environments, or write an MP4."
-        )
