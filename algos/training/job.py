@@ -389,10 +389,12 @@ def continued(settings: Training, source: Run) -> tuple[Training, Path]:
         reason = str(error).rstrip(".")
         for number in reversed(source.iterations):
             other = source.folder / f"model_{number}.pt"
-            with suppress(RunError):
+            try:
                 load_checkpoint(other)
-                newest = f"The newest checkpoint that can be read is that of iteration {number}, {other.name};"
-                raise ResumeError(f"{reason}. {newest} from there it goes on with new episodes.", other) from None
+            except RunError:
+                continue
+            newest = f"The newest checkpoint that can be read is that of iteration {number}, {other.name};"
+            raise ResumeError(f"{reason}. {newest} from there it goes on with new episodes.", other) from None
         raise RunError(f"{reason}, and there is no other checkpoint: start the run again.") from None
     return dataclasses.replace(settings, resume=None), checkpoint
 

@@ -199,7 +199,7 @@ def test_a_folder_that_vanishes_is_told_of_and_not_made_again(command: str, warp
     def remove(*_: Any) -> None:
         shutil.rmtree(tmp_path / "outputs", ignore_errors=True)
 
-    monkeypatch.setattr("warpvox.algos.training.progress.Terminal.__call__", remove)
+    monkeypatch.setattr("warpvox.progress.training.Terminal.__call__", remove)
     monkeypatch.setattr("warpvox.progress.search.SearchProgress.progress", remove)
     warpvox(*COMMANDS[command], fails="outputs")
     assert list(tmp_path.iterdir()) == []
@@ -292,17 +292,19 @@ def test_a_run_that_another_process_continued_meanwhile_goes_on_from_there(
 ) -> None:
     run, told = copied("train"), []
 
+    def hear(row: dict) -> None:
+        told.append(row["iteration"])
+
     def late(*words: Any, **more: Any) -> Any:
         with monkeypatch.context() as patch:
             patch.setattr("warpvox.algos.training.job.run_folder", run_folder)
-            wv.train(resume=run, max_iterations=5, progress=False)
+            wv.train(resume=run, max_iterations=5, progress=False, listeners=[hear])
         return run_folder(*words, **more)
 
     monkeypatch.setattr("warpvox.algos.training.job.run_folder", late)
-    monkeypatch.setattr("warpvox.algos.training.job.Listener.__call__", lambda _, row: told.append(row["iteration"]))
     refused = pytest.raises(ResumeError)
     with refused if asked == 4 else nullcontext():
-        wv.train(resume=run, max_iterations=asked, progress=False)
+        wv.train(resume=run, max_iterations=asked, progress=False, listeners=[hear])
     assert told == ([4, 5] if asked == 4 else [4, 5, 6])  # 4 and 5 by the other
     assert yaml.safe_load((run / "config.yaml").read_text().partition("...")[0])["max_iterations"] == max(asked, 5)
 
@@ -326,7 +328,7 @@ def test_a_signal_waits_for_the_iteration_and_a_second_one_does_not(
             signal.raise_signal(number)
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpvox.algos.training.progress.Terminal.__call__", send)
+        patch.setattr("warpvox.progress.training.Terminal.__call__", send)
         outcome = warpvox(*TRAIN, code=code)
     for number, handler in before.items():
         signal.signal(number, handler)
@@ -423,25 +425,5 @@ def test_a_damaged_archive_names_its_copy_and_the_search_goes_on_from_it(copied,
     with pytest.raises(RunError, match=f"{FILE} is gone.*copy it over"):  # rather than begin another one
         Archive.create(run / FILE, {})
     shutil.copy(run / BACKUP, run / FILE)
-    warpvox("codesign", f"resume={run}")
-    check_search(run, runs["codesign"])
-
-
-def test_a_damaged_training_of_designs_is_to_be_removed_and_made_again(warpvox, tmp_path, runs, monkeypatch) -> None:
-    seen: list[int] = []
-
-    def stop(*_: Any) -> None:
-        seen.append(1)
-        if len(seen) == 2:
-            raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr("warpvox.progress.search.SearchProgress.progress", stop)
-        warpvox(*CODESIGN, code=130)
-    run = only(tmp_path, "codesign")
-    (saved,) = (run / "training").iterdir()
-    cut(saved, 0.5)
-    warpvox("codesign", f"resume={run}", fails=(saved.name, "Remove it", "to the same end"))
-    saved.unlink()
     warpvox("codesign", f"resume={run}")
     check_search(run, runs["codesign"])

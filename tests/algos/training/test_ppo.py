@@ -10,11 +10,11 @@ import pytest
 import torch
 from learning import ENVS, assert_same_weights, ppo_settings, rows, small_env, weights
 
+from warpvox.algos import metrics
 from warpvox.algos.checkpoints.files import load_checkpoint, save_checkpoint
 from warpvox.algos.evaluate import evaluate, evaluator
 from warpvox.algos.metrics import Metrics, check_logger, read_metrics
 from warpvox.algos.settings import Ppo
-from warpvox.algos.training import metrics
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ConfigError, DivergenceError, RunError
