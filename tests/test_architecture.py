@@ -210,12 +210,12 @@ def test_simulations_and_environments_are_used_by_their_public_methods() -> None
 
 
 CEILINGS = {
-    "tokens": 270_800,
-    "tokens a line of code": 11.25,
-    "names at module level": 2_097,
-    "public names at module level": 1_580,
+    "tokens": 259_600,
+    "tokens a line of code": 11.05,
+    "names at module level": 1_840,
+    "public names at module level": 1_400,
     "files that train may load": 145,
-    "files in circles, types counted": 50,
+    "files in circles, types counted": 0,
 }
 """How large the house may be. Lower a figure when a change has brought it down; a higher one needs a reason."""
 
