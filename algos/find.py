@@ -11,13 +11,13 @@ from warpvox.errors import RunError, listing
 from warpvox.io.reading import CONFIG, read_config
 from warpvox.robots.entry import Robot, zoo
 from warpvox.robots.gait import Gait
-from warpvox.runs import CODESIGN, STAMP_LENGTH, STATE, TRAINING, ZOO, Run, without_services
+from warpvox.runs import CODESIGN, STAMP_LENGTH, STATE, TRAINING, ZOO, Run, search_as_now, without_services
 
 NEEDED = {
     "train": ("a training", {"task", "design", "ppo"}),
     CODESIGN: ("a design search", {"task", "search", "training"}),
 }
-"""What the run of a command is, and keys that its configuration has."""
+"""Kind of run that a command makes, and keys of its configuration."""
 
 
 def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, CODESIGN), resume: bool = False) -> Run:
@@ -37,6 +37,7 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
     folder = _folder_of(path)
     if (folder / ARCHIVE).is_file():
         with Archive.read(folder / ARCHIVE) as archive:
+            search_as_now(archive.settings, folder)
             best = [record for record in archive.best() if record.policy is not None]
         if not best:
             raise RunError(f"The design search {folder} has no design with a policy yet.")
@@ -69,12 +70,17 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
     for text in texts:
         names = [text]
         if (paths := matches(text)) is not None:
-            homes = ((path, path.parent if path.match("model_*.pt") else path) for path in paths)
-            runs, keys = ((path, home) for path, home in homes if (home / CONFIG).is_file()), NEEDED["train"][1]
-            names = [str(path) for path, home in runs if keys <= read_config(home).keys() or (home / ARCHIVE).is_file()]
+            _, keys = NEEDED["train"]
+            names = []
+            for path in paths:
+                home = path.parent if path.match("model_*.pt") else path
+                if (home / CONFIG).is_file() and (keys <= read_config(home).keys() or (home / ARCHIVE).is_file()):
+                    names.append(str(path))
             if not names:
                 raise RunError(f"No training or design search matches {text}.")
-        found |= {(run.folder.resolve(), run.checkpoint): run for run in (find_run(one, output_dir) for one in names)}
+        for name in names:
+            run = find_run(name, output_dir)
+            found[run.folder.resolve(), run.checkpoint] = run
     if not found:
         raise RunError("There are no runs: runs=[] names none.")
     return list(found.values())
@@ -126,13 +132,21 @@ def _config_of(folder: Path, command: str) -> dict[str, Any]:
     content, (what, keys) = read_config(folder), NEEDED[command]
     if not keys <= content.keys():
         raise RunError(f"{folder} is not {what}: its {CONFIG} is that of another run.")
+    if command == CODESIGN:
+        content = search_as_now(content, folder)
     return without_services(content)
 
 
 def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
-    found = [(command, file.parent) for command in commands for file in root.glob(f"{command}/*/*/{CONFIG}")]
-    signs = {name: ("model_*.pt", *[STATE] * resume) for name in commands} | {CODESIGN: (ARCHIVE, BACKUP)}
-    folders = [folder for command, folder in found if any(any(folder.glob(sign)) for sign in signs[command])]
+    folders = []
+    for command in commands:
+        # What shows that a run has begun
+        signs = ["model_*.pt", *[STATE] * resume]
+        if command == CODESIGN:
+            signs = [ARCHIVE, BACKUP]
+        for file in root.glob(f"{command}/*/*/{CONFIG}"):
+            if any(next(file.parent.glob(sign), None) for sign in signs):
+                folders.append(file.parent)
     if not folders:
         raise RunError(f"There is no run in {root / commands[0]} yet.")
     # names begin with the date and time of the start; what started within one second differs by its first file

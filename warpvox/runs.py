@@ -107,6 +107,38 @@ def without_services(stored: Mapping[str, Any]) -> dict[str, Any]:
     return kept
 
 
+def search_as_now(stored: Mapping[str, Any], place: object) -> dict[str, Any]:
+    """The stored settings of a design search, without the keys that those of version 0.1.0 have besides.
+
+    Raises:
+        RunError: they ask for something that later versions do not have; ``place`` is where they are from.
+    """
+    settings = dict(stored)
+    training = settings.get("training")
+    training = dict(training) if isinstance(training, Mapping) else {}
+    evaluation = settings.get("evaluation")
+    evaluation = evaluation.get("name") if isinstance(evaluation, Mapping) else None
+
+    # What a search goes on with as it was, and what not
+    gone = {
+        "policy": (settings.pop("policy", "mlp"), "mlp"),
+        "network": (settings.pop("network", None), None),
+        "training.method": (training.pop("method", "population"), "population"),
+        "evaluation": (evaluation if evaluation in ("shared", "few_shot") else None, None),
+    }
+    for key, (value, usual) in gone.items():
+        if value != usual:
+            raise RunError(
+                f"{place} is a search of warpvox 0.1.0 with {key}={value}, which later versions do not have."
+            )
+
+    # Intervals of checkpoints
+    training.pop("save_interval", None)
+    if isinstance(settings.get("training"), Mapping):
+        settings["training"] = training
+    return settings
+
+
 @contextmanager
 def new_folder(output_dir: str, command: str, task: str, name: str | None, config: str) -> Iterator[Path]:
     """Make a run's folder with its ``config.yaml``; gone again if the block fails before any result."""

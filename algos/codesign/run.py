@@ -29,7 +29,7 @@ from warpvox.algos.search import BaseSearch, make_search
 from warpvox.algos.search.factory import start_with
 from warpvox.algos.settings import sim_of
 from warpvox.algos.training.job import task_name
-from warpvox.algos.training.pretrained import observed_by
+from warpvox.algos.training.pretrained import is_on_grid, observed_by
 from warpvox.algos.training.settings import Training
 from warpvox.batch.options import lanes_for
 from warpvox.code import same_code
@@ -41,14 +41,12 @@ from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.writing import to_yaml
 from warpvox.keys import flat
-from warpvox.runs import CONFIG, END, keep_code, run_folder
+from warpvox.runs import CONFIG, END, keep_code, run_folder, search_as_now
 
 OF_DESIGNS = (
     "task", "rules", "seed", "device", "dtype", "arithmetic", "threads", "torch_threads", "output_dir",
 )  # fmt: skip
 """Settings that the training of a design has from its search."""
-USUAL_BEFORE = {"training.method": "population", "policy": "mlp"}
-"""Values of keys that settings had before: searches with these go on as they were."""
 MAX_BATCH_STEPS = 20e6
 """Control steps of a batch by default: about ten minutes of a core."""
 BEFORE = (CONFIG, "log.txt", "training", "code", "designs", f"{ARCHIVE}.lock")
@@ -134,7 +132,7 @@ def run_codesign(
                 executor = make_executor(settings, known)
                 opened.callback(executor.close)
             with Archive.read(resumed / ARCHIVE) if resumed else nullcontext() as archive:
-                known_settings = archive.settings if archive else {}
+                known_settings = search_as_now(archive.settings, resumed) if archive else {}
             settings = dataclasses.replace(settings, batch=_batch(settings, executor, known_settings))
             written = dataclasses.replace(settings, task=task_name(settings.task))
             plain = dataclasses.asdict(Codesign.of(vars(written)))  # without the keys of the command line
@@ -217,10 +215,8 @@ def _check_same(known: Mapping[str, Any], values: Mapping[str, Any], folder: Pat
     before, now = flat(known), flat(values)
     for key in now | before:
         old, new = before.get(key), now.get(key)
-        if key in now and old != new and key not in CHANGEABLE and not same_code(old, new):
+        if old != new and key not in CHANGEABLE and not same_code(old, new):
             raise RunError(f"{folder} is a search with {key}={old}, asked for {key}={new}: give that another folder.")
-        if key not in now and old not in (None, USUAL_BEFORE.get(key)):
-            raise RunError(f"{folder} is a search of warpvox 0.1.0 with {key}={old}, which later versions do not have.")
 
 
 def _batch(settings: Codesign, executor: Executor, known: Mapping[str, Any]) -> int | None:
@@ -258,13 +254,10 @@ def _run_of_design(settings: Codesign, task: str, candidate: Candidate, outcome:
     }
     voxels = (outcome.spec or {}).get("voxels")
     if voxels is not None:  # of an evaluation of the user's own
-        body = candidate.body.tolist()
-        values |= {
-            "policy": voxels["network"],
-            "network": voxels["settings"],
-            "obs": observed_by(outcome.spec),
-            "designs": {"bodies": [body], "refresh": "none", "held_out": [body]},
-        }
+        values |= {"policy": voxels["network"], "network": voxels["settings"], "obs": observed_by(outcome.spec)}
+        if is_on_grid(voxels["layout"]):
+            bodies = [candidate.body.tolist()]
+            values["designs"] = {"bodies": bodies, "refresh": "none", "held_out": bodies}
     values |= settings.evaluation.run_of(settings, candidate, outcome)
     # as where the fitness was found
     values.setdefault("lanes", lanes_for(episodes_of(values["eval_envs"], settings.fitness)))

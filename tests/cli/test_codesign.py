@@ -1,9 +1,12 @@
 """Design searches from end to end, on trainings of a moment."""
 
+import contextlib
 import csv
 import io
+import json
 import math
 import re
+import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -205,6 +208,44 @@ def test_a_damaged_design_stops_no_report(search: Callable, warpvox: Callable) -
     assert page.count("data:image/webp;base64,") == 2
     assert page.count("<code>warpvox play") == 4
     assert "designs/1/config.yaml has been cut short" in page
+
+
+def test_a_search_of_version_0_1_goes_on_or_is_refused_in_a_sentence(search: Callable, warpvox: Callable) -> None:
+    folder = search("seed=3")
+
+    def records() -> list[tuple[str, float | None, list]]:
+        with Archive.read(folder / FILE) as archive:
+            return [(str(one.candidate.body.tolist()), one.fitness, one.curve) for one in archive.records()]
+
+    before = records()
+
+    def store(method: str, policy: str = "mlp", evaluation: str = "specialist") -> None:
+        """Give the search the keys that version 0.1.0 had besides."""
+        config = yaml.safe_load((folder / "config.yaml").read_text())
+        with contextlib.closing(sqlite3.connect(folder / FILE)) as db, db:
+            (text,) = db.execute("SELECT value FROM experiment WHERE key='settings'").fetchone()
+            settings = json.loads(text)
+            for values in (config, settings):
+                values |= {"policy": policy, "network": None, "evaluation": {"name": evaluation}}
+                values["training"] |= {"method": method}
+            config["training"]["save_interval"] = 25
+            db.execute("UPDATE experiment SET value=? WHERE key='settings'", [json.dumps(settings)])
+        (folder / "config.yaml").write_text(yaml.safe_dump(config) + "...\n")
+
+    store("population")
+    (folder / "summary.json").unlink()
+    warpvox("codesign", f"resume={folder}")
+    warpvox("codesign", f"report={folder}")
+    assert records() == before
+    for key, changes in {
+        "training.method=sequential": ("sequential",),
+        "policy=grid": ("population", "grid"),
+        "evaluation=few_shot": ("population", "mlp", "few_shot"),
+    }.items():
+        store(*changes)
+        for words in (f"resume={folder}", f"report={folder}", f"config={folder}"):
+            warpvox("codesign", words, fails=("warpvox 0.1.0", key))
+        warpvox("play", f"run={folder}", "window=off", fails=("warpvox 0.1.0", key))
 
 
 @pytest.fixture

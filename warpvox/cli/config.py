@@ -20,7 +20,7 @@ from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean
 from warpvox.io.reading import LARGEST_CONFIG, Unreadable, parse_yaml, read_text
 from warpvox.keys import flat
-from warpvox.runs import CODESIGN, CONFIG, TRAINING, without_services
+from warpvox.runs import CODESIGN, CONFIG, TRAINING, search_as_now, without_services
 
 ALIASES = {
     "env": "task",
@@ -175,6 +175,8 @@ def _stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path |
         if not isinstance(values, dict) or not values:
             raise ConfigError(f"config must be a YAML file or the folder of a run; {path} holds no KEY: VALUE.")
         given["config"] = None
+        if command == CODESIGN:
+            values = search_as_now(values, path)
     elif given.get("resume") is not None:
         name = str(given["resume"])
         output_dir = str(given.get("output_dir", "outputs"))
