@@ -52,6 +52,11 @@ def observed_by(spec: Mapping[str, Any] | None) -> str:
     return "timed_voxel" if voxels.get("layout", {}).get("timed") else "voxel"
 
 
+def is_on_grid(layout: Mapping[str, Any]) -> bool:
+    """Return whether a policy for voxels controls any body in its grid; else it was made for one, in no grid."""
+    return layout["actions"] == layout["rows"] * layout["columns"]
+
+
 def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[Training, dict[str, Any]]:
     """The configuration of a training that begins with the policy ``pretrained``, and this policy's checkpoint.
 
@@ -80,7 +85,7 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
         taken = inspect.signature(NETWORKS.get(name) or load_code(name)).parameters.values()
         usual["network"] = {one.name: one.default for one in taken if one.default is not one.empty}
         layout = spec.voxels["layout"]
-        if layout["actions"] == layout["rows"] * layout["columns"]:  # else it was made for one body, in no grid
+        if is_on_grid(layout):
             changes["designs"] = _on_the_grid(config, layout)
     known = changes | {f"ppo.{key}": value for key, value in ppo.items()}
     known["network"] = usual["network"] | (known["network"] or {})

@@ -1,6 +1,6 @@
 """Design search from Python: from objects, with parts of one's own, and as the command makes it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -14,7 +14,8 @@ from tiny import tiny
 
 import warpvox as wv
 from warpvox.algos.archive import FILE, Archive
-from warpvox.algos.candidate import START
+from warpvox.algos.candidate import START, Candidate, Outcome, Parents
+from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.codesign.evaluations.custom import Custom
 from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
@@ -176,6 +177,31 @@ def test_an_evaluation_in_a_file(warpvox: Callable, tmp_path: Path, monkeypatch:
         ("evaluation.settings={wait:2}", "does not take these settings"),
     ]:
         warpvox(*tiny("codesign", *words, wrong), fails=says)
+
+
+@pytest.mark.parametrize("on_grid", [False, True])
+def test_a_policy_for_voxels_of_an_evaluation_of_ones_own_is_played(on_grid: bool, tmp_path: Path) -> None:
+    class Trains:
+        """Each design gets a training of its own, by a network that sees voxels."""
+
+        def evaluate(self, candidates: Sequence[Candidate], parents: Parents, report: Any = None) -> list[Outcome]:
+            outcomes = []
+            for one in candidates:
+                place = tmp_path / "trained" / str(one.id)
+                options = {"num_envs": 4, "max_iterations": 1, "eval_interval": 1, "ppo": wv.Ppo(steps=4, epochs=1)}
+                how = {"device": "cpu", "threads": 1, "progress": False}
+                body = one.body.tolist()
+                bodies = {"designs": {"bodies": [body], "refresh": "none"}} if on_grid else {"design": body}
+                run = wv.train(policy="grid", network={"width": 8}, folder=place, **bodies, **options, **how)
+                content = load_checkpoint(place / "model_best.pt")
+                best = run.summary["best_return"]
+                outcomes.append(Outcome(best, steps=16, policy=content["actor_state_dict"], spec=content["policy"]))
+            return outcomes
+
+    search = wv.GA(population=2, max_evaluations=2, min_survivors=1)
+    found = wv.codesign(search=search, evaluation=Trains(), folder=tmp_path / "search", **SMALL)
+    (row,) = wv.evaluate(found, episodes=1, device="cpu")
+    assert row.mean == pytest.approx(found.best.fitness, abs=1e-6)
 
 
 def test_a_type_error_within_an_evaluation_of_ones_own_is_not_taken_for_a_wrong_setting(tmp_path: Path) -> None:
