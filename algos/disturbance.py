@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
+import numpy as np
 import torch
 
 from warpvox.algos.protocols import DISTURBANCES, NOMINAL
@@ -89,6 +90,8 @@ class Disturbed:
         most = column("start")
         lengths = self._each(self.draws.uniform(LENGTH, 0, 1))
         self.random_steps = torch.where(most > 0, 1 + (lengths * most).long(), 0)
+        # The highest action of policies is that of float32, which lies above 1.6: it is disturbed as it is.
+        self.highest = float(np.float32(ACTION_HIGH))
         # known beforehand: a step does not wait for the device
         self.most = {name: max(getattr(kind, name) for kind in self.kinds) for name in vars(self.kinds[0])}
         self.reset()
@@ -109,10 +112,7 @@ class Disturbed:
             noise = self._each(draws.normal(SENSORS, step, obs.shape[1]))
             obs = obs + (self.sensors * noise).to(obs.dtype)
         actions = checked_actions(self.policy(obs), self.shape, str(obs.device))
-        # Beyond the range noise would be lost. The highest action of policies is that of float32, which lies above 1.6:
-        # it is disturbed as it is.
-        highest = torch.tensor(ACTION_HIGH, dtype=torch.float32, device="cpu").item()
-        actions = actions.clamp(ACTION_LOW, highest)
+        actions = actions.clamp(ACTION_LOW, self.highest)  # beyond the range noise would be lost
         if step < self.most["start"]:
             uniform = self._each(draws.uniform(START, step, actions.shape[1]))
             uniform = (ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * uniform).to(actions.dtype)
