@@ -27,8 +27,6 @@ FRESH = 0.125
 """Share of the first gaits of a design with a parent that owe nothing to it."""
 KEPT = 0.5
 """Share of designs with one gait each that move as their parent."""
-SAVE_INTERVAL = 20.0
-"""Seconds between checkpoints."""
 STRETCH = (1.0, 3.0, 0.6, 2.0, 4.0, 1.4, 0.8)
 """By what the stages of one pass after another are longer: a throw or a turn takes its time, and they end elsewhere."""
 STREAM = 0x6A17

@@ -6,7 +6,6 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from hashlib import sha256
 from typing import Any, NamedTuple
 
 import torch
@@ -14,7 +13,6 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch import nn
 
-from warpvox.algos.expected import AnyTensor, check_like
 from warpvox.algos.policies.network import observations
 from warpvox.algos.population.model import Normalizer, PopulationActor, PopulationModel, StackedGaussian
 from warpvox.algos.training.ppo import PPO
@@ -251,24 +249,6 @@ class PopulationPPO(PPO):
         self.rates = self.rates[list(index)]
         self._fill(RolloutStorage("rl", envs * len(index), steps, obs, [max(self.actor.outputs)], self.device))
 
-    def save(self) -> dict[str, Any]:
-        """Networks, optimiser, learning rates and random streams, for :meth:`load`."""
-        parts = {"actor": self.actor.state_dict(), "critic": self.critic.state_dict(), "updates": self.updates}
-        own = {"optimizer": self.optimizer.state(), "rates": self.rates, "streams": self.streams.state()}
-        return parts | own
-
-    def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None = None, strict: bool = True) -> bool:
-        """Restore what :meth:`save` gave; RunError: it is not that of these designs."""
-        like = self.save() | {"updates": int, "optimizer": self.optimizer.state() | {"steps": int}}
-        like["streams"] = [AnyTensor(torch.uint8, (None,))] * self.num_designs  # other devices have longer ones
-        check_like(loaded_dict, like)
-        self.actor.load_state_dict(loaded_dict["actor"])
-        self.critic.load_state_dict(loaded_dict["critic"])
-        self.optimizer.set_state(loaded_dict["optimizer"])
-        self.updates, self.rates = loaded_dict["updates"], loaded_dict["rates"].to(self.device)
-        self.streams.set_state(loaded_dict["streams"])
-        return True
-
 
 FIRST, SECOND = 0.9, 0.999
 """How much of the moments stays in a step: torch's defaults."""
@@ -335,14 +315,6 @@ class VectorAdam:
             setattr(self, name, self.flat([part[list(index), : p.shape[1], : p.shape[2]] for p, part in parts]))
         self._bind()
 
-    def state(self) -> dict[str, Any]:
-        return {"steps": self.steps, "means": self._means, "squares": self._squares}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        self.steps = state["steps"]
-        self._means.copy_(state["means"])
-        self._squares.copy_(state["squares"])
-
 
 class Streams:
     """One generator for each design, used call by call as a separate training uses torch's own.
@@ -359,7 +331,8 @@ class Streams:
         self.device = device
         self._generators = [torch.Generator(device).manual_seed(seed) for seed in seeds]
         if torch.device(device).type == "cpu":
-            self.set_state(states)
+            for generator, state in zip(self._generators, states, strict=True):
+                generator.set_state(state)
 
     def normal(self, steps: int, rows: int, columns: Sequence[int]) -> torch.Tensor:
         """``[steps, designs, rows, max(columns)]``: standard normal in the first ``columns`` of each design, else 0.
@@ -385,14 +358,3 @@ class Streams:
 
     def keep(self, index: Sequence[int]) -> None:
         self._generators = [self._generators[d] for d in index]
-
-    def state(self) -> list[torch.Tensor]:
-        return [generator.get_state() for generator in self._generators]
-
-    def set_state(self, state: Sequence[torch.Tensor]) -> None:
-        """Restore :meth:`state` of as many designs; from another kind of device it seeds new streams."""
-        for generator, value in zip(self._generators, state, strict=True):
-            if len(value) == len(generator.get_state()):
-                generator.set_state(value.cpu())
-            else:
-                generator.manual_seed(int.from_bytes(sha256(bytes(value.tolist())).digest()[:7], "big"))

@@ -162,11 +162,3 @@ class PopulationTraining:
         self._make_environments()
         self.env.set_state(state)
         self.algorithm.keep(index, self.env.get_observations())
-
-    def state(self) -> dict[str, Any]:
-        return {"iteration": self.iteration, "env": self.env.state(), "algorithm": self.algorithm.save()}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        self.iteration = state["iteration"]
-        self.env.set_state(state["env"])
-        self.algorithm.load(state["algorithm"])

@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from warpvox.algos.population.model import tanh_layers
-from warpvox.algos.population.ppo import Streams, VectorAdam
+from warpvox.algos.population.ppo import VectorAdam
 
 SIZES = (5, 7, 6, 3)
 DESIGNS = 4
@@ -69,10 +69,6 @@ def test_each_row_of_stacked_networks_is_an_adam_of_its_own() -> None:
         for groups, rate in zip(parts, rates, strict=True)
     ]
     for step in range(1, 21):
-        if step == 10:  # goes on from its state
-            state = {name: value if name == "steps" else value.clone() for name, value in ours.state().items()}
-            ours = VectorAdam(stacks, EPS)
-            ours.set_state(state)
         gradients = [torch.randn(p.shape, generator=random).double() * scales for p in ours.parameters]
         for rows in (slice(2), slice(2, 3)):
             ours.descend(ours.flat([g[rows] for g in gradients]), LIMIT, rates[rows], step, rows)
@@ -85,16 +81,3 @@ def test_each_row_of_stacked_networks_is_an_adam_of_its_own() -> None:
     for k, parameter in enumerate(ours.parameters):
         stock = torch.stack([optimizer.param_groups[0]["params"][k].detach() for optimizer in theirs])
         torch.testing.assert_close(parameter.detach(), stock, rtol=0, atol=1e-12)
-
-
-def test_streams_go_on_from_the_state_of_another_kind_of_device() -> None:
-    cuda = [torch.tensor([seed, *[0] * 15], dtype=torch.uint8) for seed in (1, 2)]  # as long as those of a GPU
-
-    def drawn(states: list[torch.Tensor]) -> torch.Tensor:
-        streams = Streams([3, 3], [torch.get_rng_state()] * 2, "cpu")
-        streams.set_state(states)
-        return streams.normal(1, 4, [2, 2])[0]
-
-    first, second = drawn(cuda)
-    assert not torch.equal(first, second)
-    assert torch.equal(drawn(cuda[::-1]), torch.stack([second, first]))
