@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, cast
 
 from rich.console import Console, Group
@@ -43,9 +43,9 @@ class TrackedSearch(Listener):
         self._settings = settings
 
     def begun(self, run: SearchRun) -> None:
-        self._run = run
         from warpvox.progress.tracking import Tracker
 
+        self._run = run
         self._tracker = Tracker(run.folder, "codesign", self._settings.search.algorithm)
 
     def told(self, generation: int, fresh: bool) -> None:
@@ -73,7 +73,6 @@ class SearchProgress(Listener):
         self.run, self.archive = run, run.archive
         self._began = self._printed = time.monotonic()
         self._start = self.archive.trained()
-        self._resumed = self.archive.count() > 0  # until a generation is whole: trainings may go on
         self._spent = 0  # control steps of trainings that have ended since the beginning
         self._first: tuple[float, int] | None = None  # time and control steps of the first news of a stage
         self._last = False  # the finalists are being evaluated
@@ -107,10 +106,13 @@ class SearchProgress(Listener):
             self._live.stop()
         if not summary:
             return
-        folder, best, status = self.run.folder, summary["best_design"], summary["status"]
-        words, under_way = (f"{status}, state saved", self.under_way) if status == "interrupted" else (status, "")
-        designs = evaluated_text(summary)
-        text = f"{words} after {designs} and {summary['steps']:,} control steps{under_way}"
+        folder = self.run.folder
+        best = summary["best_design"]
+        status = summary["status"]
+        text = f"{status} after {evaluated_text(summary)} and {summary['steps']:,} control steps"
+        if status == "interrupted" and self._work:
+            designs = sum(training.designs for training in self._work.values())
+            text += f"; {designs} more were under way, to be evaluated again"
         if best is not None:
             text += f"; best fitness {summary['best_fitness']:.3f} (design {best})"
         echo(self.console, text)
@@ -135,8 +137,7 @@ class SearchProgress(Listener):
         self._show()
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
-        training = self._work.setdefault(batch[0].id, _Training(len(batch), event["steps"] if self._resumed else 0))
-        training.event = event
+        self._work[batch[0].id] = _Training(len(batch), event)
         now = time.monotonic()
         self._first = self._first or (now, self._steps)
         if self._live is None and now - self._printed >= QUIET_SECONDS:
@@ -153,7 +154,6 @@ class SearchProgress(Listener):
     def told(self, generation: int, fresh: bool) -> None:
         if not fresh:
             return
-        self._resumed = False
         row, count = self.archive.generations()[generation], sum(r.diverged for r in self.archive.records(generation))
         text = f"generation {generation} done: {self._counts()}  best {row['best']:.3f}  mean {row['mean']:.3f}"
         if not self._last:  # finalists may be compared in another way than all before them
@@ -181,15 +181,6 @@ class SearchProgress(Listener):
         """Control steps of training since the beginning."""
         return self._spent + sum(training.steps for training in self._work.values())
 
-    @property
-    def under_way(self) -> str:
-        """The designs that are being evaluated, for the end of a sentence; empty if nothing is."""
-        if not self._work:
-            return ""
-        designs = sum(training.designs for training in self._work.values())
-        steps = sum(training.event["steps"] for training in self._work.values())
-        return f"; {designs} more under way, {self._iteration()} and {steps:,} control steps"
-
     def _figures(self) -> str:
         rate = self._steps / max(time.monotonic() - self._began, 1e-9)
         return f"{rate:,.0f} steps/s  left {self._left()}"
@@ -205,7 +196,7 @@ class SearchProgress(Listener):
         if trained and not self._last:  # fewer than at most, where episodes end early
             cost = sum(row["steps"] or 0 for row in self.archive.generations()) / trained
         designs = self.run.total - trained - (0 if self._last else self.run.finalists)
-        steps = cost * designs - sum(training.event["steps"] for training in self._work.values())
+        steps = cost * designs - sum(training.steps for training in self._work.values())
         left = duration((time.monotonic() - began) / (self._steps - before) * max(steps, 0.0))
         return left if self._last or not self.run.finalists else f"{left}, then {self.run.finalists} finalists"
 
@@ -247,11 +238,10 @@ class SearchProgress(Listener):
 
 @dataclass
 class _Training:
-    """A batch under way; ``first``: steps that it had already spent when it was resumed."""
+    """A batch under way, and what was reported of it last."""
 
     designs: int
-    first: int
-    event: dict[str, Any] = field(default_factory=dict)
+    event: dict[str, Any]
 
     @property
     def share(self) -> float:
@@ -259,4 +249,4 @@ class _Training:
 
     @property
     def steps(self) -> int:
-        return self.event["steps"] - self.first
+        return self.event["steps"]
