@@ -13,7 +13,7 @@ from warpvox.design import Design
 from warpvox.errors import RunError
 
 FINALIST = "finalist"
-"""The origin of a candidate whose body has been compared by a common policy, and now gets a policy of its own."""
+"""Origin of a candidate whose body is among the best of the search, and now is evaluated once more."""
 START = "start"
 """The origin of a candidate whose body was known before the search."""
 Report = Callable[[dict[str, Any]], None] | None

@@ -177,5 +177,5 @@ def words_of_code(settings: Any) -> str:
 
 
 def same_code(one: object, other: object) -> bool:
-    """Whether both are code of the same name, which may have moved to another place."""
+    """Return whether both are code of the same name, which may have moved to another place."""
     return is_code(one) and is_code(other) and str(one).rpartition(":")[2] == str(other).rpartition(":")[2]

@@ -62,6 +62,11 @@ class PolicySpec:
     rnn: dict[str, Any] | None = None
 
     @property
+    def is_mlp(self) -> bool:
+        """True for fully connected layers alone."""
+        return self.voxels is None and self.gait is None and self.rnn is None
+
+    @property
     def has_feedback(self) -> bool:
         """True where actions depend on more than the body and the time."""
         return self.gait is None

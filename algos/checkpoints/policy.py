@@ -111,7 +111,7 @@ class Policy(nn.Module):
         step = self.metadata.get("action_step")
         self.step = float(step) if is_number(step) else 0.0
         self.lowest, self.highest = LOW, HIGH
-        self.network = Layers(spec) if spec.voxels is None and spec.gait is None and spec.rnn is None else Actor(spec)
+        self.network = Layers(spec) if spec.is_mlp else Actor(spec)
         self.eval().requires_grad_(False)
 
     def __call__(self, obs: torch.Tensor | np.ndarray, *more: Any) -> Any:
@@ -221,8 +221,7 @@ def parse_policy(text: str, source: object, network: str | None = None) -> Polic
         spec = with_code(spec_of(given), network)
         check_sizes(spec)
         with torch.device("meta"):  # without memory for the weights
-            is_mlp = spec.voxels is None and spec.gait is None and spec.rnn is None
-            model = Layers(spec) if is_mlp else build_actor(spec, "meta")
+            model = Layers(spec) if spec.is_mlp else build_actor(spec, "meta")
         weights = _weights(model.state_dict(), content.get("weights"))
         check_spec(spec, weights, model)
         policy = make_policy(spec, metadata)

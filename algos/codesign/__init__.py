@@ -1,3 +1,3 @@
-"""The co-design loop: evaluation of designs, executors and the archive."""
+"""Design search: its loop, evaluations of designs, executors and results."""
 
 from warpvox.algos.codesign import evaluations  # noqa: F401  (they register themselves)

@@ -1,4 +1,4 @@
-"""Who hears how a design search goes, and what they see of it."""
+"""Callbacks of a design search, and its state as they see it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Listener:
         """``waiting`` of the ``total`` candidates of a generation will be trained."""
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
-        """Take what an evaluator reports of the training of these candidates; see :data:`Report`."""
+        """Take what an evaluator reports of these candidates; see :data:`warpvox.algos.candidate.Report`."""
 
     def finished(self, records: Sequence[Record]) -> None:
         """These candidates are evaluated and stored."""

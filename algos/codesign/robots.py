@@ -94,7 +94,7 @@ def _of_search(folder: Path, choose: Callable[[Archive], list[Record]]) -> list[
 
 
 def _trained(archive: Archive) -> list[Record]:
-    """The designs with a policy of their own, the best first; finalists alone, where others were only compared."""
+    """The designs with a policy, the best first."""
     return [record for record in archive.best(max(1, archive.count())) if record.policy is not None]
 
 

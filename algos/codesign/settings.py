@@ -85,7 +85,7 @@ class Evaluation(Settings):
         return None
 
     def inherits(self, search: Codesign) -> bool:
-        """Whether candidates are evaluated with the policies of their parents at hand."""
+        """Return whether candidates are evaluated with the policies of their parents at hand."""
         return False
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float] | None:

@@ -292,7 +292,7 @@ class Runner(OnPolicyRunner):
         """One iteration: collect, learn, exchange bodies, evaluate as scheduled; returns its row of the metrics."""
         started = time.perf_counter()
 
-        # Collect and learn; `logger` takes what comes of it.
+        # Collect and learn; the results are in `logger`.
         try:
             super().learn(1)
         except ActionError as error:

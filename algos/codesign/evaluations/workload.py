@@ -28,10 +28,13 @@ class Workload:
 
 def steps_of_training(training: DesignTraining, designs: int) -> float:
     """Control steps that a design's training takes, the mean of ``designs`` side by side with successive halving."""
-    left, before, iterations = designs, 0, 0
+    left = designs
+    before = 0
+    iterations = 0
     for end in [*training.halvings(), training.iterations]:
         iterations += left * (end - before)
-        left, before = training.kept(left), end
+        left = training.kept(left)
+        before = end
     return iterations * training.envs * training.ppo.steps / designs
 
 
