@@ -10,12 +10,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from warpvox.algos.robots.entry import zoo
 from warpvox.algos.statistics import mean_interval
 from warpvox.envs.about import UNITS
 from warpvox.envs.registry import get_task, known_returns, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.worlds import task_world
-from warpvox.robots.entry import zoo
 from warpvox.view.body_picture import draw_world
 
 PAGE = Path(__file__).with_name("task_page.txt").read_text(encoding="utf-8")
