@@ -3,7 +3,8 @@
 The physics is that of the stages of ``step.py`` in fast arithmetic, in one launch; the C++ is in ``native/group``.
 Packs have one lane, so that the rows of an environment lie side by side and each may have tables of its own. The
 threads of a group take points, springs and candidates in turns (``for (i = part; i < n; i += parts)``); sums are
-made in a fixed order by one thread, without atomics: the bits of an environment do not depend on the rest of the batch.
+made in a fixed order by one thread, and what is atomic, the marking of pairs, is the same in any order: the bits of an
+environment do not depend on the rest of the batch.
 
 On the CPU the same source runs in Warp's cooperative blocks, for tests. There, and in float64, it equals the lanes bit
 for bit. In float32 on CUDA it is *approximate*: roots and quotients of springs and the contact law are accurate to a

@@ -129,6 +129,7 @@ auto most = [&](int a) -> int {
 auto lower = [](Real a, Real b) -> Real { return fmin(a, b); };
 auto higher = [](Single a, Single b) -> Single { return fmax(a, b); };
 auto count_bits = [](unsigned a) -> int { return __popc(a); };
+auto set_bits = [](int* word, int bits) { atomicOr(word, bits); };  // whichever thread comes first
 auto lowest = [](unsigned a) -> int { return __ffs(a) - 1; };
 auto sign_of = [](double a) -> int { return __double2hiint(a); };  // of a number that is a difference, never -0
 auto either = [](unsigned a, unsigned b) -> unsigned { return a | b; };
@@ -242,6 +243,7 @@ auto most = [&](int a) -> int { return GROUPS > 1 ? join(a, false, larger) : a; 
 auto lower = [](Real a, Real b) -> Real { return a < b || b != b ? a : b; };
 auto higher = [](Single a, Single b) -> Single { return a > b || b != b ? a : b; };
 auto count_bits = [](unsigned a) -> int { return __builtin_popcount(a); };
+auto set_bits = [](int* word, int bits) { __atomic_fetch_or(word, bits, __ATOMIC_RELAXED); };
 auto lowest = [](unsigned a) -> int { return __builtin_ctz(a); };
 auto sign_of = [](double a) -> int { return (a > 0.0) - (a < 0.0); };
 auto largest = [&](float a) -> float {  // the bits of numbers that are not negative are in their order
