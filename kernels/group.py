@@ -75,15 +75,15 @@ class Group:
     def layout(self) -> dict[str, tuple[int, int]]:
         """Elements of each field of ``Shared`` (``native/group/base.h``), and the bytes of one.
 
-        Forces of springs share their place with others. The list of close corners has room for 8 a thread of a warp.
+        Forces of springs share their place with others. The list of close corners has room for 8 a thread.
         """
         real, movers, springs, parts = 4 if self.precision == "float32" else 8, self.movers, self.springs, self.parts
-        touch = 16 * movers + parts * (16 + 12 * real + 16)
+        touch = 16 * movers + min(parts, WARP) * (16 + 12 * real) + 16 * parts
         in_turn = max(touch, 2 * real * (2 * springs + 2), 2 * real * movers)
         fields = dict(pos=(self.points, 16), disp=(movers, 2 * real), contact=(movers, 2 * real), links=(movers, 16))
         fields |= dict(spring=(springs, 2 * real), length=(springs, 2 * real), rigid=(parts, 2 * real))
         fields |= dict(tension=(in_turn // (2 * real), 2 * real))
-        return fields | dict(close=(8 * min(parts, WARP), 2))
+        return fields | dict(close=(8 * parts, 2))
 
     @property
     def bytes(self) -> int:

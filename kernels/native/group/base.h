@@ -60,7 +60,7 @@ struct Hit {
 };
 struct Touch {  // what the contacts of a sub-step need
     Place velocity[MOVERS];  // displacement of the last sub-step / dt
-    Hit hit[PARTS];
+    Hit hit[WHOLE];
     int queue[QUEUE];
 };
 struct alignas(16) Shared {
