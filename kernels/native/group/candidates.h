@@ -37,7 +37,8 @@ auto collect = [&]() {
     const int* fixed_at = row_of(model.fixed_at, frame);
     double* box = &wp::index(data.box, pack, 0, 0);
     int* bits = &wp::index(data.pair_bit, pack, 0);
-    const int voxels = points ? wp::index(model.voxels, here) : 0, movables = points ? wp::index(model.movables, here) : 0;
+    const bool idle = status & (DIVERGED | STILL);
+    const int voxels = idle ? 0 : wp::index(model.voxels, here), movables = idle ? 0 : wp::index(model.movables, here);
     const int words = (voxels + 31) / 32;
     const double margin = model.margin;
 
