@@ -129,6 +129,17 @@ class DesignTraining(Settings):
         # 0.28 of 25 must be 7, whatever rounding makes of it
         return max(1, math.ceil(round(self.keep * designs, 9)))
 
+    def steps_of_design(self, designs: int) -> float:
+        """Control steps that a design's training takes, the mean of ``designs`` side by side."""
+        left = designs
+        before = 0
+        iterations = 0
+        for end in [*self.halvings(), self.iterations]:
+            iterations += left * (end - before)
+            left = self.kept(left)
+            before = end
+        return iterations * self.envs * self.ppo.steps / designs
+
 
 _meaning = "preset to start from; auto: the one that belongs to rules"
 _fields: list[tuple[str, Any, Any]] = [

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.evaluations.specialist import Specialist
-from warpvox.algos.codesign.evaluations.workload import Workload, steps_of_training
-from warpvox.algos.codesign.settings import Codesign, register_evaluation
+from warpvox.algos.codesign.settings import Codesign, Workload, register_evaluation
 from warpvox.algos.protocols import ROBUST
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -81,7 +80,7 @@ class Gaits(Specialist):
         steps = self._episodes(search) * task.max_episode_steps
         first = self.passes * self.beam + self.rounds * self.gaits
         last = self.final_passes * self.final_beam + self.final_rounds * self._final_gaits
-        return first * steps, self.finalists * (last * steps + steps_of_training(search.training, self.finalists))
+        return first * steps, self.finalists * (last * steps + search.training.steps_of_design(self.finalists))
 
     def workloads(self, search: Codesign) -> list[Workload]:
         first = {"evaluation.gaits": self.gaits, "evaluation.beam": self.beam if self.passes else 1}

@@ -25,10 +25,10 @@ REPORT_KEYS = ("report", "export", "top", "output_dir")
 
 def check(config: CodesignConfig, given: Collection[str]) -> None:
     """Raise WarpvoxError where a search cannot be made, or cannot go on as asked."""
-    from warpvox.algos.codesign.run import check as check_search
+    from warpvox.algos.codesign.run import plan_codesign
 
     if config.report is None:
-        check_search(config, _resumed(config))
+        plan_codesign(config, _resumed(config))
 
 
 def run(config: CodesignConfig, given: Collection[str], console: Console) -> Path:
@@ -42,7 +42,7 @@ def run(config: CodesignConfig, given: Collection[str], console: Console) -> Pat
     config = dataclasses.replace(config, resume=None)
     with console.status("loading"):
         from warpvox.algos.codesign.results import Results
-        from warpvox.algos.codesign.run import run_codesign
+        from warpvox.algos.codesign.run import plan_codesign, run_codesign
         from warpvox.progress.search import SearchProgress, with_tracker
 
     class Films(SearchProgress):
@@ -55,7 +55,8 @@ def run(config: CodesignConfig, given: Collection[str], console: Console) -> Pat
                     results.report(summary)
                 _export(results.archive, results.folder, config.export, console)
 
-    return run_codesign(config, folder, with_tracker(config, [Films(console)])).folder
+    plan = plan_codesign(config, folder)
+    return run_codesign(plan, with_tracker(config, [Films(console)])).folder
 
 
 def _resumed(config: CodesignConfig) -> Path | None:
