@@ -10,11 +10,11 @@ from rich.console import Console
 
 from warpvox.algos.candidate import DesignEvaluator, Search
 from warpvox.algos.codesign.evaluations import Custom
-from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.loop import Executor
 from warpvox.algos.codesign.results import Found
 from warpvox.algos.codesign.run import plan_codesign, run_codesign
 from warpvox.algos.codesign.settings import EVALUATIONS, Codesign, Evaluation
+from warpvox.algos.listener import Listener
 from warpvox.algos.search.base import BaseSearch
 from warpvox.algos.search.settings import ALGORITHMS, CustomSearch, SearchSettings
 from warpvox.checks import check_flag, check_known, check_path, is_integer, is_list
@@ -52,7 +52,7 @@ def codesign(
         folder: a search that is there is gone on with; ``auto``: a new one in ``outputs/codesign``, ``None``: a
             temporary one, which goes with the process.
         progress: show how the search goes.
-        listeners: objects with the callbacks of :class:`warpvox.algos.codesign.listener.Listener`.
+        listeners: objects with the callbacks of :class:`warpvox.algos.listener.Listener`.
         settings: the others of :class:`Codesign`: ``training``, ``seed``, ``device``, ``start``, ...
 
     Raises:

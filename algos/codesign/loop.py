@@ -25,9 +25,9 @@ from warpvox.algos.candidate import (
     Search,
     checked_outcomes,
 )
-from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
+from warpvox.algos.listener import Listener
 from warpvox.devices.startup import own_torch
 from warpvox.errors import DivergenceError, RunError, SearchError
 

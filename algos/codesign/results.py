@@ -16,9 +16,9 @@ from warpvox import __version__
 from warpvox.algos.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.checkpoints.policy import Policy
-from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.find import find_run
+from warpvox.algos.listener import Listener
 from warpvox.algos.protocols import NOMINAL
 from warpvox.algos.report import FILE as REPORT, FILM, report_page
 from warpvox.algos.report.charts import picture

@@ -17,12 +17,12 @@ from warpvox.algos.archive import FILE as ARCHIVE, Archive
 from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Search
 from warpvox.algos.codesign.evaluations.custom import Custom
 from warpvox.algos.codesign.finalists import Finalists
-from warpvox.algos.codesign.listener import Listener, SearchRun
 from warpvox.algos.codesign.loop import Executor, LocalExecutor, Loop
 from warpvox.algos.codesign.results import Found, Results, evaluate_winner
 from warpvox.algos.codesign.robots import keep_start, read_start
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.codesign.stored_policies import StoredPolicies
+from warpvox.algos.listener import Listener
 from warpvox.algos.metrics import check_logger
 from warpvox.algos.protocols import episodes_of
 from warpvox.algos.search import BaseSearch, make_search
@@ -142,6 +142,29 @@ def _ask_for_memory(settings: Codesign) -> None:
             things = f"({batch.key}) for each of {batch.designs} designs"
             ask(each * count / batch.value, batch.value, sim.device, batch.key, things)
         ask(each * batch.envs, batch.designs, sim.device, "batch", f"designs of {batch.envs:,} environments each")
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchRun:
+    """A design search that is under way, as listeners see it.
+
+    Attributes:
+        folder: of the run.
+        archive: designs and results so far.
+        settings: with what their names stand for.
+        total: evaluations that it may spend, those of finalists included, which come last.
+        costs: about how many control steps a design takes, and a finalist; None: not known.
+        workers: of Ray; 0: this process.
+    """
+
+    folder: Path
+    archive: Archive
+    settings: Codesign
+    total: int
+    finalists: int
+    costs: tuple[float, float] | None
+    workers: int
+    resumed: bool
 
 
 def run_codesign(plan: Plan, listeners: Sequence[Listener] = (), executor: Executor | None = None) -> Found:

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, cast
 
 from warpvox.algos.find import find_run
+from warpvox.algos.listener import Listener
 from warpvox.algos.metrics import tagged
-from warpvox.algos.training import job as training
+from warpvox.algos.training.job import Job
 from warpvox.algos.training.playing import load_result
 from warpvox.errors import RunError
 from warpvox.io.reading import parse_yaml
@@ -64,15 +65,15 @@ class Tracker:
             self._run.finish(exit_code=int(status == "failed"))
 
 
-class TrackedTraining(training.Listener):
+class TrackedTraining(Listener):
     """Sends a training: a row of its metrics each iteration, at the end the policy as a film."""
 
-    def begin(self, job: training.Job) -> None:
-        self._job = job
-        self._tracker = Tracker(cast(Path, job.folder), "train")
+    def begun(self, run: Job) -> None:
+        self._job = run
+        self._tracker = Tracker(cast(Path, run.folder), "train")
 
-    def __call__(self, row: Mapping[str, float]) -> None:
+    def iterated(self, row: Mapping[str, float]) -> None:
         self._tracker.log(tagged(row) | self._job.runner.logger.means, int(row["iteration"]))
 
-    def end(self, job: training.Job) -> None:
-        self._tracker.end(job.summary, job.settings)
+    def ended(self, summary: Mapping[str, Any]) -> None:
+        self._tracker.end(summary, self._job.settings)
