@@ -33,11 +33,7 @@ COLUMNS = {
     "elapsed": "",  # seconds of all iterations and evaluations so far
 }
 """Columns, and their tags for loggers."""
-NEEDED = ("iteration", "steps", "eval_return", "elapsed")
-"""Columns that something is made of; others may be missing from a file that an earlier version has written."""
 FILE = "metrics.csv"
-LARGEST = 1 << 30
-"""Bytes of such a file that are read; an iteration takes some 140."""
 SERVICES = ("wandb", "neptune")
 """Loggers that are packages of their own; TensorBoard's events are written besides."""
 
@@ -105,7 +101,8 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
     path = folder / FILE
     rows = []
     try:
-        for row in read_table(path, LARGEST):
+        # A file of 1 GiB holds seven million iterations.
+        for row in read_table(path, 1 << 30):
             if None in row or None in row.values():
                 continue
             rows.append({name: float(text) if text else math.nan for name, text in row.items()})
@@ -113,8 +110,10 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
         raise RunError(
             f"{path} is damaged ({error}); move it away, and a run that is resumed will begin a new one."
         ) from None
-    if rows and not set(NEEDED) <= rows[0].keys():
-        missing = listing([name for name in NEEDED if name not in rows[0]])
+    # columns that something is made of; a file of an earlier version may lack others
+    needed = ("iteration", "steps", "eval_return", "elapsed")
+    if rows and not set(needed) <= rows[0].keys():
+        missing = listing([name for name in needed if name not in rows[0]])
         raise RunError(f"{path} has no column {missing}; move it away, and the run will begin a new one.")
     return rows
 

@@ -325,7 +325,22 @@ def join(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
 def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
     """Arrays of one compiled world, named as in :data:`warpvox.kernels.state.MODEL` where they mean the same."""
     # Tables of the objects, one behind the other. Numbers of points, springs and actions count on.
-    parts = {name: [values] for name, values in NO_OBJECT.items()}
+    # the tables of no object
+    no_object = {
+        "fixed": np.zeros(0, np.int32),
+        "rest_pos": np.zeros(0),
+        "spring_ends": np.zeros((0, 2), np.int32),
+        "spring_rest": np.zeros(0),
+        "spring_k": np.zeros(0),
+        "spring_drive": np.zeros((0, 2), np.int32),
+        "rigid_spring": np.zeros(0, np.int32),
+        "corner": np.zeros((0, 4), np.int32),
+        "side": np.zeros(0, np.int32),
+        "body": np.zeros(0, np.int32),
+        "robot": np.zeros(0, np.int32),
+        "grid": np.zeros((0, 2), np.int32),
+    }
+    parts = {name: [values] for name, values in no_object.items()}
     springs = 0
     for number, body in enumerate(design.bodies):
         own = body.table(_body_arrays)
@@ -376,23 +391,6 @@ def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
     out["terrain_side"], terrain_box = _lattice(design)
     reals = {name: out.pop(name) for name in ("rest_pos", "spring_rest", "spring_k")}
     return {name: np.asarray(values, np.int32) for name, values in out.items()} | reals | {"terrain_box": terrain_box}
-
-
-NO_OBJECT = {
-    "fixed": np.zeros(0, np.int32),
-    "rest_pos": np.zeros(0),
-    "spring_ends": np.zeros((0, 2), np.int32),
-    "spring_rest": np.zeros(0),
-    "spring_k": np.zeros(0),
-    "spring_drive": np.zeros((0, 2), np.int32),
-    "rigid_spring": np.zeros(0, np.int32),
-    "corner": np.zeros((0, 4), np.int32),
-    "side": np.zeros(0, np.int32),
-    "body": np.zeros(0, np.int32),
-    "robot": np.zeros(0, np.int32),
-    "grid": np.zeros((0, 2), np.int32),
-}
-"""Tables of a world without objects that move."""
 
 
 def _body_arrays(body: Body) -> dict[str, np.ndarray]:

@@ -241,7 +241,7 @@ class Loop:
 
 
 def _identity(candidate: Candidate) -> tuple[int, str, tuple[int, ...], str]:
-    """What a search that is resumed must propose again."""
+    """The parts of a candidate that a search which is resumed must propose again."""
     return candidate.id, body_text(candidate.body), tuple(candidate.parents), candidate.origin
 
 

@@ -23,8 +23,6 @@ from warpvox.runs import CONFIG
 
 FILE, FILM = "report.html", "film.webp"
 """The report in the folder of a search, and an episode of a robot in that of its design."""
-BEST, CURVES = 10, 5
-"""Designs that are shown large, and with their learning curves."""
 
 
 def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str:
@@ -36,10 +34,10 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
     """
     records = archive.records()
     done = [record for record in records if record.fitness is not None]
-    best = archive.best(BEST)
+    best = archive.best(10)
     line = [record for record in archive.lineage(best[0].id) if record.fitness is not None] if best else []
     search = SearchResult(folder, "", archive.settings, records, best[0] if best else None, {})
-    learning = [Series(f"#{one.id}", best_so_far(one.curve), "step", k) for k, one in enumerate(best[:CURVES], 1)]
+    learning = [Series(f"#{one.id}", best_so_far(one.curve), "step", k) for k, one in enumerate(best[:5], 1)]
     title = " · ".join(str(facts[name]) for name in ("task", "search") if name in facts)
     slots = {
         "facts": fact_list(_figures(done, best) | dict(facts)),
@@ -134,9 +132,7 @@ def _row(record: Record) -> str:
     return row(cells)
 
 
-LIMIT = 60
-"""Ancestors that are shown at most, the nearest ones."""
-CELL, COLUMN, ROW, MARGIN = 8, 98, 92, 12
+CELL, MARGIN = 8, 12
 
 
 def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
@@ -161,10 +157,11 @@ def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
 
 def family_tree(line: Sequence[Record]) -> str:
     """The tree as an ``<svg>`` element, with a sentence if it had to be cut."""
-    shown = list(line)[-LIMIT:]
+    # The nearest ancestors
+    shown = list(line)[-60:]
     where = places(shown)
     rows, columns = (max(record.candidate.body.shape[axis] for record in shown) for axis in (0, 1))
-    column, row = max(COLUMN, columns * CELL + 60), max(ROW, rows * CELL + 48)
+    column, row = max(98, columns * CELL + 60), max(92, rows * CELL + 48)
     parts = []
     for record in shown:
         for parent in record.candidate.parents:

@@ -22,35 +22,6 @@ from warpvox.io.reading import LARGEST_CONFIG, Unreadable, parse_yaml, read_text
 from warpvox.keys import flat
 from warpvox.runs import CODESIGN, CONFIG, TRAINING, search_as_now, without_services
 
-ALIASES = {
-    "env": "task",
-    "lr": "learning_rate",
-    "n_envs": "num_envs",
-    "num_envs": "envs",
-    "batch_size": "minibatches",
-    "out": "file",
-    "evaluations": "max_evaluations",
-    "steps": "max_iterations",
-    "timesteps": "max_iterations",
-    "total_timesteps": "max_iterations",
-    "gif": "export",
-    "mp4": "export",
-    "video": "export",
-}
-"""Names that other libraries have for a key, by the last part of ours: for hints."""
-RENAMED = {
-    "train": {"designs": "designs.bodies"},
-    "play": {"designs": "design", "format": "export"},
-    "export": {"export": "format"},
-    "codesign": {
-        "finalists": "evaluation.finalists",
-        "pretrained": "evaluation.pretrained",
-        "search.algorithm": "search",
-        "evaluation.name": "evaluation",
-    },
-}
-"""Other names of keys, by command: short ones, those of another command, older ones and those of config.yaml."""
-
 
 def load(command: str, words: Sequence[str], config_dir: Path | None = None) -> Any:
     """The settings that the words of a command line ask for, see :func:`settings_of`."""
@@ -115,9 +86,22 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
     """
     keys = keys_of(command)
     found: dict[str, Override] = {}
+
+    # Other names of keys, by command: short ones, those of another command, older ones and those of config.yaml
+    renamed = {
+        "train": {"designs": "designs.bodies"},
+        "play": {"designs": "design", "format": "export"},
+        "export": {"export": "format"},
+        "codesign": {
+            "finalists": "evaluation.finalists",
+            "pretrained": "evaluation.pretrained",
+            "search.algorithm": "search",
+            "evaluation.name": "evaluation",
+        },
+    }
     for word in words:
         name, given, text = word.partition("=")
-        name = RENAMED.get(command, {}).get(name, name)
+        name = renamed.get(command, {}).get(name, name)
         override = _parsed(f"{name}{given}{text}")
         if given and text and name in keys and keys[name].takes_text:
             place = os.path.expanduser(text)
@@ -219,9 +203,24 @@ def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
     if owners:
         hint = f" It is a setting of {' and '.join(owners)}."
 
-    # What another library calls this
+    # What another library calls this, by the last part of our key
+    aliases = {
+        "env": "task",
+        "lr": "learning_rate",
+        "n_envs": "num_envs",
+        "num_envs": "envs",
+        "batch_size": "minibatches",
+        "out": "file",
+        "evaluations": "max_evaluations",
+        "steps": "max_iterations",
+        "timesteps": "max_iterations",
+        "total_timesteps": "max_iterations",
+        "gif": "export",
+        "mp4": "export",
+        "video": "export",
+    }
     for name in known:
-        if name.split(".")[-1] == ALIASES.get(last):
+        if name.split(".")[-1] == aliases.get(last):
             hint = f" Did you mean '{name}'?"
             break
     return ConfigError(f"Unknown key '{key}'.{hint} `warpvox {command} --help` lists all keys.")

@@ -36,7 +36,7 @@ WRITERS = {
 TILED = ("gif", "mp4", "png")
 THINNED = {"usd": "stride", "gif": "every", "mp4": "every", "html": "every"}
 """Parameter of a writer for the key ``every``."""
-TILES, BODIES = 16, 36
+TILES = 16
 """Environments that a picture shows at most; of a run over many bodies."""
 LARGE = (960, 540)
 """Size of pictures of more than :data:`TILES`, and of a window, in pixels."""
@@ -86,7 +86,7 @@ def record_agent(config: Any) -> Rollout:
     return record(env, config.agent, config.steps)
 
 
-def tiles_of(rollout: Rollout, most: int = BODIES) -> list[int]:
+def tiles_of(rollout: Rollout, most: int = 36) -> list[int]:
     """The environments that a picture shows: the first ones; of those that have names some, evenly chosen."""
     if "names" not in rollout.metadata:
         return list(range(min(rollout.num_envs, TILES)))

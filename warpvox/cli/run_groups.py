@@ -12,11 +12,6 @@ from warpvox.cli.help import as_typed, flat_values
 from warpvox.design import example_design, example_designs
 from warpvox.runs import Run
 
-PPO = ("parallel", "evogym")
-"""Sets of settings: names of configs/ppo."""
-LONGEST = 28
-"""Characters of a value in a label."""
-
 
 def group_runs(runs: Sequence[Run]) -> list[Group]:
     """Runs with the same settings together, in the order in which they are given."""
@@ -66,7 +61,8 @@ def _presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
             result["physics"] = values.get("physics.preset")
     if sum(key.startswith("ppo.") for key in keys) > SHOWN:
         own = {key.removeprefix("ppo."): value for key, value in values.items() if key.startswith("ppo.")}
-        name = next((name for name in PPO if vars(load("train", [f"ppo={name}"]).ppo) == own), None)
+        # Sets of settings: names of configs/ppo
+        name = next((name for name in ("parallel", "evogym") if vars(load("train", [f"ppo={name}"]).ppo) == own), None)
         if name is not None:
             result = {key: value for key, value in result.items() if not key.startswith("ppo.")}
             result = {"ppo": name} | result
@@ -77,7 +73,8 @@ def _label(values: dict[str, Any], keys: list[str]) -> str:
     parts = []
     for key in [key for key in keys if key in values][:SHOWN]:  # a robot of the zoo has but a few
         text = _design(values[key]) if key == "design" else as_typed(values[key])
-        text = text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+        longest = 28
+        text = text if len(text) <= longest else f"{text[: longest - 3]}..."
         parts.append(str(values[key]) if key == "task" else f"{key}={text}")
     return ", ".join(parts) + (", ..." if len(keys) > SHOWN else "")
 

@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec
     from warpvox.robots.entry import Robot
 
-COPIES = 4
-"""Episodes of a gait where they differ: in tasks that draw at random, and with noise on the actions."""
-
 
 @register_evaluation
 @dataclass
@@ -96,7 +93,8 @@ class Gaits(Specialist):
     def _episodes(self, search: Codesign) -> int:
         from warpvox.envs.registry import get_task
 
-        return self.episodes or (COPIES if search.fitness == ROBUST or get_task(search.task).is_random else 1)
+        # Where they differ, four episodes: in tasks that draw at random, and with noise on the actions.
+        return self.episodes or (4 if search.fitness == ROBUST or get_task(search.task).is_random else 1)
 
     def _final_episodes(self, search: Codesign) -> int:
         return search.training.eval_envs or self._episodes(search)

@@ -19,9 +19,6 @@ from warpvox.io.text import shown
 from warpvox.io.writing import check_links, check_writable, claimed
 from warpvox.runs import CONFIG, check_unchanged, read_summary
 
-REPORT_KEYS = ("report", "export", "top", "output_dir")
-"""Keys that a report follows from."""
-
 
 def check(config: CodesignConfig, given: Collection[str]) -> None:
     """Raise WarpvoxError where a search cannot be made, or cannot go on as asked."""
@@ -34,9 +31,10 @@ def check(config: CodesignConfig, given: Collection[str]) -> None:
 def run(config: CodesignConfig, given: Collection[str], console: Console) -> Path:
     """Make a search, or go on with one; returns its folder."""
     if config.report is not None:
-        others = [key for key in given if key not in REPORT_KEYS]
+        keys = ("report", "export", "top", "output_dir")  # that a report follows from
+        others = [key for key in given if key not in keys]
         if others:
-            raise ConfigError(f"{listing(others)} cannot change a report: {listing(REPORT_KEYS[1:])} may go with it.")
+            raise ConfigError(f"{listing(others)} cannot change a report: {listing(keys[1:])} may go with it.")
         return _report(config, console)
     folder = _resumed(config)
     config = dataclasses.replace(config, resume=None)
