@@ -33,7 +33,8 @@ from warpvox.io.writing import atomic_path, write_text
 from warpvox.palette import body_svg
 from warpvox.runs import read_summary, write_summary
 from warpvox.view.body_picture import draw_bodies
-from warpvox.view.painter import Painter, save_png
+from warpvox.view.painter import save_png
+from warpvox.view.render import Film
 from warpvox.view.rollout import record
 
 FRESH = 64
@@ -130,9 +131,10 @@ class Results(Listener):
             if file.is_file() or not policy.is_file():
                 continue
             with suppress(WarpvoxError):  # of this design alone
+                # At most 300 control steps, of which every fifth is shown for 0.1 s
                 rollout = record(*load_result(find_run(str(file.parent), ""), settings), 300)
-                painter = Painter(rollout, 0, (320, 150), 13.0)
-                first, *more = [painter.frame(frame) for frame in range(0, rollout.num_frames, 5)]
+                film = Film(rollout, 0, (320, 150), hud=False, voxels=13.0)
+                first, *more = film.frames(range(0, rollout.num_frames, 5))
                 with atomic_path(file) as temporary:
                     first.save(temporary, "WEBP", save_all=True, append_images=more, duration=100, loop=0, quality=40)
 

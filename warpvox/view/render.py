@@ -208,19 +208,18 @@ def write_filmstrip(
     chosen = [rollout.check_frame(frame) for frame in frames]
 
     each = (width + MARGIN) // len(chosen) - MARGIN
-    if each < 1:
+    if each < 16:
         raise RolloutError(f"A strip {width} pixels wide has no room for {len(chosen)} frames.")
 
     # The robot fills a good part of a picture, and what it stands on shows.
     tall = float(np.ptp(rollout.positions[0, env, rollout.scene(env).robot_points, 1])) / VOXEL
-    painter = Painter(rollout, env, (each, height), voxels or max(6.5, 2.1 * tall))
+    film = Film(rollout, env, (each, height), hud=False, voxels=voxels or max(6.5, 2.1 * tall))
 
     strip = Image.new("RGB", (width, height), "white")
     letters = font(max(9, height // 14))
-    for number, frame in enumerate(chosen):
-        tile = painter.frame(frame)
+    for number, tile in enumerate(film.frames(chosen)):
         at = (each - height // 24, height // 24)
-        ImageDraw.Draw(tile).text(at, f"{frame * FRAME_SECONDS:.1f} s", INK, letters, "rt")
+        ImageDraw.Draw(tile).text(at, f"{chosen[number] * FRAME_SECONDS:.1f} s", INK, letters, "rt")
         strip.paste(tile, (number * (each + MARGIN), 0))
     return save_png(strip, path)
 
