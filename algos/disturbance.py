@@ -35,8 +35,8 @@ class Draws:
     def uniform(self, purpose: int, step: int, count: int) -> torch.Tensor:
         """float64 ``[copies, count]`` in [0, 1)."""
         # An episode has fewer than 2**20 control steps.
-        self.stream.episode.fill_(purpose * 1 << 20 + step)
-        return self.stream.rewind().integers(0, 1 << 53, count).double() / 1 << 53
+        self.stream.episode.fill_(purpose * 2**20 + step)
+        return self.stream.rewind().integers(0, 2**53, count).double() / 2**53
 
     def normal(self, purpose: int, step: int, count: int) -> torch.Tensor:
         """float64 ``[copies, count]``, standard normal (Box and Muller)."""

@@ -17,6 +17,10 @@ import numpy as np
 
 from warpvox.errors import SimulationError
 
+DEEPEST = 40
+"""Levels of two trees together that the path of a descent holds (``PATH`` of ``kernels/exact/order.py``)."""
+MOST_OBJECTS = 1024  # whose pairs fit into the 20 bits above the path
+
 # Bucket counts of the library's hash tables, each the first of its prime list that at least doubles the last: enough
 # for the cells of the largest world.
 BUCKETS = (1, 13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753, 42043, 85229, 172933, 351061, 712697, 1447153)
@@ -307,18 +311,16 @@ def _tree_table(body) -> TreeTable:
 
 def _check_places(design, depth: dict[str, int]) -> None:
     remedy = "arithmetic='fast' does not keep this order and has no such limit."
-    most_objects = 1024  # whose pairs fit into the 20 bits above the path
-    if len(depth) > most_objects:
+    if len(depth) > MOST_OBJECTS:
         raise SimulationError(
-            f"Exact arithmetic keeps the released order of contacts for up to {most_objects} objects; this world has"
+            f"Exact arithmetic keeps the released order of contacts for up to {MOST_OBJECTS} objects; this world has"
             f" {len(depth)}. {remedy}"
         )
     body = max((b.name for b in design.bodies), key=depth.__getitem__)  # one of the two objects of a contact can move
     other = max(depth, key=depth.__getitem__)
-    deepest = 40  # levels that the path of a descent holds (PATH of kernels/exact/order.py)
-    if depth[body] + depth[other] > deepest:
+    if depth[body] + depth[other] > DEEPEST:
         raise SimulationError(
-            f"Exact arithmetic keeps the released order of contacts for box trees of up to {deepest} levels together;"
+            f"Exact arithmetic keeps the released order of contacts for box trees of up to {DEEPEST} levels together;"
             f" those of {body!r:.80} ({depth[body]}) and {other!r:.80} ({depth[other]}) are deeper. {remedy}"
         )
 

@@ -85,7 +85,7 @@ def actions_of_gaits(
             values[:, :own, place, k, :, : cells.shape[-1]] = cells[:, :, None]
     parts = [torch.as_tensor(one.reshape(stages, env.num_envs, -1), device=env.device) for one in (*timing, *values)]
     # Those of many control steps are computed at once, if environments are few.
-    together = max(1, 1 << 20 // (env.num_envs * env.num_actions))
+    together = max(1, 2**20 // (env.num_envs * env.num_actions))
     for begin in itertools.count(first, together):
         end = min(begin + together, last)
         if begin >= end:

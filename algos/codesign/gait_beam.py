@@ -111,7 +111,11 @@ class _Search:
                 is_known = beginning.is_known and number == 0
                 added = self._plan(first, last) if is_known else self._motions(beginning.begun, number, first, last)
                 self.sources.append(beginning.place)
-                self._tried.append(_Beginning(len(self._tried), _joined(beginning.begun, added), is_known))
+                # A motion that goes on is not begun again.
+                begun = beginning.begun
+                goes_on = bool(begun) and begun[-1][1] is added[0][1]
+                begun += added[1:] if goes_on else added
+                self._tried.append(_Beginning(len(self._tried), begun, is_known))
                 self._gaits.append(gait_of(added))
         return self._gaits
 
@@ -163,8 +167,3 @@ class _Search:
         present = max(place for place, (begin, _) in enumerate(self.plan) if begin <= first)
         later = tuple((begin, motion) for begin, motion in self.plan[present + 1 :] if begin < last)
         return ((first, self.plan[present][1]), *later)
-
-
-def _joined(begun: Begun, added: Begun) -> Begun:
-    """Motions one after another; one that goes on is not begun again."""
-    return begun + (added[1:] if begun and begun[-1][1] is added[0][1] else added)

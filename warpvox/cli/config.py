@@ -41,7 +41,21 @@ def settings_of(command: str, overrides: Mapping[str, Override], config_dir: Pat
         ConfigError: an unknown key, a value that it does not take, or a file that is or has none. RunError: there is no
             run to resume.
     """
-    given = {key: _value(command, key, override) for key, override in overrides.items()}
+    # What is given
+    keys = keys_of(command)
+    given = {}
+    for key, override in overrides.items():
+        if override.is_sweep_override():
+            raise ConfigError(
+                f"'{override.input_line}' lists several values: add --multirun to run them one after another (a value"
+                f" that is itself a list is written {key}=[a,b], one that has commas {key}=\"'a,b'\")."
+            )
+        value: Any = override.value()
+        if key in keys and keys[key].is_list and not isinstance(value, list | None):
+            value = [value]  # export=gif
+        given[key] = value
+
+    # What is stored, but for the groups that are given
     stored, place = _stored(command, given)
     origin = "" if place is None else f"{place}: "
     choosing = [*groups_of(command), *[PRESET] * (PRESET in keys_of(command))]
@@ -129,19 +143,6 @@ def _parsed(word: str) -> Override | None:
         return OverridesParser.create().parse_override(word)
     except (HydraException, ValueError, RecursionError):  # numbers of thousands of digits, brackets without end
         return None
-
-
-def _value(command: str, key: str, override: Override) -> Any:
-    """The value that a word gives a key. ConfigError: it lists several."""
-    if override.is_sweep_override():
-        raise ConfigError(
-            f"'{override.input_line}' lists several values: add --multirun to run them one after another (a value that"
-            f" is itself a list is written {key}=[a,b], one that has commas {key}=\"'a,b'\")."
-        )
-    value: Any = override.value()
-    if key in keys_of(command) and keys_of(command)[key].is_list and not isinstance(value, list | None):
-        return [value]  # export=gif
-    return value
 
 
 def _stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path | None]:
