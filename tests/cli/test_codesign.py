@@ -22,8 +22,8 @@ from warpvox.algos.archive import FILE, Archive, Finished
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome
 from warpvox.algos.checkpoints.policy import read_policy
 from warpvox.algos.codesign import results as results_of
-from warpvox.algos.codesign.listener import SearchRun
 from warpvox.algos.codesign.results import Results
+from warpvox.algos.codesign.run import SearchRun
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.design import example_design, load_design, sample_design
 from warpvox.envs.registry import get_task, task_ids

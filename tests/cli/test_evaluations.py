@@ -12,7 +12,7 @@ from tiny import tiny
 from warpvox.algos.archive import FILE, Archive, Record
 from warpvox.algos.candidate import FINALIST, START, Candidate, Outcome
 from warpvox.algos.codesign.robots import read_start, robots_of
-from warpvox.algos.codesign.run import check, environments
+from warpvox.algos.codesign.run import environments, plan_codesign
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.robots import judge, save_robot
 from warpvox.algos.training.bodies import draw_bodies
@@ -215,4 +215,4 @@ def test_a_training_is_compared_with_a_gait_by_as_many_episodes(words: str, coun
 )
 def test_keys_that_do_not_go_together_are_refused(words: str, says: str) -> None:
     with pytest.raises(ConfigError, match=says):
-        check(settings("shape=[3,3]", "threads=1", *words.split()))
+        plan_codesign(settings("shape=[3,3]", "threads=1", *words.split()))

@@ -199,7 +199,7 @@ def test_a_folder_that_vanishes_is_told_of_and_not_made_again(command: str, warp
     def remove(*_: Any) -> None:
         shutil.rmtree(tmp_path / "outputs", ignore_errors=True)
 
-    monkeypatch.setattr("warpvox.progress.training.Terminal.__call__", remove)
+    monkeypatch.setattr("warpvox.progress.training.Terminal.iterated", remove)
     monkeypatch.setattr("warpvox.progress.search.SearchProgress.progress", remove)
     warpvox(*COMMANDS[command], fails="outputs")
     assert list(tmp_path.iterdir()) == []
@@ -328,7 +328,7 @@ def test_a_signal_waits_for_the_iteration_and_a_second_one_does_not(
             signal.raise_signal(number)
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpvox.progress.training.Terminal.__call__", send)
+        patch.setattr("warpvox.progress.training.Terminal.iterated", send)
         outcome = warpvox(*TRAIN, code=code)
     for number, handler in before.items():
         signal.signal(number, handler)
