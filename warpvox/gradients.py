@@ -14,7 +14,7 @@ from warpvox.simulation import Simulation
 from warpvox.types import AXES
 
 SMOOTHING = 8e-4
-"""Smoothing of contacts with terrain in simulator units, 0.8 % of a voxel; docs/gradients.md compares others."""
+"""Smoothing of contacts with terrain in simulator units, 0.8 % of a voxel; lab/gradients/README.md compares others."""
 PARTS = ("pos", "vel", "true_vel")
 """Fields that a control step changes, in the order of a state."""
 
