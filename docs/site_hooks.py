@@ -13,40 +13,8 @@ sys.path[:0] = [str(FOLDER), str(FOLDER.parent)]  # mkdocs runs with any folder 
 import api_pages  # noqa: E402
 import notebooks  # noqa: E402
 import task_pages  # noqa: E402
+from parts import PARTS  # noqa: E402
 
-PARTS = {
-    "Tutorials": {"quickstart": "Quick start"},
-    "How to": {
-        "train": "Train a policy",
-        "codesign": "Search for a body",
-        "evaluation": "Evaluate and compare",
-        "see": "See and export",
-        "custom_tasks": "Tasks of your own",
-        "own_search": "Searches of your own",
-        "clusters": "GPUs and clusters",
-        "libraries": "Other libraries",
-    },
-    "Reference": {
-        "commands": "Commands",
-        "environments": "Environments",
-        "policies": "Policies",
-        "search": "Searches",
-        "protocols": "Protocols",
-        "physics": "Physics",
-        "paper": "Paper and release",
-        "formats": "File formats",
-        "evogym": "Drop-in for EvoGym",
-    },
-    "Background": {
-        "concepts": "How it works",
-        "performance": "Performance",
-        "reliability": "Reliability",
-        "results": "Results",
-        "figures": "All figures",
-    },
-    "FAQ": {"faq": "FAQ"},
-}
-"""Parts of the site and their pages with the names that they have in the left column; a page's title is its question."""
 MARK = re.compile(r"^<!-- (help .*|end of help|bench \w+|end) -->\n?", re.MULTILINE)
 FENCE = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)
 NAME = re.compile(r"(?<!\[)`(wv\.(\w+)[^`\n]*)`(?!\])")

@@ -1,7 +1,7 @@
 """A page for each task of the benchmark, made while the site is built. Not part of the library.
 
-Formulas are those of the terms, returns those of the zoo, of the tables of ``lab/zoo`` and of ``envs/known_returns.csv``;
-``python -m lab.zoo.picture`` makes the films.
+Formulas are those of the terms, returns those of the zoo, of the tables of ``lab/zoo`` and of
+``envs/known_returns.csv``; ``python -m lab.zoo.picture`` makes the films.
 """
 
 import io

@@ -38,87 +38,12 @@ MANY = 6
 BODIES = 64
 """Random bodies of 5 x 5 cells, one episode each."""
 Row = Mapping[str, str]
-HEAD = """# What have the best robots reached?
-
-The package contains the best robot found so far for each task, the *zoo*: a body and its policy. {sizes}
-
-{summary}
-
-![The robots of the zoo at work](images/zoo.webp)
-
-The numbers are mean returns [under noise](protocols.md); the film shows undisturbed episodes.
-
-![Our return under noise against the best published return, for each task](images/results.svg)
-
-The table has, for each task, our mean return under noise with its 95 % interval, in bold where it is at or above the best
-published return. A *network* has feedback; a *gait* repeats a motion whatever happens. The page of a task has its other
-returns, its film, and what it took to train.
-
-| task | under noise | published | kind |
-|---|---:|---:|---|
-"""
+TEXT = FOLDER / "results_page.txt"
+"""The page without its tables."""
 SUMMARY = """\
 Under 1 % Gaussian action noise, {held} of {known} robots match or beat the best published return (mean of {episodes}
 episodes): {networks} networks with feedback and {gaits} open-loop gaits. With sticky actions {sticky} do, after random
 starts {start}."""
-NOTES = """
-## How do I use these robots?
-
-```
-warpvox zoo                                   # all of them
-warpvox zoo DownStepper-v0                    # one in detail: returns, policy, the commands that trained it
-warpvox play zoo=DownStepper-v0               # its recorded episode, in a window or a page
-warpvox export zoo=DownStepper-v0 'format=[gif,usd,onnx]'
-warpvox evaluate 'zoo=[DownStepper-v0,Hurdler-v0]'
-warpvox train task=Hurdler-v0 design=zoo:DownStepper-v0    # its body in another task
-warpvox play zoo=mine/Walker-v0.npz           # a robot of your own
-warpvox zoo folder=mine                       # lists the files TASK.npz of a folder
-```
-
-```python
-import warpvox as wv
-from warpvox.robots import judge, robot_env
-
-robot = wv.zoo("DownStepper-v0")  # or a file, "mine/DownStepper-v0.npz"
-robot.body, robot.connections  # int8 [rows, columns], int32 [2, k]
-robot.about["return"], robot.about["control_steps"], robot.about["command"]
-
-assert judge(robot).mean_return == robot.mean_return  # runs the episode again
-
-policy = wv.load_policy("zoo:DownStepper-v0")  # the policy as a torch module
-rollout = wv.record(robot_env(robot), policy)
-```
-
-[What is in the files](formats.md#robots).
-
-## What do the numbers mean?
-
-| number | meaning |
-|---|---|
-| under noise | mean of {episodes} episodes with its 95 % interval (Student's t). Normal noise with a deviation of {sigma:g} is added to each action, which is clipped to 0.6 to 1.6. Robots were chosen by other episodes than these |
-| undisturbed | one deterministic episode in the released simulator's arithmetic: the return that EvoGym itself gives this robot. In BidirectionalWalker-v0 and Catcher-v0, which draw at random, the mean of eight episodes. `play`, `evaluate` and `judge` repeat it on any machine, to all nine decimals |
-| sticky, start, sensors | means of {episodes} episodes of the other [protocols](protocols.md); sensors only for networks ([intervals and 10 % quantiles](../lab/zoo/protocols.csv)) |
-| five trainings | interquartile mean under noise (the middle three) of five trainings of this body with five seeds, among them this robot's, the one that it went on from or, of DownStepper-v0, one that went on from it ([all returns](../lab/zoo/repeats.csv)); for {repeated} robots so far |
-| published | the best published return with bodies of 5 x 5 cells, of one undisturbed episode |
-| control steps, time | of the whole search or training, and of those that it started from, on one or two cores of a busy machine: the time says no more than its order. A training for one body does not include the search that found it |
-
-**Each robot is the best of several trials.** Five trainings show typical performance, which is usually lower. Where the
-undisturbed return is much higher than that under noise, the robot shows what its body can do once, not what it does reliably.
-
-All returns are in exact arithmetic under the released rules. With `dtype=float32` they differ, considerably in tasks with
-hard contacts. Equal seeds give equal results on equal machines, by the commit of a command
-(`wv.zoo(TASK).about["start"]` has those of the earlier ones, as far as they are known): some keys have other names today,
-`zoo:TASK` is the robot of that time, and folders that a command names are not in the repository.
-[How entries are chosen, added and repeated](../lab/zoo/README.md).
-
-## Where do the published returns come from?
-
-They are the best of anybody; their protocols differ. A score of 1 in a
-[comparison of searches](evaluation.md#compare-two-searches) is such a return.
-
-| method | source | protocol | tasks |
-|---|---|---|---|
-"""
 
 
 def read_arguments(words: list[str] | None = None) -> argparse.Namespace:
@@ -133,8 +58,6 @@ def page(robots: Sequence[Robot], disturbed: Sequence[Row], repeated: Sequence[R
     by_task: dict[str, dict[str, Row]] = {}
     for row in disturbed:
         by_task.setdefault(row["task"], {})[row["episodes"]] = row
-    means = repeated_means(repeated)
-
     larger = []
     for robot in robots:
         rows, columns = robot.body.shape
@@ -142,10 +65,15 @@ def page(robots: Sequence[Robot], disturbed: Sequence[Row], repeated: Sequence[R
             larger.append(f"{robot.task} ({rows} x {columns})")
     sizes = f"Bodies are 5 x 5 cells, except those of {', '.join(larger)}." if larger else "Bodies are 5 x 5 cells."
 
-    parts = [HEAD.format(sizes=sizes, summary=summary(robots, disturbed))]
-    parts += [_line(robot, by_task[robot.task]["noise"]) for robot in robots]
-    parts.append(NOTES.format(episodes=EPISODES, sigma=NOISE_DEVIATION, repeated=len(means)))
-    return "".join([*parts, *_sources(known_returns().values())])
+    return TEXT.read_text(encoding="utf-8").format(
+        sizes=sizes,
+        summary=summary(robots, disturbed),
+        robots="".join(_line(robot, by_task[robot.task]["noise"]) for robot in robots),
+        episodes=EPISODES,
+        sigma=NOISE_DEVIATION,
+        repeated=len(repeated_means(repeated)),
+        sources="".join(_sources(known_returns().values())),
+    )
 
 
 def summary(robots: Sequence[Robot], disturbed: Sequence[Row]) -> str:
