@@ -123,4 +123,4 @@ def _training(task: str) -> str:
 
 def _paper(task: TaskSpec) -> str:
     changed = ", ".join(key.replace("_", " ") for key in task.paper)
-    return f"\nUnder `rules=paper` other: {changed} ([how](../paper.md#what-rulespaper-changes)).\n" if changed else ""
+    return f"\nUnder `rules=paper` these differ: {changed} ([how](../paper.md#what-rulespaper-changes)).\n" if changed else ""
