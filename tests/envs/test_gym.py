@@ -88,7 +88,7 @@ def test_importing_the_environments_registers_them(tmp_path: Path) -> None:
     code = "import gymnasium; gymnasium.make('warpvox.envs:warpvox/Walker-v0', body='walker')"
     run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
-    page = (ROOT / "docs" / "observations.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
     assert set(re.findall(r'"(\w[\w.]*:warpvox/Walker-v0)"', page)) == {"warpvox.envs:warpvox/Walker-v0"}
 
 
