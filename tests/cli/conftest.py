@@ -1,6 +1,6 @@
 """A command line in an empty folder, with runs so small that they take a second."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,13 @@ from warpvox.envs.registry import get_task
 from warpvox.envs.spec import TaskSpec
 
 
-@pytest.fixture(autouse=True)
-def short_episodes(monkeypatch: pytest.MonkeyPatch) -> TaskSpec:
+@pytest.fixture(scope="module", autouse=True)
+def short_episodes() -> Iterator[TaskSpec]:
     """Walker-v0 of a tenth of its length: whole episodes are most of what these commands do. Its own specification."""
     own = get_task("Walker-v0")
-    monkeypatch.setitem(registry._TASKS, "Walker-v0", replace(own, max_episode_steps=50))
-    return own
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(registry._TASKS, "Walker-v0", replace(own, max_episode_steps=50))
+        yield own
 
 
 @pytest.fixture

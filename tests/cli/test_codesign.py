@@ -6,6 +6,7 @@ import io
 import json
 import math
 import re
+import shutil
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +26,7 @@ from warpvox.algos.codesign import results as results_of
 from warpvox.algos.codesign.listener import SearchRun
 from warpvox.algos.codesign.results import Results
 from warpvox.algos.codesign.settings import Codesign
+from warpvox.cli import main
 from warpvox.design import example_design, load_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.palette import cell_colour
@@ -48,6 +50,21 @@ def search(warpvox: Callable) -> Callable[..., Path]:
         return folder
 
     return call
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A search of five designs; not to be changed."""
+    place = tmp_path_factory.mktemp("made")
+    assert main(tiny("codesign", *SIZES, "search.max_evaluations=5", f"output_dir={place}")) == 0
+    (folder,) = place.glob("codesign/*/*")
+    return folder
+
+
+@pytest.fixture
+def copied(made: Path, warpvox: Callable) -> Path:
+    """A copy of it in the folder where commands are run."""
+    return Path(shutil.copytree(made, Path("outputs/codesign/Walker-v0") / made.name))
 
 
 def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) -> None:
@@ -111,9 +128,8 @@ def test_the_same_seed_gives_the_same_search_and_a_sweep_makes_several(search: C
     assert found.count(one) == 2
 
 
-def test_resuming_refuses_what_would_be_another_search(search: Callable, warpvox: Callable) -> None:
-    folder = search("search.max_evaluations=5")
-    before = digest(folder)
+def test_resuming_refuses_what_would_be_another_search(copied: Path, warpvox: Callable) -> None:
+    before = digest(copied)
     for word, phrase in {
         "seed=5": "seed cannot change",
         "search.max_evaluations=9": "search.max_evaluations cannot change",
@@ -121,11 +137,11 @@ def test_resuming_refuses_what_would_be_another_search(search: Callable, warpvox
         "search=random": "search.algorithm cannot change",
     }.items():
         warpvox("codesign", "resume=latest", word, fails=phrase)
-    config = folder / "config.yaml"
+    config = copied / "config.yaml"
     config.write_text(config.read_text().replace("reuse: true", "reuse: false"))
     warpvox("codesign", "resume=latest", fails="reuse=True, asked for reuse=False")
-    assert digest(folder) == before
-    warpvox("train", f"resume={folder}", fails="it has no state.pt")
+    assert digest(copied) == before
+    warpvox("train", f"resume={copied}", fails="it has no state.pt")
 
 
 def test_a_search_that_goes_on_is_exported_as_it_was_asked_at_its_beginning(search: Callable, warpvox) -> None:
@@ -169,34 +185,32 @@ def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
             assert (picture.read_bytes() == b"of other designs") != fresh
 
 
-def test_a_report_that_is_made_while_its_search_ends_tells_the_end(search: Callable, warpvox, monkeypatch) -> None:
-    folder = search("search.max_evaluations=5")
-    page, summary, made = (folder / "report.html").read_text(), folder / "summary.json", results_of.report_page
+def test_a_report_that_is_made_while_its_search_ends_tells_the_end(
+    copied: Path, warpvox: Callable, monkeypatch
+) -> None:
+    warpvox("codesign", "report=latest")
+    page, summary, report_page = (copied / "report.html").read_text(), copied / "summary.json", results_of.report_page
     ended = summary.read_text()
 
     def late(*given: Any) -> str:
         summary.write_text(ended)
-        return made(*given)
+        return report_page(*given)
 
     summary.write_text(ended.replace('"done"', '"running"'))
     monkeypatch.setattr(results_of, "report_page", late)
     warpvox("codesign", "report=latest")
-    assert (folder / "report.html").read_text() == page
+    assert (copied / "report.html").read_text() == page
 
 
 DAMAGED = '{"elapsed_seconds": "x", "steps": [], "fresh_seeds": {"mean": 1}, "status": "done"}'
 
 
-def test_a_damaged_summary_stops_no_report(search: Callable, warpvox: Callable) -> None:
-    folder = search("search.max_evaluations=5")
+def test_neither_a_damaged_summary_nor_damaged_designs_stop_a_report(copied: Path, warpvox: Callable) -> None:
+    folder = copied
     for words in ("report=latest", "resume=latest"):
         (folder / "summary.json").write_text(DAMAGED)
         warpvox("codesign", words)
     assert read_summary(folder)["evaluations"] == 5
-
-
-def test_a_damaged_design_stops_no_report(search: Callable, warpvox: Callable) -> None:
-    folder = search("search.max_evaluations=5")
     for film in folder.glob("designs/*/film.webp"):
         film.unlink()
     (folder / "designs/1/config.yaml").write_text("task: Wal")
@@ -210,8 +224,8 @@ def test_a_damaged_design_stops_no_report(search: Callable, warpvox: Callable) -
     assert "designs/1/config.yaml has been cut short" in page
 
 
-def test_a_search_of_version_0_1_goes_on_or_is_refused_in_a_sentence(search: Callable, warpvox: Callable) -> None:
-    folder = search("seed=3")
+def test_a_search_of_version_0_1_goes_on_or_is_refused_in_a_sentence(copied: Path, warpvox: Callable) -> None:
+    folder = copied
 
     def records() -> list[tuple[str, float | None, list]]:
         with Archive.read(folder / FILE) as archive:

@@ -141,29 +141,10 @@ def test_a_trained_robot_that_was_changed_acts_as_it_is_now() -> None:
     assert wv.record(env, policy).rewards.sum() != wv.record(env, "zoo:Walker-v0").rewards.sum()
 
 
-@pytest.mark.parametrize(
-    ("policy", "words"),
-    [
-        (3, "must be a run"),
-        (wv.zoo, "task=... and design="),
-        (wv.World, "must be a run"),
-        ("nowhere", "no run at nowhere"),
-        ("zoo:Waker-v0", "Did you mean 'Walker-v0'"),
-    ],
-)
-def test_what_is_no_policy_is_named(policy: Any, words: str) -> None:
-    with pytest.raises(wv.WarpvoxError, match=words):
-        wv.evaluate(policy, episodes=1, **SMALL)
-
-
-def test_what_is_no_agent_is_named(made: SimpleNamespace) -> None:
+def test_a_policy_that_observes_the_time_needs_environments_that_tell_it(made: SimpleNamespace) -> None:
     env = wv.make_vec("Walker-v0", made.run, 1, **EXACT)
-    for policy, words in (("sin", "Did you mean 'sine'"), (3, "must be a run"), ("zoo:Wlker-v0", "'Walker-v0'")):
-        with pytest.raises(wv.WarpvoxError, match=words):
-            wv.record(env, policy)
-    other = wv.zoo("Thrower-v0")  # its policy observes the time
     with pytest.raises(wv.ConfigError):
-        wv.record(env, other)
+        wv.record(env, wv.zoo("Thrower-v0"))
 
 
 # ---- bodies
@@ -243,7 +224,7 @@ def test_a_body_that_a_design_cannot_say_is_refused(place: Path) -> None:
     whole = wv.zoo("Thrower-v0")  # whose policy observes the time alone
     cut = Robot(whole.task, whole.body, whole.connections[:, 1:], whole.policy)
     for door in ("load_design", "designs=", "body=", "gymnasium", "start"):
-        with pytest.raises(wv.WarpvoxError, match=r"lacks connections|in no file"):
+        with pytest.raises((wv.DesignError, wv.ConfigError)):
             DOORS[door](cut)
     with pytest.raises(wv.DesignError):
         wv.Training(design=cut)
