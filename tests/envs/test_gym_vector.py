@@ -8,6 +8,7 @@ import pytest
 import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import NormalizeObservation
+from refusals import refused
 
 from warpvox.design import example_design, full_connections
 from warpvox.envs.adapters.gym_vector import VoxelGymVectorEnv
@@ -102,9 +103,9 @@ def test_single_environments_answer_as_those_of_a_sync_vector_env() -> None:
         env.set_attr("mine", "word")
         assert env.get_attr("mine") == ("word",) * 3
         for wrong in ([1], (1, 2, 3, 4)):
-            with pytest.raises(ValueError, match="3 environments"):
+            with pytest.raises(ValueError):
                 env.set_attr("mine", wrong)
-        with pytest.raises(AttributeError, match="others"):
+        with refused(AttributeError, "others"):
             env.get_attr("others")
     compare(ours.call("reset", seed=2), theirs.call("reset", seed=2), "reset")
     assert ours.get_attr("np_random_seed") == theirs.get_attr("np_random_seed") == (2, 2, 2)
