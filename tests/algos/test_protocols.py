@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from episodes import short_episodes
 from population_cases import candidates, factory
 from refusals import refused
 
@@ -27,6 +29,12 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW
 EPISODES = 32  # under noise, of an entry of the zoo
 
 COUNT = 500
+
+
+@pytest.fixture
+def short_walks() -> Iterator[None]:
+    with short_episodes("Walker-v0", "BridgeWalker-v0"):
+        yield
 
 
 def test_numbers_are_normal_and_uniform() -> None:
@@ -108,7 +116,7 @@ def test_padding_has_no_noise_of_sensors() -> None:
     assert torch.equal(seen[0] != obs, env.obs_mask[env.design_index])
 
 
-def test_the_nominal_rows_of_all_protocols_are_the_same() -> None:
+def test_the_nominal_rows_of_all_protocols_are_the_same(short_walks: None) -> None:
     (nominal,) = wv.evaluate("zoo:BridgeWalker-v0", episodes=2)
     rows = wv.evaluate("zoo:BridgeWalker-v0", episodes=2, protocol="robust")
     assert [row.disturbance for row in rows] == list(PROTOCOLS["robust"])
@@ -194,7 +202,7 @@ def test_a_robust_gait_is_worth_what_its_policy_gets_in_the_same_copies() -> Non
     assert np.ptp(found.returns.numpy()) > 0
 
 
-def test_a_training_chooses_by_disturbed_copies(tmp_path: Path) -> None:
+def test_a_training_chooses_by_disturbed_copies(tmp_path: Path, short_walks: None) -> None:
     small = {"design": "mini", "num_envs": 8, "max_iterations": 2, "eval_interval": 1, "device": "cpu"}
     run = wv.train(fitness="robust", folder=tmp_path / "run", progress=False, **small)
     env = wv.make_vec("Walker-v0", "mini", COPIES, seed=0, device="cpu", auto_reset=False)

@@ -1,12 +1,12 @@
 """Design searches with each evaluation, from end to end."""
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from episodes import short_episodes
 from tiny import tiny
 
 from warpvox.algos.archive import FILE, Archive, Record
@@ -16,7 +16,6 @@ from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.training.bodies import draw_bodies
 from warpvox.cli.config import load
 from warpvox.design import example_design, load_design, save_design
-from warpvox.envs import registry
 from warpvox.robots import judge, save_robot
 from warpvox.runs import read_summary
 
@@ -78,18 +77,16 @@ def test_a_search_by_gaits(warpvox: Callable) -> None:
     warpvox("export", f"run={folder}/designs/0", "format=[jit]")
 
 
-def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(warpvox: Callable, monkeypatch) -> None:
+def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(warpvox: Callable) -> None:
     words = f"evaluation=gaits evaluation.gaits=4 evaluation.rounds=2 evaluation.final_rounds=1 {ROUNDS}"
-    short = dataclasses.replace(registry.get_task("BidirectionalWalker-v0"), max_episode_steps=50)
-    monkeypatch.setitem(registry._TASKS, short.id, short)
-    warpvox(*tiny_search("task=BidirectionalWalker-v0", "seed=3", *words.split()))
-    (folder,) = Path("outputs/codesign/BidirectionalWalker-v0").iterdir()
-    for record in records_of(folder)[1::5]:  # one that is compared, one that is trained
-        run = folder / "designs" / str(record.id)
-        config = yaml.safe_load((run / "config.yaml").read_text())
-        assert config["seed"] == 3
-        again = played(warpvox, run, config["eval_envs"])
-        assert again == pytest.approx(record.fitness, abs=ROUNDING)
+    with short_episodes("BidirectionalWalker-v0"):
+        warpvox(*tiny_search("task=BidirectionalWalker-v0", "seed=3", *words.split()))
+        (folder,) = Path("outputs/codesign/BidirectionalWalker-v0").iterdir()
+        for record in records_of(folder)[1::5]:  # one that is compared, one that is trained
+            run = folder / "designs" / str(record.id)
+            config = yaml.safe_load((run / "config.yaml").read_text())
+            assert config["seed"] == 3
+            assert played(warpvox, run, config["eval_envs"]) == pytest.approx(record.fitness, abs=ROUNDING)
 
 
 def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:

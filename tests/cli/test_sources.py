@@ -10,11 +10,10 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from episodes import short_episodes
 
 import warpvox as wv
 from warpvox.algos.codesign.robots import read_start
-from warpvox.envs import registry
-from warpvox.envs.registry import get_task
 from warpvox.robots import Robot, save_robot
 
 KEYS = {"design": "mini", "num_envs": 8, "threads": 1, "device": "cpu", "max_iterations": 2, "eval_interval": 1}
@@ -22,23 +21,15 @@ PPO = {"steps": 4, "hidden": [8], "epochs": 1}
 SMALL = {"device": "cpu", "threads": 1}
 EXACT = SMALL | {"dtype": "float64"}  # in which returns do not depend on what is in a batch
 TRAINING = {"envs": 8, "iterations": 1, "eval_interval": 1, "ppo": {"steps": 4, "hidden": [8], "epochs": 1}}
-STEPS = 30
 
 
 @pytest.fixture(scope="module", autouse=True)
 def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """An empty folder to work in, and episodes of a few steps."""
     folder = tmp_path_factory.mktemp("sources")
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, short_episodes("Walker-v0", "Catcher-v0", "Thrower-v0", steps=30):
         patch.chdir(folder)
-        for task in ("Walker-v0", "Catcher-v0", "Thrower-v0"):
-            patch.setitem(registry._TASKS, task, replace(get_task(task), max_episode_steps=STEPS))
         yield folder
-
-
-@pytest.fixture(scope="module", autouse=True)
-def short_episodes() -> None:
-    """Those of :func:`place`, in place of those of the folder."""
 
 
 @pytest.fixture(scope="module")

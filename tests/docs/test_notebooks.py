@@ -8,7 +8,9 @@ from typing import Any
 import notebooks
 import pytest
 import torch
+from episodes import short_episodes
 
+from warpvox.envs.registry import task_ids
 from warpvox.robots import zoo
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,7 +49,8 @@ def run(path: Path, parameters: dict[str, Any] | None, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
 def test_a_notebook_runs(path: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    run(path, QUICK[path.stem], monkeypatch, tmp_path)
+    with short_episodes(*task_ids()):
+        run(path, QUICK[path.stem], monkeypatch, tmp_path)
 
 
 @pytest.mark.slow

@@ -91,15 +91,6 @@ def test_terrain_may_reach_around_a_robot() -> None:
         assert set(world_of(world_document(rows, turned, names)).objects) == {"ground", "robot"}
 
 
-def test_what_is_valid_is_described() -> None:
-    assert check(body_document([[1, 3], [4, 0]])) == "A valid robot: 2 x 2, 3 cells, 2 actuators."
-    assert check(body_document([[4]])) == "A valid robot: 1 x 1, 1 cell, 1 actuator."
-    words = check(world_document([[3, 0, 2, 0, 2], [5] * 5], [[0, 0, 1, 1, 1], [2] * 5], ["robot", "balls", "floor"]))
-    assert "robot (robot, 1 cell)" in words
-    assert "balls (object, 2 cells, 2 pieces)" in words
-    assert "floor (terrain, 5 cells)" in words
-
-
 BODY = body_document([[3, 3], [4, 0]])
 WORLD = world_document([[3, 0], [5, 5]], [[0, 0], [1, 1]], ["robot", "ground"])
 

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 from refusals import refused
 
 import warpvox.evogym as evogym
@@ -200,21 +199,6 @@ def test_robots_come_from_the_global_generator_cell_by_cell() -> None:
         assert robot.dtype == float
         assert np.array_equal(connections, evogym.get_full_connectivity(robot))
         check_design(robot)
-
-
-@given(st.integers(-9, 9), st.integers(-9, 9), st.integers(1, 9), st.integers(1, 9))
-def test_pairs_calculate_in_parallel(x: int, y: int, u: int, v: int) -> None:
-    a, b = evogym.Pair(x, y), evogym.Pair(u, v)
-    assert a + b == evogym.Pair(x + u, y + v)
-    assert a - 2 == evogym.Pair(x - 2, y - 2)
-    assert a * b == evogym.Pair(x * u, y * v)
-    assert a / b == a // b == evogym.Pair(x // u, y // v)
-    assert a % b == evogym.Pair(x % u, y % v)
-    assert a.abs() == evogym.Pair(abs(x), abs(y))
-    assert (a.each_max(b)[0], a.each_min(b)[1]) == (max(x, u), min(y, v))
-    assert a.copy() == a
-    assert hash(a.copy()) == hash(a)
-    assert str(a) == f"({x}, {y})"
 
 
 def test_pairs_are_of_whole_numbers() -> None:

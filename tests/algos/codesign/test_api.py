@@ -1,6 +1,6 @@
 """Design search from Python: from objects, with parts of one's own, and as the command makes it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from codesign_toys import Judge, ToySearch
+from episodes import short_episodes
 from fault_cases import digest
 from refusals import refused
 from tiny import tiny
@@ -30,6 +31,12 @@ from warpvox.types import Physics
 SMALL = dict(shape=(3, 3), device="cpu", threads=1, progress=False)
 TRAINING = {"envs": 8, "iterations": 1, "eval_interval": 1, "ppo": {"steps": 4, "hidden": [8], "epochs": 1}}
 GA = dict(population=3, max_evaluations=5)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_walks() -> Iterator[None]:
+    with short_episodes("Walker-v0"):
+        yield
 
 
 class Ear(Listener):
