@@ -33,7 +33,7 @@ COUNT = 500
 
 @pytest.fixture
 def short_walks() -> Iterator[None]:
-    with short_episodes("Walker-v0", "BridgeWalker-v0"):
+    with short_episodes("Walker-v0", "BridgeWalker-v0", "Jumper-v0"):
         yield
 
 
@@ -177,7 +177,7 @@ def test_actions_of_a_function_are_checked_in_disturbed_episodes_too(policy: obj
         short(policy, protocol)
 
 
-def test_a_gait_has_no_sensors() -> None:
+def test_a_gait_has_no_sensors(short_walks: None) -> None:
     rows = wv.evaluate("zoo:Jumper-v0", episodes=2, protocol="robust")
     assert [row.disturbance for row in rows] == ["nominal", "noise", "sticky", "start"]
     with pytest.raises(ConfigError):
@@ -215,7 +215,7 @@ def test_a_training_chooses_by_disturbed_copies(tmp_path: Path, short_walks: Non
     ("task", "episodes"),
     [
         ("Catcher-v0", 3),  # a task that draws something in each episode
-        *((t, 1) for t in zoo_tasks()[::4]),
+        *((t, 1) for t in zoo_tasks()[::8]),
         *(pytest.param(t, EPISODES, marks=pytest.mark.slow) for t in zoo_tasks()),
     ],
 )

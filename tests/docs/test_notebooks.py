@@ -47,6 +47,7 @@ def run(path: Path, parameters: dict[str, Any] | None, monkeypatch: pytest.Monke
     assert not list(folder.iterdir()), "a notebook leaves nothing behind"
 
 
+@pytest.mark.usefixtures("narrow_packs")
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
 def test_a_notebook_runs(path: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with short_episodes(*task_ids()):

@@ -72,7 +72,6 @@ def test_no_cluster_and_no_ray_are_clear_errors(monkeypatch: pytest.MonkeyPatch)
         ray_executor.RayExecutor(ToyEvaluator)
 
 
-@pytest.mark.slow
 def test_started_here_and_without_room(tmp_path: Path, undisturbed: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", PLACES)
     with refused(RunError, "a worker takes 1 and 64"):
@@ -85,6 +84,22 @@ def test_started_here_and_without_room(tmp_path: Path, undisturbed: str, monkeyp
     executor.close()
     with Archive.read(loop.archive.path) as archive:
         assert archive.digest() == undisturbed
+
+
+def test_errors_of_an_evaluator_come_through_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", PLACES)
+    monkeypatch.setattr(ray_executor, "MAX_ATTEMPTS", 1)
+    monkeypatch.chdir(tmp_path)  # workers have another current folder
+    body = make_loop(tmp_path / "x").search.ask()[0].body
+    executor = ray_executor.RayExecutor(Failing, workers=1)
+    for number, error, said in (
+        (0, RunError, "Learning diverged"),
+        (1, ZeroDivisionError, "a defect"),
+        (2, RunError, "has ended its worker 1 times"),
+    ):
+        with pytest.raises(error, match=said):
+            list(executor.run([Batch([Candidate(number, body)])], {}, lambda place, event: None))
+    executor.close()
 
 
 @pytest.fixture(scope="module")
@@ -104,21 +119,7 @@ def cluster() -> Iterator[tuple]:
     signal.signal(signal.SIGTERM, handler)
 
 
-def test_errors_of_an_evaluator_come_through_as_they_are(cluster: tuple, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(ray_executor, "MAX_ATTEMPTS", 1)
-    monkeypatch.chdir(tmp_path)  # workers have another current folder
-    body = make_loop(tmp_path / "x").search.ask()[0].body
-    executor = ray_executor.RayExecutor(Failing, workers=1, address=cluster[0].address)
-    for number, error, said in (
-        (0, RunError, "Learning diverged"),
-        (1, ZeroDivisionError, "a defect"),
-        (2, RunError, "has ended its worker 1 times"),
-    ):
-        with pytest.raises(error, match=said):
-            list(executor.run([Batch([Candidate(number, body)])], {}, lambda place, event: None))
-    executor.close()
-
-
+@pytest.mark.slow
 def test_two_nodes_with_dying_workers_give_the_results_of_one_process(cluster, tmp_path, undisturbed: str) -> None:
     where, nodes = cluster
     make = functools.partial(Mortal, tmp_path, fatal=(1,))
