@@ -2,9 +2,7 @@
 
 import contextlib
 import csv
-import io
 import json
-import math
 import re
 import shutil
 import sqlite3
@@ -19,19 +17,16 @@ from PIL import Image
 from rich.console import Console
 from tiny import tiny
 
-from warpvox.algos.archive import FILE, Archive, Finished
-from warpvox.algos.candidate import FINALIST, Candidate, Outcome
+from warpvox.algos.archive import FILE, Archive
+from warpvox.algos.candidate import Candidate
 from warpvox.algos.checkpoints.files import load_controller
 from warpvox.algos.codesign import results as results_of
-from warpvox.algos.codesign.listener import SearchRun
 from warpvox.algos.codesign.results import Results
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.cli import main
 from warpvox.design import example_design, load_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.palette import cell_colour
-from warpvox.progress import search as progress
-from warpvox.progress.search import SearchProgress
 from warpvox.runs import read_summary
 from warpvox.view.cell_text import body_rows
 
@@ -262,75 +257,16 @@ def test_a_search_of_version_0_1_goes_on_or_is_refused_in_a_sentence(copied: Pat
         warpvox("play", f"run={folder}", "window=off", fails=("warpvox 0.1.0", key))
 
 
-@pytest.fixture
-def watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable:
-    """``news(watch, seconds, iteration, steps, first)`` of two designs; returns what the last line says is left."""
-    clock, output = [0.0], io.StringIO()
-    monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(progress, "QUIET_SECONDS", 0.0)
-    results = Results(tmp_path, Archive.create(tmp_path / FILE, {}), Codesign())
-
-    def watch(finalists: int = 0) -> SearchProgress:
-        shown = SearchProgress(Console(width=120, file=output))
-        shown.begun(
-            SearchRun(
-                results.folder, results.archive, results.settings, 4 + finalists, finalists, (100.0, 1000.0), 0, False
-            )
-        )
-        return shown
-
-    def news(watch: SearchProgress, seconds: float, asked: list[Candidate], steps: int) -> str:
-        clock[0] += seconds
-        event = {"iteration": 1, "iterations": 10, "steps": steps, "best": [1.0, 1.0], "training": [True, True]}
-        watch.progress(asked, event)
-        return re.findall(r"left (.*)", output.getvalue())[-1]
-
-    with results.archive:
-        yield watch, news, results.archive
+def test_on_a_terminal_a_search_is_watched_live(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as rich takes for a terminal
+    shown = warpvox(*tiny("codesign", *SIZES)).out
+    assert "\x1b[?25l" in shown  # the block hides the cursor
+    assert "best so far" in re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown)
 
 
-def pair(generation: int, origin: str = "random") -> list[Candidate]:
-    return [Candidate(2 * generation + k, example_design("walker"), (), origin, generation) for k in (0, 1)]
-
-
-def test_the_time_left_counts_control_steps(watched: Callable) -> None:
-    """The time of designs that are stopped early, and of finalists, which begin when the others are done."""
-    make, news, archive = watched
-    watch, said = make(finalists=2), []
-    for generation, reports, ends in ((0, (20, 60), (100, 60)), (1, (20, 60), (100, 60)), (2, (200, 600), (600, 600))):
-        asked = pair(generation, FINALIST if generation == 2 else "random")
-        archive.propose(asked, 0)
-        watch.proposed(generation, asked, 2)
-        said.append([news(watch, 10.0, asked, steps) for steps in reports])
-        archive.finish([Finished(item.id, Outcome(1.0, steps=end)) for item, end in zip(asked, ends, strict=True)])
-        watch.finished(archive.records(generation))
-        watch.told(generation, fresh=True)
-    assert said[0] == ["-", "0:01:25, then 2 finalists"]  # 40 steps in 10 s, 340 of 4 * 100 are left
-    assert said[1][1] == "0:00:30, then 2 finalists"  # 100 steps in 30 s, and 100 of 2 * 80 are left
-    assert said[2] == ["-", "0:00:35"]  # 400 steps in 10 s, and 1400 of 2 * 1000 are left
-
-
-def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None:
-    console = Console(force_terminal=True, color_system="truecolor", width=120, file=io.StringIO())
+def test_bodies_are_painted_side_by_side_on_a_terminal() -> None:
+    console = Console(force_terminal=True, color_system="truecolor", width=120)
     bodies = [example_design("walker"), sample_design((5, 5), 0)]
-    results = Results(tmp_path, Archive.create(tmp_path / FILE, {}), Codesign(top=2))
-    watch = SearchProgress(console)
-    watch.begun(SearchRun(results.folder, results.archive, results.settings, 4, 0, (500.0, 0.0), 0, False))
-    with results.archive as archive:
-        asked = [Candidate(k, body) for k, body in enumerate(bodies)]
-        archive.propose(asked, 0)
-        watch.proposed(0, asked, 2)
-        for iteration in (1, 5):
-            event = {"iteration": iteration, "iterations": 10, "steps": 100 * iteration}
-            watch.progress(asked, event | {"best": [1.25, math.nan], "training": [True, True]})
-        assert watch.done == 2 * 5 / 10
-        console.file.truncate(0)
-        archive.finish([Finished(0, Outcome(2.5)), Finished(1, Outcome(0.5))])
-        watch.finished(archive.records())
-        watch.told(0, fresh=True)
-        watch.ended(results.write("done"))
-    text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", console.file.getvalue())
-    assert "generation 0 done: 2/4 designs  best 2.500  mean 1.500  best so far 2.500" in text
     rows = body_rows(bodies, ["2.500 #0", "0.500 #1"], console)
     assert rows.plain.splitlines()[-1].split() == ["2.500", "#0", "0.500", "#1"]
     painted = [str(span.style) for span in rows.spans]

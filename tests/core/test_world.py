@@ -177,8 +177,6 @@ def test_drawing() -> None:
     world.add_from_array("ground", [[5, 5, 5]], 0, 0)
     world.add_from_array("robot", [[3, 4], [1, 2]], 1, 1)
     assert world.pretty() == ".HV.\n.RS.\nFFF."
-    assert repr(world) == "World(4x3: ground 3x1 at (0, 0), robot 2x2 at (1, 1))"
-    assert repr(world.objects["robot"]) == "WorldObject('robot', 2 wide, 2 high, at (1, 1))"
 
 
 @given(worlds())
