@@ -142,19 +142,6 @@ def test_bodies_of_single_environments() -> None:
         env.call("step", env.single_action_space.sample())
 
 
-@pytest.mark.parametrize("mode", ["NEXT_STEP", "DISABLED"])
-@pytest.mark.parametrize("kind", ["vector_entry_point", "sync"])
-def test_infos_hold_arrays_alone(mode: str, kind: str) -> None:
-    """As libraries want them that make tensors of infos, for instance TorchRL."""
-    options = {"autoreset_mode": mode} if kind != "sync" else {"vector_kwargs": {"autoreset_mode": AutoresetMode[mode]}}
-    env = make("UpStepper-v0", body="walker", max_episode_steps=3, vectorization_mode=kind, **options)
-    env.reset()
-    for _ in range(3):
-        infos = env.step(env.action_space.sample())[-1]
-        assert {type(value) for value in infos.values()} == {np.ndarray}
-        assert {"unstable", "diverged", "reward_terms/displacement_robot_x"} <= set(infos)
-
-
 def test_the_mode_is_gymnasiums_own_unless_another_is_asked_for() -> None:
     theirs = make(body="walker", vectorization_mode="sync")
     assert make(body="walker").metadata["autoreset_mode"] is theirs.metadata["autoreset_mode"]
