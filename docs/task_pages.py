@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lab.zoo import results
+from warpvox.algos.robots.entry import zoo
 from warpvox.envs.about import UNITS
 from warpvox.envs.registry import get_task, known_returns, task_ids
 from warpvox.envs.spec import TaskSpec
