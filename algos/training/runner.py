@@ -31,6 +31,8 @@ from warpvox.algos.expected import check_like
 from warpvox.algos.generators import Generators
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.metrics import Metrics, read_metrics
+from warpvox.algos.population.iteration import Iteration
+from warpvox.algos.population.ppo import PopulationPPO
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
@@ -190,6 +192,10 @@ class Runner(OnPolicyRunner):
         self._kept = -math.inf  # the return of the file of the best, which may be later than the state
         self._turned_back = False  # to a checkpoint beside a state that may be of a later iteration
 
+        # What learns in the place of `alg`, which is behind until somebody asks for it
+        self._iteration: Iteration | None = None
+        self._is_behind = False
+
     def _configure_multi_gpu(self) -> None:
         """As rsl-rl's, for processes that have met already, on CPUs, too."""
         group = self.group
@@ -209,6 +215,7 @@ class Runner(OnPolicyRunner):
     @property
     def controller(self) -> Controller:
         """The policy as it is now, without exploration."""
+        self._catch_up()
         return Controller(self.alg.get_policy(), self.spec)
 
     def run(self) -> None:
@@ -249,6 +256,7 @@ class Runner(OnPolicyRunner):
                     if self.group.any(bool(interrupted)):
                         self.save_all()
                         interrupted.stop()
+            self._catch_up()
             self.save_all()
         finally:
             if self._metrics is not None:
@@ -288,26 +296,41 @@ class Runner(OnPolicyRunner):
         if self.group.size > 1:
             self.alg.broadcast_parameters()
 
+        # On CUDA launches are what takes time: an iteration is one graph where nothing but our own PPO learns.
+        is_ours = self.spec.is_mlp and not self.ppo.extra and self.group.size == 1
+        if self._iteration is None and is_ours and torch.device(self.device).type == "cuda":
+            self._iteration = self._make_iteration()
+
+    def _make_iteration(self) -> Iteration:
+        """An iteration that goes on from where ``alg`` is."""
+        settings = {name: value for name, value in self.cfg["algorithm"].items() if name != "class_name"}
+        algorithm = PopulationPPO.in_place_of(self.alg, self.generators.on(self.device), **settings)
+        inner = self.env.env
+        return Iteration(self.env, algorithm, None if inner.dump is not None else inner.capture)
+
+    def _catch_up(self) -> None:
+        """Have ``alg`` be what was learned in its place."""
+        if self._iteration is not None and self._is_behind:
+            self._iteration.algorithm.copy_to(self.alg)
+            self._is_behind = False
+
     def _iterate(self, end: int) -> dict[str, float]:
         """One iteration: collect, learn, exchange bodies, evaluate as scheduled; returns its row of the metrics."""
         started = time.perf_counter()
 
-        # Collect and learn; the results are in `logger`.
-        try:
-            super().learn(1)
-        except ActionError as error:
-            raise self._diverged(str(error)) from error
+        # Collect and learn; results that are no figures are in `logger`.
+        figures = self._learn_by_rsl_rl() if self._iteration is None else self._learn_on_device(self._iteration)
 
         # Exchange bodies
         if self.bodies is not None and self.bodies.refresh != "none":
-            with torch.inference_mode():  # as the environments have made steps
+            # in the mode in which the environments have made steps
+            with torch.inference_mode() if self._iteration is None else torch.no_grad():
                 self.bodies.exchange(self.env, self.logger.ended)
                 self.alg.actor.reset(self.logger.ended)
                 self.alg.critic.reset(self.logger.ended)
 
         # Check
-        losses = self.logger.losses
-        self._check(losses)
+        self._check(figures)
         seconds = time.perf_counter() - started
         self.current_learning_iteration += 1
 
@@ -317,16 +340,46 @@ class Runner(OnPolicyRunner):
         if done % self.schedule.evaluate == 0 or done == end:
             evaluated = self._evaluate()
         self.elapsed += time.perf_counter() - started
-        return self._row(losses, seconds, evaluated)
+        return self._row(figures, seconds, evaluated)
 
-    def _check(self, losses: dict[str, float]) -> None:
-        """Raise DivergenceError if losses, weights or moments are not finite."""
-        for name, value in losses.items():
-            if not math.isfinite(value):
-                raise self._diverged(f"the {name} loss is {value}")
+    def _learn_by_rsl_rl(self) -> dict[str, float]:
+        """Collect and learn; returns figures as :meth:`Iteration.read` does."""
+        try:
+            super().learn(1)
+        except ActionError as error:
+            raise self._diverged(str(error)) from error
         learned = [value for group in self.alg.optimizer.param_groups for value in group["params"]]
         learned += self.alg.get_policy().buffers()
-        if not bool(torch.stack([torch.isfinite(value).all() for value in learned]).all()):
+        deviations: Any = self.alg.get_policy().distribution
+        return {
+            **self.logger.losses,
+            "learning_rate": self.alg.learning_rate,
+            # output_std has a 1 for each action that a body lacks
+            "action_std": deviations.log_std_param.detach().clamp(*deviations.log_std_range).exp().mean().item(),
+            "finite": float(torch.stack([torch.isfinite(value).all() for value in learned]).all()),
+        }
+
+    def _learn_on_device(self, iteration: Iteration) -> dict[str, float]:
+        """Collect and learn without rsl-rl; returns figures."""
+        iteration()
+        self._is_behind = True
+        figures = iteration.read()
+        self.logger.losses = {name: figures[name] for name in ("value", "surrogate", "entropy")}
+        self.logger.means = {name: value for name, value in figures.items() if "/" in name}
+        self.logger.ended = iteration.ended
+        if self.bodies is not None:
+            for ended, returns in zip(iteration.whole.cpu(), iteration.returns.cpu(), strict=True):
+                self.bodies.record(ended, returns)
+        if figures["not_finite_total"]:
+            self.env.env.not_finite()  # warns
+        return figures
+
+    def _check(self, figures: dict[str, float]) -> None:
+        """Raise DivergenceError if losses, weights or moments are not finite."""
+        for name, value in self.logger.losses.items():
+            if not math.isfinite(value):
+                raise self._diverged(f"the {name} loss is {value}")
+        if not figures["finite"]:
             raise self._diverged("the networks have weights that are NaN or infinite")
 
     def _diverged(self, reason: str) -> DivergenceError:
@@ -356,27 +409,22 @@ class Runner(OnPolicyRunner):
                 save_checkpoint(self.folder / BEST, self._policy_content())
         return value
 
-    def _row(self, losses: dict[str, float], seconds: float, evaluated: float) -> dict[str, float]:
+    def _row(self, figures: dict[str, float], seconds: float, evaluated: float) -> dict[str, float]:
         return {
             "iteration": self.current_learning_iteration,
             "steps": self.steps,
-            **self._episodes(),
+            **self._episodes(figures),
             "eval_return": evaluated,
             "best_return": self.best_return,
             **self._quantiles(evaluated),
-            "value_loss": losses["value"],
-            "surrogate_loss": losses["surrogate"],
-            "entropy": losses["entropy"],
-            "learning_rate": self.alg.learning_rate,
-            "action_std": self._action_std(),
+            "value_loss": figures["value"],
+            "surrogate_loss": figures["surrogate"],
+            "entropy": figures["entropy"],
+            "learning_rate": figures["learning_rate"],
+            "action_std": figures["action_std"],
             "steps_per_second": self.steps_per_iteration / seconds,
             "elapsed": self.elapsed,
         }
-
-    def _action_std(self) -> float:
-        # output_std has a 1 for each action that a body lacks
-        deviations: Any = self.alg.get_policy().distribution
-        return deviations.log_std_param.detach().clamp(*deviations.log_std_range).exp().mean().item()
 
     def _quantiles(self, evaluated: float) -> dict[str, float]:
         """Quantiles of the returns of the last evaluation, over its bodies where there are several."""
@@ -385,9 +433,9 @@ class Runner(OnPolicyRunner):
             return {}
         return {f"eval_q{share}": float(torch.quantile(fitness, share / 100)) for share in (10, 50, 90)}
 
-    def _episodes(self) -> dict[str, float]:
+    def _episodes(self, figures: dict[str, float]) -> dict[str, float]:
         """Number, mean return and length of the episodes that have ended in all processes; how many were stopped."""
-        own = self.env.pop_episodes()
+        own = self.env.pop_episodes() if self._iteration is None else self.env.episodes_of(figures)
         count = own["episodes"]
         sums = [count, *(count * own[name] if count else 0.0 for name in ("return", "length"))]
         count, *means, unstable, diverged = self.group.sum([*sums, own["unstable"], own["diverged"]])
@@ -407,6 +455,7 @@ class Runner(OnPolicyRunner):
         }
 
     def _policy_content(self) -> dict[str, Any]:
+        self._catch_up()
         own = {"iter": self.current_learning_iteration, "infos": None, "policy": spec_dict(self.spec)}
         return self.alg.save() | own | {"eval_return": self.last_return, "trained_on": self.trained_on}
 
@@ -476,6 +525,7 @@ class Runner(OnPolicyRunner):
             optimizer: whether to take the moments of its optimiser, and the rate that an adaptive schedule has found.
         """
         check_fits(self.spec, spec_of(learned["policy"]))
+        self._iteration = None
         try:
             self.alg.load(dict(learned), None if optimizer else {"actor": True, "critic": True})
         except RunError as error:  # such as a critic with other weights
@@ -487,6 +537,7 @@ class Runner(OnPolicyRunner):
     def set_state(self, content: dict[str, Any]) -> None:
         """Go on from :meth:`state`, or with new episodes from the content of ``model_<iteration>.pt``."""
         check_like(content, {"iter": int, "eval_return": float} | (COUNTERS if "env" in content else {}))
+        self._iteration = None
         self.alg.load(content, None, True)
         self.current_learning_iteration = self.saved_iteration = content["iter"]
         self.last_return = content["eval_return"]
