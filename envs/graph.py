@@ -31,7 +31,7 @@ def capture_on_cuda(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # newer versions of torch find the generators, and say so
         for generator in generators:
-            graph.register_generator_state(generator)
+            graph.register_generator_state(generator)  # pyright: ignore[reportUnknownMemberType] # of torch's stubs
     # Within, torch's current stream is this one, and kernels are launched on it (warpvox.kernels.device).
     # thread_local: what other threads do meanwhile (data loaders, loggers) cannot spoil the capture.
     capturing = torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local")

@@ -18,11 +18,11 @@ from warpvox.algos.disturbance import as_judged
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.generators import Generators
-from warpvox.algos.population.iteration import Iteration
-from warpvox.algos.population.model import PopulationActor, PopulationModel
-from warpvox.algos.population.ppo import PopulationPPO, Streams
+from warpvox.algos.ppo.iteration import Iteration
+from warpvox.algos.ppo.networks import PopulationActor, PopulationModel
+from warpvox.algos.ppo.population import PopulationPPO, Streams
+from warpvox.algos.ppo.stock import rsl_rl_config
 from warpvox.algos.settings import DesignTraining, Ppo
-from warpvox.algos.training.ppo import rsl_rl_config
 from warpvox.algos.training.runner import adapt
 from warpvox.design import Design
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP

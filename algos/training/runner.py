@@ -31,12 +31,12 @@ from warpvox.algos.expected import check_like
 from warpvox.algos.generators import Generators
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.metrics import Metrics, read_metrics
-from warpvox.algos.population.iteration import Iteration
-from warpvox.algos.population.ppo import PopulationPPO
+from warpvox.algos.ppo.iteration import Iteration
+from warpvox.algos.ppo.population import PopulationPPO
+from warpvox.algos.ppo.stock import PPO, rsl_rl_config
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
-from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
@@ -122,7 +122,7 @@ class Runner(OnPolicyRunner):
         logger: where metrics go besides ``metrics.csv``, :data:`warpvox.algos.settings.LOGGERS`.
         group: the processes that train this policy together, each with its own ``env``. The first evaluates, writes
             and reports; its ``evaluator`` and ``report`` are the only ones that are used.
-        voxels: of a policy for voxels, see :func:`warpvox.algos.training.ppo.rsl_rl_config`.
+        voxels: of a policy for voxels, see :func:`warpvox.algos.ppo.stock.rsl_rl_config`.
         bodies: which bodies take the place of others; None: all stay.
         generators: random numbers for the networks, the actions and the order of learning; None: those that torch's own
             generators would give.

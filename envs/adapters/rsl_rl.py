@@ -152,18 +152,17 @@ class RslRlVecEnv(VecEnv):
         in ``unstable`` and ``diverged``: how many ended by a step that was stopped, and by divergence among them.
         """
         self.env.not_finite()  # warns of non-finite terms; the device is read below anyway
-        sums = self.take_sums()
-        return self.episodes_of(dict(zip(sums, torch.stack(list(sums.values())).tolist(), strict=True)))
+        return self.episodes_of(dict(zip(EPISODE_SUMS, map(float, self.take_sums().cpu()), strict=True)))
 
-    def take_sums(self) -> dict[str, torch.Tensor]:
-        """Sums over the episodes that ended since the last call, on the device, for :meth:`episodes_of`."""
+    def take_sums(self) -> torch.Tensor:
+        """Sums over the episodes that ended since the last call, float64, on the device: :data:`EPISODE_SUMS`."""
         sums = self._sums.clone()
         self._sums.zero_()
-        return dict(zip(EPISODE_SUMS, sums, strict=True))
+        return sums
 
     @staticmethod
     def episodes_of(sums: Mapping[str, float]) -> dict[str, float]:
-        """What :meth:`pop_episodes` gives, from numbers of :meth:`take_sums`."""
+        """The result of :meth:`pop_episodes` from sums by name."""
         count, total, length, *ends = (sums[name] for name in EPISODE_SUMS)
         means = (total / count, length / count) if count else (nan, nan)
         names = ("episodes", "return", "length", *STOP_CAUSES)

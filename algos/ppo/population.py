@@ -14,8 +14,8 @@ from tensordict import TensorDict
 from torch import nn
 
 from warpvox.algos.policies.network import observations
-from warpvox.algos.population.model import Normalizer, PopulationActor, PopulationModel, StackedGaussian
-from warpvox.algos.training.ppo import PPO
+from warpvox.algos.ppo.networks import Normalizer, PopulationActor, PopulationModel, StackedGaussian
+from warpvox.algos.ppo.stock import PPO
 
 BLOCK = 16
 """Most designs that learn in one go on the CPU; fewer cost more overhead, more leave threads without work."""
@@ -38,13 +38,13 @@ class Samples(NamedTuple):
 class PopulationPPO(PPO):
     """Our PPO with an axis for designs: losses, gradients' norms, learning rates and random numbers are per design.
 
-    Rows of the storage are sorted by design. Each design learns what :class:`warpvox.algos.training.ppo.PPO` would
+    Rows of the storage are sorted by design. Each design learns what :class:`warpvox.algos.ppo.stock.PPO` would
     teach it alone, up to rounding, in fewer operations: values and log-probabilities are computed for the whole rollout
     at once, and gradients of the losses by hand. The same batch gives the same bits.
 
     Args:
         storage: for ``designs * envs`` environments; actions as wide as the actor's outputs.
-        settings: further arguments of :class:`warpvox.algos.training.ppo.PPO`.
+        settings: further arguments of :class:`warpvox.algos.ppo.stock.PPO`.
 
     Attributes:
         rates: float64 ``[designs]``, learning rates.

@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import nn
 
-from warpvox.algos.population.model import tanh_layers
-from warpvox.algos.population.ppo import VectorAdam
+from warpvox.algos.ppo.networks import tanh_layers
+from warpvox.algos.ppo.population import VectorAdam
 
 SIZES = (5, 7, 6, 3)
 DESIGNS = 4

@@ -6,8 +6,8 @@ from typing import Any
 
 import torch
 
-from warpvox.algos.population.ppo import PopulationPPO
-from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
+from warpvox.algos.ppo.population import PopulationPPO
+from warpvox.envs.adapters.rsl_rl import EPISODE_SUMS, RslRlVecEnv
 from warpvox.envs.graph import Capture, Graph
 from warpvox.errors import ActionError
 
@@ -54,8 +54,8 @@ class Iteration:
         """Figures of the last iteration, means over the designs: waits for the device, once.
 
         They are the losses ``value``, ``surrogate`` and ``entropy``, ``learning_rate``, ``action_std``, ``finite`` (0:
-        networks or moments have numbers that are not), ``not_finite_total`` of the environments, the sums of
-        :meth:`RslRlVecEnv.take_sums`, and the means of what steps log (``extras["log"]``).
+        networks or moments have numbers that are not), ``not_finite_total`` of the environments,
+        :data:`EPISODE_SUMS`, and the means of what steps log (``extras["log"]``).
         """
         return dict(zip(self._names, self._figures.tolist(), strict=True))
 
@@ -85,7 +85,7 @@ class Iteration:
         figures["action_std"] = deviations.sum() / policy.mask.sum()
         figures["finite"] = finite
         figures["not_finite_total"] = self.env.env.not_finite_total()
-        figures |= self.env.take_sums()
+        figures |= dict(zip(EPISODE_SUMS, self.env.take_sums(), strict=True))
         for name in steps[0]["log"]:
             figures[name] = torch.stack([step["log"][name] for step in steps]).double().mean()
         self._names = list(figures)
