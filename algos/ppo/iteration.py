@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import torch
@@ -35,10 +36,11 @@ class Iteration:
         if capture is not None:
             self._graph = Graph(capture, "Iterations of PPO", algorithm.streams.generators)
         self._names: list[str] = []
-        self._events: list[torch.cuda.Event] = []
-        if algorithm.rates.device.type == "cuda":
+        self._marks: list[Any] = [0.0] * 3
+        self._is_on_cuda = algorithm.rates.device.type == "cuda"
+        if self._is_on_cuda:
             # external: within a graph they are recorded again by each replay
-            self._events = [torch.cuda.Event(enable_timing=True, external=True) for _ in range(3)]
+            self._marks = [torch.cuda.Event(enable_timing=True, external=True) for _ in range(3)]
 
     def __call__(self) -> None:
         """Make one iteration."""
@@ -61,8 +63,10 @@ class Iteration:
 
     def seconds(self) -> tuple[float, float]:
         """How long the device has taken for the rollout and for learning in the last iteration, once that is read."""
-        began, collected, learned = self._events
-        return began.elapsed_time(collected) / 1000, collected.elapsed_time(learned) / 1000
+        began, collected, learned = self._marks
+        if self._is_on_cuda:
+            return began.elapsed_time(collected) / 1000, collected.elapsed_time(learned) / 1000
+        return collected - began, learned - collected
 
     def _on_device(self) -> tuple[torch.Tensor, ...]:
         """The part of an iteration that a CUDA graph records."""
@@ -96,8 +100,10 @@ class Iteration:
 
     def _mark(self, place: int) -> None:
         """Have the device note the time: 0: an iteration begins, 1: learning begins, 2: it is done."""
-        if self._events:
-            self._events[place].record()
+        if self._is_on_cuda:
+            self._marks[place].record()
+        else:
+            self._marks[place] = time.perf_counter()
 
     @torch.no_grad()
     def _collect(self) -> list[dict[str, Any]]:

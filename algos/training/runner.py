@@ -50,6 +50,9 @@ COUNTERS = {
 }  # fmt: skip
 """Entries of a state beside networks and optimiser, and their types."""
 
+HOST_BOUND = 0.1
+"""Where the host waits for a GPU for a smaller part of the time, the GPU waits for its host."""
+
 
 @dataclass(frozen=True)
 class Schedule:
@@ -73,19 +76,54 @@ def adapt(env: Any, ppo: Ppo, apart: bool = False) -> RslRlVecEnv:
     return RslRlVecEnv(env, reward_gamma=ppo.gamma if ppo.normalize_reward else None, apart=apart, **own)
 
 
+@dataclass
+class TimeSpent:
+    """Seconds of iterations, evaluations left out: what they were spent on, and what the host did for a GPU.
+
+    ``simulation``: rollouts, with the policy's part in them. ``launching`` and ``waiting``: of the host, until the GPU
+    was done with what it was given; 0 on a CPU.
+    """
+
+    simulation: float = 0.0
+    learning: float = 0.0
+    launching: float = 0.0
+    waiting: float = 0.0
+
+    def __bool__(self) -> bool:
+        return self.simulation + self.learning > 0
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """The parts of simulation and learning, which add up to 1."""
+        whole = self.simulation + self.learning
+        return {"simulation": self.simulation / whole, "learning": self.learning / whole}
+
+    @property
+    def is_host_bound(self) -> bool:
+        """True where a GPU is done almost as soon as the host has launched the last of its work."""
+        return self.launching > 0 and self.waiting < HOST_BOUND * (self.launching + self.waiting)
+
+    def __str__(self) -> str:
+        text = ", ".join(f"{name} {share:.0%}".replace("%", " %") for name, share in self.shares.items())
+        return text + ("; host-bound: more environments cost nothing" if self.is_host_bound else "")
+
+
 class _Rollout(Logger):
     """Collects what rsl-rl's runner tells of an iteration, in the place of its logger.
 
-    ``ended``: bool ``[num_envs]``, where episodes have ended.
+    ``ended``: bool ``[num_envs]``, where episodes have ended. ``steps``: of a rollout.
     """
 
     writer = None
 
-    def __init__(self, bodies: Bodies | None) -> None:
+    def __init__(self, bodies: Bodies | None, steps: int, spent: TimeSpent) -> None:
         self.bodies = bodies
+        self.steps = steps
+        self.spent = spent
 
     def init_logging_writer(self) -> None:
         """An iteration begins."""
+        self._began = time.perf_counter()
         self._logs: list[dict[str, torch.Tensor]] = []
         self.ended = torch.tensor(False)
 
@@ -97,10 +135,18 @@ class _Rollout(Logger):
         self.ended = dones | self.ended
         if self.bodies is not None:
             self.bodies.record(extras["whole"], extras["returns"])
+        if len(self._logs) == self.steps and dones.device.type == "cuda":
+            # Learning waits for the device a hundred times; one time more says how long the rollout has taken.
+            launched = time.perf_counter()
+            torch.cuda.synchronize(dones.device)
+            self.spent.launching += launched - self._began
+            self.spent.waiting += time.perf_counter() - launched
 
-    def log(self, *, loss_dict: dict[str, float], **_: object) -> None:
+    def log(self, *, loss_dict: dict[str, float], collect_time: float, learn_time: float, **_: object) -> None:
         """The update is done."""
         self.losses = loss_dict
+        self.spent.simulation += collect_time
+        self.spent.learning += learn_time
         # copied from the device at once
         steps = torch.stack([torch.stack([value.double() for value in log.values()]) for log in self._logs])
         self.means = dict(zip(self._logs[0], steps.mean(0).tolist(), strict=True))
@@ -113,7 +159,7 @@ class Runner(OnPolicyRunner):
     ``current_learning_iteration`` counts complete iterations. With ``folder`` the run leaves there
     ``model_<iteration>.pt``, ``model_best.pt`` (best evaluation), ``state.pt`` (for :meth:`resume`),
     ``metrics.csv`` and TensorBoard events; without, nothing. ``saved_iteration`` is that of the newest ``state.pt``.
-    ``report`` is called after every iteration with its row of ``metrics.csv``.
+    ``report`` is called after every iteration with its row of ``metrics.csv``; ``spent`` says where time has gone.
 
     Args:
         env: see :func:`adapt`.
@@ -179,7 +225,8 @@ class Runner(OnPolicyRunner):
         )
 
         # Progress
-        self.logger = _Rollout(bodies)
+        self.spent = TimeSpent()
+        self.logger = _Rollout(bodies, ppo.steps, self.spent)
         self._writer = logger
         self._metrics: Metrics | None = None
         self._judged: EpisodeReturns | None = None
@@ -361,9 +408,17 @@ class Runner(OnPolicyRunner):
 
     def _learn_on_device(self, iteration: Iteration) -> dict[str, float]:
         """Collect and learn without rsl-rl; returns figures."""
+        began = time.perf_counter()
         iteration()
         self._is_behind = True
+        launched = time.perf_counter()
         figures = iteration.read()
+        spent = self.spent
+        spent.launching += launched - began
+        spent.waiting += time.perf_counter() - launched
+        simulation, learning = iteration.seconds()
+        spent.simulation += simulation
+        spent.learning += learning
         self.logger.losses = {name: figures[name] for name in ("value", "surrogate", "entropy")}
         self.logger.means = {name: value for name, value in figures.items() if "/" in name}
         self.logger.ended = iteration.ended
@@ -452,7 +507,15 @@ class Runner(OnPolicyRunner):
             "best_iteration": self.best_iteration if known else None,
             "last_return": self.last_return if math.isfinite(self.last_return) else None,
             "elapsed_seconds": round(self.elapsed, 3),
+            **self._time_spent(),
         }
+
+    def _time_spent(self) -> dict[str, Any]:
+        """Where time has gone in this process; nothing before its first iteration."""
+        if not self.spent:
+            return {}
+        found: dict[str, Any] = {"time": {name: round(share, 3) for name, share in self.spent.shares.items()}}
+        return found | ({"host_bound": self.spent.is_host_bound} if self.spent.launching else {})
 
     def _policy_content(self) -> dict[str, Any]:
         self._catch_up()
