@@ -88,6 +88,11 @@ class Graph:
         replay()
         return _cloned(results)
 
+    @property
+    def is_recorded(self) -> bool:
+        """True once there is something to replay."""
+        return bool(self._recorded)
+
     def _record(self, work: Callable[[], Any], settings: Hashable) -> bool:
         """Capture a call, without making it; False if that fails."""
         try:

@@ -95,10 +95,15 @@ class Controller:
         """``obs`` ``[n, num_obs]`` to actions ``[n, num_actions]`` in [0.6, 1.6]."""
         return actions_of(self.outputs(obs), self.spec.action_scale)
 
+    def to(self, device: torch.device | str) -> "Controller":
+        """Bring the copies of the weights to a device; returns this object."""
+        if next(iter(self._state.values())).device != torch.device(device):
+            self._state = {name: value.to(device) for name, value in self._state.items()}
+        return self
+
     def outputs(self, obs: torch.Tensor) -> torch.Tensor:
         """``obs`` ``[n, num_obs]`` to the mean of the policy's outputs, float32 ``[n, num_actions]``."""
-        if next(iter(self._state.values())).device != obs.device:
-            self._state = {name: value.to(obs.device) for name, value in self._state.items()}
+        self.to(obs.device)
         group = TensorDict({OBS_GROUP: obs.double()}, batch_size=[len(obs)])
         if not isinstance(self.actor, RNNModel):
             return functional_call(self.actor, self._state, (group,)).float()

@@ -52,6 +52,11 @@ class Iteration:
             self.env.env.sim.forget_sensed()
         self._figures, self.ended, self.whole, self.returns = results
 
+    @property
+    def is_replayed(self) -> bool:
+        """True once the host has nothing to do in an iteration but to launch a graph and to wait."""
+        return self._graph is not None and self._graph.is_recorded
+
     def read(self) -> dict[str, float]:
         """Figures of the last iteration, means over the designs: waits for the device, once.
 

@@ -5,6 +5,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,18 @@ COUNTERS = {
 
 HOST_BOUND = 0.1
 """Where the host waits for a GPU for a smaller part of the time, the GPU waits for its host."""
+
+
+@dataclass(frozen=True)
+class _Evaluation:
+    """An evaluation that a thread makes while learning goes on.
+
+    ``policy``: what is evaluated, as a checkpoint has it. ``state``: of the runner, to come back to; None: not wanted.
+    """
+
+    result: Future[EpisodeReturns]
+    policy: dict[str, Any]
+    state: dict[str, Any] | None
 
 
 @dataclass(frozen=True)
@@ -243,6 +256,10 @@ class Runner(OnPolicyRunner):
         self._iteration: Iteration | None = None
         self._is_behind = False
 
+        # Rows that are not reported yet, with what loggers get besides, and the evaluation that the first waits for
+        self._rows: list[tuple[dict[str, float], dict[str, float]]] = []
+        self._evaluation: _Evaluation | None = None
+
     def _configure_multi_gpu(self) -> None:
         """As rsl-rl's, for processes that have met already, on CPUs, too."""
         group = self.group
@@ -282,32 +299,67 @@ class Runner(OnPolicyRunner):
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
         """Learn for so many iterations; random lengths apply to the very first one only."""
         end = self.current_learning_iteration + num_learning_iterations
+        self._rows.clear()
+        self._evaluation = None
+        self._is_default_type_ours = torch.get_default_dtype() == self.env.network_dtype
         with self._own_torch():
             self._begin(init_at_random_ep_len)
+            threads = torch.get_num_threads()
         try:
-            with deferred_interrupts() as interrupted:
+            # torch's number of threads is a setting of every thread
+            with (
+                ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(threads,)) as self._thread,
+                deferred_interrupts() as interrupted,
+            ):
                 while self.current_learning_iteration < end and not self._reached_goal():
-                    with self._own_torch():
-                        row = self._iterate(end)
+                    self._learn_once(end)
 
-                    # Report
-                    if self._metrics is not None:
-                        self._metrics.write(row, self.logger.means)
-                    if self.report is not None and self.group.is_main_process:
-                        self.report(row)
+                    # Report, unless a thread still evaluates and may go on with that
+                    done = self.current_learning_iteration
+                    is_saved = done % self.schedule.save == 0 and done != end
+                    is_stopped = self.group.any(bool(interrupted))
+                    is_wanted = is_saved or is_stopped or done == end or self._is_due(done + 1, end)
+                    if self._evaluation is None or is_wanted or self._evaluation.result.done():
+                        self._await_evaluation()
+                        self._report()
 
                     # Save as scheduled, or because somebody has asked to stop
-                    done = self.current_learning_iteration
-                    if done % self.schedule.save == 0 and done != end:
+                    if is_saved or is_stopped:
                         self.save_all()
-                    if self.group.any(bool(interrupted)):
-                        self.save_all()
+                    if is_stopped:
                         interrupted.stop()
             self._catch_up()
             self.save_all()
         finally:
             if self._metrics is not None:
                 self._metrics.close()
+
+    def _learn_once(self, end: int) -> None:
+        """One iteration, whose row waits in ``_rows``; where it diverges, what was before it is reported."""
+        try:
+            with self._own_torch():
+                row = self._iterate(end)
+        except DivergenceError:
+            self._await_evaluation()
+            self._report()
+            if not self._reached_goal():
+                raise
+        else:
+            self._rows.append((row, self.logger.means))
+
+    def _report(self) -> None:
+        """Write and report the rows that wait."""
+        while self._rows:
+            row, means = self._rows.pop(0)
+            self.logger.means = means  # which trackers look at
+            if self._metrics is not None:
+                self._metrics.write(row, means)
+            if self.report is not None and self.group.is_main_process:
+                self.report(row)
+
+    def _is_due(self, iteration: int, end: int) -> bool:
+        """Whether an iteration is evaluated."""
+        return iteration % self.schedule.evaluate == 0 or iteration == end
 
     def _reached_goal(self) -> bool:
         goal = self.schedule.stop_return
@@ -384,7 +436,7 @@ class Runner(OnPolicyRunner):
         # Evaluate
         done = self.current_learning_iteration
         evaluated = math.nan
-        if done % self.schedule.evaluate == 0 or done == end:
+        if self._is_due(done, end):
             evaluated = self._evaluate()
         self.elapsed += time.perf_counter() - started
         return self._row(figures, seconds, evaluated)
@@ -444,7 +496,19 @@ class Runner(OnPolicyRunner):
         )
 
     def _evaluate(self) -> float:
-        """The mean return of a deterministic evaluation; keeps the policy if it is the best so far."""
+        """The mean return of a deterministic evaluation; keeps the policy if it is the best so far.
+
+        NaN where there is no evaluator, and where a thread evaluates: while a graph is replayed the host has nothing
+        else to do. The first evaluation is made at once, for it loads kernels.
+        """
+        is_replayed = self._iteration is not None and self._iteration.is_replayed
+        if is_replayed and self._judged is not None and self.evaluator is not None and self._is_default_type_ours:
+            controller = self.controller.to("cpu")
+            policy = self._policy_content()
+            state = None if self.schedule.stop_return is None else self.state()
+            # from here on the networks of `alg` belong to the thread
+            self._evaluation = _Evaluation(self._thread.submit(self.evaluator, controller), policy, state)
+            return math.nan
         value = math.nan
         if self.group.is_main_process and self.evaluator is not None:
             self.alg.eval_mode()
@@ -457,12 +521,46 @@ class Runner(OnPolicyRunner):
         value = self.group.broadcast(value)
         if math.isnan(value):  # there is no evaluator
             return value
+        self._keep_if_best(value, self.current_learning_iteration, self._policy_content)
+        return value
+
+    def _keep_if_best(self, value: float, iteration: int, policy: Callable[[], dict[str, Any]]) -> None:
+        """Note the return of an evaluation, and write the policy to a file if it is the best so far."""
         self.last_return = value
         if value > self.best_return:
-            self.best_return, self.best_iteration = value, self.current_learning_iteration
+            self.best_return, self.best_iteration = value, iteration
             if self.folder is not None and self.group.is_main_process and value >= self._kept:
-                save_checkpoint(self.folder / BEST, self._policy_content())
-        return value
+                save_checkpoint(self.folder / BEST, policy() | {"eval_return": value})
+
+    def _await_evaluation(self) -> None:
+        """Take in what a thread has found, if one evaluates: as if it had been known when its iteration was done."""
+        if self._evaluation is None:
+            return
+        evaluation, self._evaluation = self._evaluation, None
+        iteration = evaluation.policy["iter"]
+        began = time.perf_counter()
+        try:
+            self._judged = evaluation.result.result()
+        except ActionError as error:
+            self._rows.clear()
+            self.current_learning_iteration = iteration - 1
+            raise self._diverged(str(error)) from error
+        finally:
+            self.elapsed += time.perf_counter() - began
+
+        # At the goal later iterations have not been made.
+        value = self._judged.mean_return
+        goal = self.schedule.stop_return
+        if goal is not None and value >= goal and self.current_learning_iteration > iteration:
+            del self._rows[1:]
+            with self._own_torch():
+                self.set_state(evaluation.state or {})
+
+        # The rows, of which the first is that of the evaluation
+        self._keep_if_best(value, iteration, lambda: evaluation.policy)
+        self._rows[0][0].update({"eval_return": value, **self._quantiles(value)})
+        for row, _ in self._rows:
+            row["best_return"] = self.best_return
 
     def _row(self, figures: dict[str, float], seconds: float, evaluated: float) -> dict[str, float]:
         return {
