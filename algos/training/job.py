@@ -320,7 +320,7 @@ class Job:
     def _keep_best(self, judge: Evaluator, policy: Any) -> EpisodeReturns:
         found = judge(policy)
         if found.mean_return > self.runner.best_return:
-            self.best = self.runner.policy
+            self.best = Policy(policy.spec, policy.actor.state_dict())
         return found
 
     @property
