@@ -19,6 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean, listing
+from warpvox.examples import bare_id
 
 
 def composed(command: str, overrides: Sequence[str] = (), config_dir: Path | None = None) -> DictConfig:
@@ -94,7 +95,7 @@ def register(command: str) -> None:
 
     # The paper's bodies are 5 x 5 (Table 2); one task has a larger grid, for a body designed by hand. The examples
     # have these shapes. YAML files have them as ${paper_shape:${task}} and ${paper_design:${task}}.
-    is_larger = lambda task: task == "Lifter-v0"  # noqa: E731
+    is_larger = lambda task: bare_id(task) == "Lifter-v0"  # noqa: E731
     shape = lambda task: [5, 7] if is_larger(task) else [5, 5]  # noqa: E731
     design = lambda task: "lifter" if is_larger(task) else "walker"  # noqa: E731
     OmegaConf.register_new_resolver("paper_shape", shape, replace=True)

@@ -13,6 +13,7 @@ from warpvox.code import is_code, load_code
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.tasks import climb, locomotion, manipulate, misc, shape, traverse
 from warpvox.errors import TaskError, did_you_mean, listing
+from warpvox.examples import bare_id
 
 _ALIASES = {"WingspanMazimizer-v0": "WingspanMaximizer-v0"}  # the release's spelling
 _TASKS = {
@@ -42,6 +43,7 @@ def get_task(task: str | TaskSpec) -> TaskSpec:
         return task
     if is_code(task):
         return load_code(task, lambda value: isinstance(value, TaskSpec), "TaskSpec")
+    task = bare_id(task)
     task = _ALIASES.get(task, task) if isinstance(task, str) else task
     if not isinstance(task, str) or task not in _TASKS:
         hint = did_you_mean(task, _TASKS) or f" Tasks: {listing(_TASKS, 40)}."

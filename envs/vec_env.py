@@ -27,6 +27,7 @@ from warpvox.envs.terms.observations import NAME as TIME, ElapsedSteps, is_timed
 from warpvox.envs.voxels import VoxelGrid, voxel_layouts, voxel_observations
 from warpvox.envs.worlds import load_worlds, one_body
 from warpvox.errors import ConfigError, DesignError, SimulationError, did_you_mean, listing
+from warpvox.keys import in_words
 from warpvox.simulation import Simulation
 from warpvox.types import OBSERVATIONS
 
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 StepResult = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 
 
+@in_words
 def make_vec(
     task: str | TaskSpec,
     designs: Sequence[object] | np.ndarray | str | None = None,

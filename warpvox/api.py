@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
-from warpvox.checks import check_flag, check_known, check_path
+from warpvox.checks import check_flag, check_path
 from warpvox.errors import ConfigError
-from warpvox.keys import Settings, changed
+from warpvox.keys import Settings, changed, check_known, in_words
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -34,6 +34,7 @@ class PlayKeywords(TypedDict, total=False):
     memory_check: bool
 
 
+@in_words
 def train(
     task: str | TaskSpec | Training | None = None,
     design: Any = None,
@@ -97,7 +98,7 @@ def train(
 
         others = settings_named("train", ppo=given.pop("ppo"))
         given = (others if base is None else {"ppo": others["ppo"]}) | given
-    check_known(given, train, Training)
+    given = check_known(given, train, Training)
     named = set(_dotted(given))
     if isinstance(task, Training):  # a pretrained policy must agree with what it says, too
         usual = vars(Training())
@@ -146,6 +147,7 @@ def _dotted(given: Mapping[str, Any]) -> Iterator[str]:
             yield from (f"{name}.{key}" for key, own in vars(value).items() if own != getattr(type(value)(), key))
 
 
+@in_words
 def evaluate(
     policies: Any,
     task: str | TaskSpec | None = None,
@@ -272,6 +274,7 @@ def evaluate(
     return PolicyTable(rows)
 
 
+@in_words
 def record(
     env: Any,
     policy: Any = "sine",

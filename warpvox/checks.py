@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import functools
-import inspect
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 
-from warpvox.errors import ConfigError, UnknownArgumentError, WarpvoxError, did_you_mean, listing
+from warpvox.errors import ConfigError, WarpvoxError, did_you_mean, listing
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -64,35 +62,6 @@ def check_path(name: str, value: Any) -> Path:
     if not isinstance(value, str | Path) or "\0" in str(value):
         raise ConfigError(f"{name} must be a path, got {value!r:.80}.")
     return Path(value).expanduser()
-
-
-def check_known(given: Iterable[str], *functions: Callable[..., Any], without: Iterable[str] = ()) -> None:
-    """Raise UnknownArgumentError, with the nearest name and all, for an argument that none of ``functions`` has.
-
-    Args:
-        functions: the one that was called, and those (or dataclasses) that get what it does not know; the last may
-            take anything.
-        without: arguments of the latter that the former sets itself.
-    """
-    left_out = ("self",)
-    names: dict[str, None] = {}
-    for function in functions:
-        named, takes_any = _arguments(function)
-        names |= dict.fromkeys(name for name in named if name not in left_out)
-        left_out = ("self", *without)
-    for name in () if takes_any else given:
-        if name not in names:
-            owner, hint = functions[0].__qualname__.removesuffix(".__init__"), did_you_mean(name, names)
-            known = f"There are {listing(names, len(names))}."
-            raise UnknownArgumentError(f"{owner} got an unexpected keyword argument {name!r}.{hint} {known}")
-
-
-@functools.lru_cache
-def _arguments(function: Callable[..., Any]) -> tuple[tuple[str, ...], bool]:
-    """The names of the arguments of a function, and whether it takes any others by name."""
-    found = inspect.signature(function).parameters.values()
-    named = tuple(one.name for one in found if one.kind not in (one.VAR_KEYWORD, one.VAR_POSITIONAL))
-    return named, any(one.kind is one.VAR_KEYWORD for one in found)
 
 
 def check_integer(

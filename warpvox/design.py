@@ -15,7 +15,7 @@ import numpy as np
 
 from warpvox.checks import check_shape, design_of
 from warpvox.errors import DesignError, RunError, WorldError, did_you_mean, listing
-from warpvox.examples import EXAMPLES
+from warpvox.examples import EXAMPLES, bare_id
 from warpvox.io.reading import (
     CONFIG,
     SUMMARY,
@@ -347,7 +347,7 @@ def zoo_file(name: str | os.PathLike[str], error: type[Exception]) -> Path:
     """The file of the zoo's robot for a task, or the ``.npz`` that is named; an ``error`` lists the tasks there are."""
     if not isinstance(name, str | os.PathLike):
         raise error(f"A robot of the zoo is named by its task, got {name!r:.80}.")
-    text = os.fspath(name)
+    text = bare_id(os.fspath(name))
     if text.lower().endswith(".npz"):
         return Path(text).expanduser()
     known = zoo_tasks()

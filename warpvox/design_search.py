@@ -17,13 +17,14 @@ from warpvox.algos.codesign.settings import EVALUATIONS, Codesign, Evaluation
 from warpvox.algos.listener import Listener
 from warpvox.algos.search.base import BaseSearch
 from warpvox.algos.search.settings import ALGORITHMS, CustomSearch, SearchSettings
-from warpvox.checks import check_flag, check_known, check_path, is_integer, is_list
+from warpvox.checks import check_flag, check_path, is_integer, is_list
 from warpvox.code import KEYS, Code, with_passed_code
 from warpvox.errors import ConfigError
-from warpvox.keys import changed
+from warpvox.keys import changed, check_known, in_words
 from warpvox.progress.search import SearchProgress, with_tracker
 
 
+@in_words
 def codesign(
     task: Any = "Walker-v0",
     shape: Sequence[int] | None = None,
@@ -83,7 +84,7 @@ def codesign(
         raise ConfigError(f"listeners must be a list of objects with the callbacks of Listener; got {listeners!r:.80}.")
     named = None if folder is None else check_path("folder", folder)
     where: dict[str, Any] = {"executor": executor} if isinstance(executor, str) else {}
-    check_known(settings, codesign, Codesign)
+    settings = check_known(settings, codesign, Codesign)
     how = {"task": task, "shape": shape, "search": search, "evaluation": evaluation} | where | settings
     how = {key: value for key, value in how.items() if value is not None}
     if isinstance(own, BaseSearch):

@@ -3,6 +3,7 @@
 All are our own. Each is a starting point for one kind of task, not the best body for it.
 """
 
+import re
 from typing import Any
 
 _BODIES = {
@@ -29,6 +30,12 @@ MADE_FOR: dict[str, tuple[str, ...]] = {
     "lifter": ("Lifter-v0",),
 }
 """Tasks that an example is a starting point for; "mini" is for none in particular."""
+
+
+def bare_id(task: Any) -> Any:
+    """``task``; of an id as gymnasium has it, ``warpvox/Walker-v0``, the part that is the task's own."""
+    is_id = isinstance(task, str) and re.fullmatch(r"warpvox/\w+-v\d+", task)
+    return task.removeprefix("warpvox/") if is_id else task
 
 
 def design_for(task: Any, design: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Keys of configurations as fields of dataclasses: meaning and its valid values, as metadata of a dataclass field."""
+"""Names and values of arguments and keys: other words for them, and fields of dataclasses that know what is valid."""
 
 from __future__ import annotations
 
@@ -7,18 +7,51 @@ import functools
 import inspect
 import operator
 import os
-from collections.abc import Collection, Mapping
+import sys
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import field
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, cast, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from warpvox.checks import check_choice, check_known, design_of
-from warpvox.errors import ConfigError
+from warpvox.checks import check_choice, design_of
+from warpvox.errors import ConfigError, UnknownArgumentError, did_you_mean, listing
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+Kind = TypeVar("Kind")
+
+SYNONYMS = {
+    "body": ("design", "designs"),
+    "bodies": ("designs", "design"),
+    "design": ("body", "designs"),
+    "designs": ("design",),
+    "episodes": ("eval_envs",),
+    "max_designs": ("max_evaluations",),
+    "steps": ("num_steps",),
+}
+"""Other names of arguments and keys; each stands for the first of these that a function or command has."""
+
+ELSEWHERE = {
+    "env": "task",
+    "lr": "learning_rate",
+    "n_envs": "num_envs",
+    "num_envs": "envs",
+    "batch_size": "minibatches",
+    "out": "file",
+    "evaluations": "max_evaluations",
+    "generations": "max_evaluations",
+    "steps": "max_iterations",
+    "timesteps": "max_iterations",
+    "total_timesteps": "max_iterations",
+    "gif": "export",
+    "mp4": "export",
+    "video": "export",
+}
+"""Names by which other libraries know an argument or key, which errors point to."""
 
 MISSING: Any = "???"
 """A key without a value of its own: one of the group's YAML files must set it."""
@@ -50,14 +83,130 @@ def key(
     return field(default=default, metadata=metadata)
 
 
+def renamed(given: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
+    """Arguments by the names that there are, in place of their :data:`SYNONYMS`. ConfigError: one is given twice."""
+    found = {}
+    for name, value in given.items():
+        others = () if name in names else SYNONYMS.get(name, ())
+        own = next((other for other in others if other in names), name)
+        if own in found or (own != name and own in given):
+            raise ConfigError(f"{name} and {own} are two names of one argument: give one of them.")
+        found[own] = value
+    return found
+
+
+def check_known(
+    given: Mapping[str, Any], *functions: Callable[..., Any], without: Collection[str] = ()
+) -> dict[str, Any]:
+    """Arguments by the names that one of ``functions`` has for them, see :func:`renamed`.
+
+    Args:
+        functions: the one that was called, and those (or dataclasses) that get what it does not know; the last may
+            take anything.
+        without: arguments of the latter that the former sets itself.
+
+    Raises:
+        UnknownArgumentError: an argument that none of them has; the message says where it belongs, or lists all.
+    """
+    left_out: Collection[str] = ("self",)
+    names: dict[str, None] = {}
+    takes_any = False
+    for function in functions:
+        named, takes_any = _arguments(function)
+        names |= dict.fromkeys(name for name in named if name not in left_out)
+        left_out = ("self", *without)
+    given = renamed(given, names)
+    for name in () if takes_any else given:
+        if name not in names:
+            owner = functions[0].__qualname__.removesuffix(".__init__")
+            known = f"It takes {listing(names, len(names))}."
+            hint = _hint(name, names, functions[-1])
+            raise UnknownArgumentError(f"{owner} got an unexpected keyword argument {name!r}.{hint} {known}")
+    return given
+
+
+@functools.lru_cache
+def _arguments(function: Callable[..., Any]) -> tuple[tuple[str, ...], bool]:
+    """The names of the arguments of a function, and whether it takes any others by name."""
+    found = inspect.signature(function).parameters.values()
+    named = tuple(one.name for one in found if one.kind not in (one.VAR_KEYWORD, one.VAR_POSITIONAL))
+    return named, any(one.kind is one.VAR_KEYWORD for one in found)
+
+
+def _hint(name: str, names: Collection[str], whole: Any) -> str:
+    """A sentence about an unknown argument: where it belongs, or the nearest of ``names``, a blank before it.
+
+    Args:
+        whole: the settings that get the arguments, if there are some; the argument may be one of a part of them.
+    """
+    for one in (name, ELSEWHERE.get(name, name)):
+        place = next(_places(one, whole), None)
+        if place is not None:
+            return f" Write {place}."
+    if name == "resume" and "folder" in names:
+        return " A search goes on when it is called again with folder='...', its folder."
+    if ELSEWHERE.get(name) in names:
+        return f" Did you mean '{ELSEWHERE[name]}'?"
+    if near := did_you_mean(name, names):
+        return near
+    kinds = _kinds(Settings)
+    owners = [kind.__name__ for kind in kinds if _is_public(kind) and name in getattr(kind, "__dataclass_fields__", ())]
+    return f" It is a setting of wv.{owners[0]}." if owners else ""
+
+
+def _places(name: str, whole: Any) -> Iterator[str]:
+    """How a setting of a part of the settings ``whole`` is given, for instance ``ppo=wv.Ppo(steps=...)``."""
+    for item in dataclasses.fields(whole) if dataclasses.is_dataclass(whole) else ():
+        if not callable(item.default_factory) or item.default_factory is list:
+            continue
+        usual: Any = type(item.default_factory())
+        # Beside a search or an evaluation the others of its kind
+        base = usual.__bases__[0]
+        for kind in dict.fromkeys([usual, *(base.__subclasses__() if base.__dict__.get("prefix") else ())]):
+            inner = f"{name}=..." if name in kind.__dataclass_fields__ else next(_places(name, kind), None)
+            if inner and _is_public(kind):
+                yield f"{item.name}=wv.{kind.__name__}({inner})"
+            elif inner:
+                yield f"{item.name}={{{inner.replace(name, repr(name)).replace('=', ': ')}}}"
+
+
+def _kinds(kind: type) -> list[type]:
+    """All classes that extend ``kind``."""
+    return [one for child in kind.__subclasses__() for one in (child, *_kinds(child))]
+
+
+def _is_public(kind: type) -> bool:
+    return kind.__name__ in sys.modules["warpvox"].__all__
+
+
+def in_words(function: Function) -> Function:
+    """A public function whose arguments have :data:`SYNONYMS`, and which refuses others by :func:`check_known`."""
+
+    @functools.wraps(function)
+    def call(*args: Any, **given: Any) -> Any:
+        return function(*args, **check_known(given, function))
+
+    return cast(Function, call)
+
+
 class _OfInit:
-    """The signature of a class, in place of that of ``__new__``."""
+    """The signature of a class, in place of that of ``__call__`` of its class."""
 
     def __get__(self, _: object, kind: type) -> inspect.Signature:
         return inspect.signature(functools.partial(kind.__init__, None))
 
 
-class Settings:
+class _Checked(type):
+    """The class of :class:`Settings`, which checks the names of arguments."""
+
+    def __call__(cls: type[Kind], *args: Any, **given: Any) -> Kind:
+        if args and cast(Any, cls).prefix:
+            example = [f"{name}=..." for name in _arguments(cls)[0][1:2]]
+            raise ConfigError(f"{cls.__name__} takes settings by name, {cls.__name__}({''.join(example)}); got {args}.")
+        return type.__call__(cls, *args, **check_known(given, cls))
+
+
+class Settings(metaclass=_Checked):
     """A base of dataclasses whose arguments and values are checked when one is made.
 
     Raises:
@@ -66,9 +215,18 @@ class Settings:
 
     __signature__, prefix = _OfInit(), ""
 
-    def __new__(cls, *_: Any, **given: Any) -> Self:
-        check_known(given, cls.__init__)
-        return super().__new__(cls)
+    def __init_subclass__(cls) -> None:
+        cls.__repr__ = Settings.__repr__  # in place of the dataclass's own, which would show all
+
+    def __repr__(self) -> str:
+        """The settings that are not the default."""
+        shown = []
+        for item in dataclasses.fields(cast(Any, self)):
+            value = getattr(self, item.name)
+            usual = item.default_factory() if callable(item.default_factory) else item.default
+            if repr(value) != repr(usual):  # arrays have no truth value
+                shown.append(f"{item.name}={value!r}")
+        return f"{type(self).__name__}({', '.join(shown)})"
 
     @classmethod
     def of(cls, values: Mapping[str, Any], origin: object = "The stored configuration") -> Self:
@@ -153,7 +311,7 @@ def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
         if not isinstance(wrong, str):
             raise ConfigError(f"{name} takes settings by name, got {wrong!r:.80}.")
     try:
-        return dataclasses.replace(usual, **values)
+        return dataclasses.replace(usual, **renamed(values, usual.__dataclass_fields__))
     except ConfigError as error:
         text = str(error)
         first = text.partition(" ")[0].partition(".")[0]  # in many errors the field

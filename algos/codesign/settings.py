@@ -20,6 +20,7 @@ from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, Ppo, 
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY, RULE_SETS, TASK, TORCH_THREADS, arithmetic_key
 from warpvox.checks import check_choice
 from warpvox.errors import ConfigError, RunError
+from warpvox.examples import bare_id
 from warpvox.keys import Settings, key, plain
 from warpvox.types import RULES
 
@@ -185,7 +186,7 @@ class Codesign(Settings):
             self.search = _chosen("search", "algorithm", self.search, ALGORITHMS)
         if isinstance(self.evaluation, str | Mapping):
             self.evaluation = _chosen("evaluation", "name", self.evaluation, EVALUATIONS)
-        self.physics = PhysicsConfig.of(self.physics)
+        self.task, self.physics = bare_id(self.task), PhysicsConfig.of(self.physics)
         if isinstance(self.start, list | tuple):
             self.start = [_start_name(one) for one in self.start]
         else:

@@ -14,7 +14,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
@@ -130,15 +130,25 @@ class Robot:
         return total.hexdigest()
 
 
-def zoo(task: str | os.PathLike[str]) -> Robot:
+@overload
+def zoo(task: None = None) -> list[str]: ...
+
+
+@overload
+def zoo(task: str | os.PathLike[str]) -> Robot: ...
+
+
+def zoo(task: str | os.PathLike[str] | None = None) -> Robot | list[str]:
     """The robot of the zoo for a task: ``zoo("Thrower-v0").policy(obs)`` gives its actions.
 
     Args:
-        task: its id, or a file of a zoo of your own (``.npz``).
+        task: its id, or a file of a zoo of your own (``.npz``); None: the ids of all tasks that have a robot.
 
     Raises:
         RunError: the zoo has none for it; the message lists those that there are. Or a file that cannot be read.
     """
+    if task is None:
+        return zoo_tasks()
     return replace(read_robot(zoo_file(task, RunError)), source=f"zoo:{task}")
 
 

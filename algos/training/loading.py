@@ -30,6 +30,7 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, DesignError
+from warpvox.keys import in_words
 from warpvox.runs import CONFIG, Run
 
 if TYPE_CHECKING:
@@ -76,6 +77,7 @@ def find_policy(
     return act
 
 
+@in_words
 def load_policy(
     source: Any = "latest",
     *,

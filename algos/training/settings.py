@@ -9,7 +9,7 @@ from typing import Any
 
 from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.settings import LOGGERS, PRESETS, REFRESH, PhysicsConfig, Ppo
-from warpvox.examples import design_for
+from warpvox.examples import bare_id, design_for
 from warpvox.keys import Settings, check_values, convert, key, plain
 from warpvox.types import OBSERVATIONS, RULES
 
@@ -132,7 +132,7 @@ class Training(Settings):
     def __post_init__(self) -> None:
         if isinstance(self.designs, str | list | tuple):
             self.designs = Designs(self.designs)
-        self.physics = PhysicsConfig.of(self.physics)
+        self.task, self.physics = bare_id(self.task), PhysicsConfig.of(self.physics)
         convert(self, without=("task",))  # or a specification of a task
         self.design, self.network = plain(self.design, "design"), plain(self.network, "network")
         self.design = design_for(getattr(self.task, "id", self.task), self.design)

@@ -10,8 +10,9 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces import Box
 
-from warpvox.checks import check_integer, check_known
+from warpvox.checks import check_integer
 from warpvox.errors import SimulationError
+from warpvox.keys import check_known
 from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS
 from warpvox.view import window
 
@@ -50,7 +51,7 @@ class Adapter:
         from warpvox.batch.options import SimOptions
         from warpvox.envs.vec_env import make_vec  # brings torch, which registering must not
 
-        check_known(options, type(self).__init__, make_vec, SimOptions, without=fixed)
+        options = check_known(options, type(self).__init__, make_vec, SimOptions, without=fixed)
         if options.get("sim") is None:
             options = defaults | options
         self.vec = make_vec(task, designs, num_envs, **options, **fixed)

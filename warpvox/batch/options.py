@@ -8,12 +8,13 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from warpvox.checks import check_choice, check_known, check_shape
+from warpvox.checks import check_choice, check_shape
 from warpvox.devices.names import resolve_device
 from warpvox.errors import ConfigError, SimulationError
 from warpvox.kernels.device import on_cuda
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.step import STAGES
+from warpvox.keys import check_known
 from warpvox.system import usable_cores
 from warpvox.types import Physics
 
@@ -64,7 +65,7 @@ class SimOptions:
         Raises:
             ConfigError: see :func:`check_known`; or ``sim`` is something else.
         """
-        check_known(given, *functions, cls)
+        given = check_known(given, *functions, cls)
         if sim is not None and not isinstance(sim, SimOptions):
             raise ConfigError(f"sim must be SimOptions(device=..., ...), got {sim!r:.80}.")
         return replace(sim or cls(), **given)

@@ -17,10 +17,12 @@ from warpvox.cli.help import groups_of, keys_of
 from warpvox.code import with_passed_code
 from warpvox.configs.composition import composed, hydras_errors, quoted
 from warpvox.configs.schema import PRESET, nodes_of, schema_of
+from warpvox.design import zoo_tasks
 from warpvox.errors import ConfigError, did_you_mean
+from warpvox.examples import bare_id
 from warpvox.io.reading import LARGEST_CONFIG, Unreadable, parse_yaml, read_text
-from warpvox.keys import flat
-from warpvox.runs import CODESIGN, CONFIG, TRAINING, search_as_now, without_services
+from warpvox.keys import ELSEWHERE, SYNONYMS, flat
+from warpvox.runs import CODESIGN, CONFIG, TRAINING, ZOO, search_as_now, without_services
 
 
 def load(command: str, words: Sequence[str], config_dir: Path | None = None) -> Any:
@@ -104,7 +106,7 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
     # Other names of keys, by command: short ones, those of another command, older ones and those of config.yaml
     renamed = {
         "train": {"designs": "designs.bodies"},
-        "play": {"designs": "design", "format": "export"},
+        "play": {"format": "export"},
         "export": {"export": "format"},
         "codesign": {
             "finalists": "evaluation.finalists",
@@ -115,6 +117,9 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
     }
     for word in words:
         name, given, text = word.partition("=")
+        group, dot, last = name.rpartition(".")
+        others = () if name in keys else (f"{group}{dot}{other}" for other in SYNONYMS.get(last, ()))
+        name = next((other for other in others if other in keys), name)
         name = renamed.get(command, {}).get(name, name)
         override = _parsed(f"{name}{given}{text}")
         if given and text and name in keys and keys[name].takes_text:
@@ -128,7 +133,11 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
             if override is None or os.path.exists(place) or (keys[name].is_text and is_other):
                 override = _parsed(f"{name}={quoted(place)}")
         if override is None:
-            raise ConfigError(f"'{word:.200}' is not KEY=VALUE, or its value has unbalanced brackets or quotes.")
+            hint = ", or its value has unbalanced brackets or quotes."
+            if not given and (name.startswith(ZOO) or bare_id(name).casefold() in map(str.casefold, zoo_tasks())):
+                key = "zoo" if name.startswith(ZOO) else "task"
+                hint = f". Write {key}={name.removeprefix(ZOO)}."
+            raise ConfigError(f"'{word:.200}' is not KEY=VALUE{hint}")
         if override.type is not OverrideType.CHANGE:
             raise ConfigError(f"'{word}': keys cannot be added or removed; write {override.key_or_group}=VALUE.")
         if name in found:
@@ -205,23 +214,8 @@ def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
         hint = f" It is a setting of {' and '.join(owners)}."
 
     # What another library calls this, by the last part of our key
-    aliases = {
-        "env": "task",
-        "lr": "learning_rate",
-        "n_envs": "num_envs",
-        "num_envs": "envs",
-        "batch_size": "minibatches",
-        "out": "file",
-        "evaluations": "max_evaluations",
-        "steps": "max_iterations",
-        "timesteps": "max_iterations",
-        "total_timesteps": "max_iterations",
-        "gif": "export",
-        "mp4": "export",
-        "video": "export",
-    }
     for name in known:
-        if name.split(".")[-1] == aliases.get(last):
+        if name.split(".")[-1] == ELSEWHERE.get(last):
             hint = f" Did you mean '{name}'?"
             break
     return ConfigError(f"Unknown key '{key}'.{hint} `warpvox {command} --help` lists all keys.")

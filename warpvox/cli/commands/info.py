@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 import warpvox
-from warpvox.io.console import literal
+from warpvox.io.console import echo, literal
 from warpvox.system import processor_name, usable_cores
 
 
@@ -61,3 +61,4 @@ def run(config: object, given: Collection[str], console: Console) -> None:
     for name, value in rows:
         table.add_row(literal(name), literal(value))
     console.print(table, highlight=False)
+    echo(console, "`warpvox demo` trains a first robot, `warpvox tasks` lists the tasks.")

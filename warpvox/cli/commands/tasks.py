@@ -52,7 +52,7 @@ def _print_all(console: Console) -> None:
         table.add_row(task.id, task.difficulty, steps, observes, task.section, literal(task.summary))
     console.print(table)
     echo(console, "steps: the longest episode; observes: numbers in an observation of a robot of n points")
-    echo(console, "`warpvox tasks ID` shows one in detail.")
+    echo(console, "`warpvox tasks ID` shows one in detail, `warpvox train task=ID` trains a robot for it.")
 
 
 def _print_task(name: str, config: TasksConfig, console: Console) -> None:

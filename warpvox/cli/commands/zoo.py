@@ -13,6 +13,7 @@ from warpvox.configs.tools import ZooConfig
 from warpvox.design import ZOO_FOLDER
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError, counted, did_you_mean, listing
+from warpvox.examples import bare_id
 from warpvox.io.console import echo, literal
 from warpvox.io.text import duration, figure
 from warpvox.view.cell_text import body_rows
@@ -31,18 +32,18 @@ def run(config: ZooConfig, given: Collection[str], console: Console) -> None:
     if config.task is None:
         _print_all(entries, folder, console)
         return
-    if config.task not in entries:
-        hint = did_you_mean(config.task, entries)
-        raise RunError(f"{folder} has no robot for {config.task}.{hint} It has {listing(entries, 40)}.")
-    _print_one(entries[config.task], console)
+    task = bare_id(config.task)
+    if task not in entries:
+        raise RunError(f"{folder} has no robot for {task}.{did_you_mean(task, entries)} It has {listing(entries, 40)}.")
+    _print_one(entries[task], console)
 
 
 def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None:
     """All robots as a table."""
     table = Table()
     # on a narrow terminal the body takes several lines
-    for heading in ("task", "under noise", "nominal", "", "steps", "trained", "body"):
-        side = "left" if heading in ("task", "body") else "right"
+    for heading in ("task", "under noise", "nominal", "policy", "steps", "trained", "body"):
+        side = "left" if heading in ("task", "policy", "body") else "right"
         table.add_column(heading, justify=side, no_wrap=heading != "body", overflow="fold")
     failed = []
     for name, path in entries.items():
@@ -57,7 +58,7 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
             name,
             figure(robot.robust_return),
             figure(robot.mean_return),
-            "" if robot.has_feedback else "○",
+            "network" if robot.has_feedback else "gait",
             f"{sum(lengths) / len(lengths):.0f}" if lengths else "-",
             "-" if spent is None else f"{spent:,}",
             "/".join("".join(map(str, row)) for row in robot.body.tolist()),
@@ -71,7 +72,10 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
     echo(console, "under noise: mean of 32 episodes with noise of 0.01 on every action; nominal: as EvoGym gives it")
     echo(console, "steps: control steps of the nominal episode; both in exact arithmetic")
     echo(console, "trained: control steps of the whole search; body: cell types, rows from the top")
-    echo(console, "○: open loop, a gait whose actions depend on the time alone; all others observe what the task has")
+    echo(
+        console,
+        "policy: a gait is open loop, its actions depend on the time alone; a network observes what the task has",
+    )
     echo(console, "`warpvox zoo task=ID` shows one in detail, `warpvox play zoo=ID` plays it.")
 
 
