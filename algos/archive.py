@@ -75,10 +75,22 @@ class Record:
     diverged: bool = False
     folder: Path | None = field(default=None, repr=False, compare=False)
 
+    def __repr__(self) -> str:
+        rows, columns = self.body.shape
+        parents = " and ".join(f"#{parent}" for parent in self.candidate.parents)
+        descent = f"{self.candidate.origin} of {parents}" if parents else self.candidate.origin
+        result = "not evaluated" if self.fitness is None else f"fitness {self.fitness:.2f}"
+        return f"Record(#{self.id}, {rows}x{columns}, {descent}, {result})"
+
+    @property
+    def body(self) -> Design:
+        """The body, int8 ``[rows, columns]``."""
+        return self.candidate.body
+
     @property
     def design(self) -> Design:
-        """The body."""
-        return self.candidate.body
+        """The same as :attr:`body`, by which it may be given wherever a design is taken."""
+        return self.body
 
     @property
     def policy_source(self) -> Path:

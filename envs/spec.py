@@ -230,6 +230,9 @@ class TaskSpec:
     unstable_penalty: float = -3.0
     paper: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
+    def __repr__(self) -> str:
+        return f"TaskSpec({self.id}, {self.max_episode_steps} steps: {self.summary})"
+
     def __post_init__(self) -> None:
         for name in ("paper", "partners"):
             if not is_mapping(given := getattr(self, name)):

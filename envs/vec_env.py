@@ -162,6 +162,7 @@ class VoxelVecEnv:
         self.dtype = sim.dtype
         self._updates = {memory.name: memory.advance for memory in spec.memory}
         self._has_code = spec.has_code
+        self._random: Any = None
         self._limit = spec.max_episode_steps
 
         # Designs, each for a block of environments that may have a seed of its own
@@ -376,6 +377,13 @@ class VoxelVecEnv:
             given[name] = torch.zeros_like(drawn[name])
             given[name][tuple(slice(n) for n in shape)] = values
         return given
+
+    def random_actions(self) -> torch.Tensor:
+        """Uniformly random actions ``[num_envs, num_actions]`` from 0.6 to 1.6, others at each call; by ``seed``."""
+        from warpvox.view.rollout import agent_of
+
+        self._random = self._random or agent_of("random", self)
+        return self._random(None).to(self.device)
 
     def step(self, actions: torch.Tensor | np.ndarray) -> StepResult:
         """One control step everywhere.

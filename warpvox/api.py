@@ -34,7 +34,6 @@ class PlayKeywords(TypedDict, total=False):
     memory_check: bool
 
 
-@in_words
 def train(
     task: str | TaskSpec | Training | None = None,
     design: Any = None,

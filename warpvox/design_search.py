@@ -20,11 +20,10 @@ from warpvox.algos.search.settings import ALGORITHMS, CustomSearch, SearchSettin
 from warpvox.checks import check_flag, check_path, is_integer, is_list
 from warpvox.code import KEYS, Code, with_passed_code
 from warpvox.errors import ConfigError
-from warpvox.keys import changed, check_known, in_words
+from warpvox.keys import changed, check_known
 from warpvox.progress.search import SearchProgress, with_tracker
 
 
-@in_words
 def codesign(
     task: Any = "Walker-v0",
     shape: Sequence[int] | None = None,

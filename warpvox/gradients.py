@@ -58,6 +58,9 @@ class Gradients:
         self._env = tuple(wp.to_torch(array).long() for array in (buffers.env_pack, buffers.env_lane))
         self._launches = sim.record_shares(partial(record_reverse, buffers, tape, sim.physics.substeps))
 
+    def __repr__(self) -> str:
+        return f"Gradients({self.sim!r}, smoothing={self.smoothing:g})"
+
     @staticmethod
     def check(sim: Simulation) -> None:
         """Raise SimulationError where control steps of a simulation cannot be differentiated."""

@@ -157,12 +157,12 @@ def _hint(name: str, names: Collection[str], whole: Any) -> str:
 def _places(name: str, whole: Any) -> Iterator[str]:
     """How a setting of a part of the settings ``whole`` is given, for instance ``ppo=wv.Ppo(steps=...)``."""
     for item in dataclasses.fields(whole) if dataclasses.is_dataclass(whole) else ():
-        if not callable(item.default_factory) or item.default_factory is list:
+        usual: Any = type(item.default_factory()) if callable(item.default_factory) else None
+        if not dataclasses.is_dataclass(usual):
             continue
-        usual: Any = type(item.default_factory())
         # Beside a search or an evaluation the others of its kind
-        base = usual.__bases__[0]
-        for kind in dict.fromkeys([usual, *(base.__subclasses__() if base.__dict__.get("prefix") else ())]):
+        base: Any = usual.__bases__[0]
+        for kind in dict.fromkeys([usual, *(_kinds(base) if base.prefix else ())]):
             inner = f"{name}=..." if name in kind.__dataclass_fields__ else next(_places(name, kind), None)
             if inner and _is_public(kind):
                 yield f"{item.name}=wv.{kind.__name__}({inner})"

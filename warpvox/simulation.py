@@ -20,7 +20,7 @@ from warpvox.batch.options import SimKeywords, SimOptions
 from warpvox.batch.packs import Actuators, Batch, group
 from warpvox.checks import check_choice, check_mask
 from warpvox.compile import mesh
-from warpvox.errors import ActionError, SimulationError
+from warpvox.errors import ActionError, SimulationError, counted
 from warpvox.kernels import reset as reset_stage, step as step_stage
 from warpvox.kernels.state import DIVERGED, OVERFLOW, STALE, STOPPED
 from warpvox.sensors import Recorded, Sensing
@@ -127,6 +127,9 @@ class Simulation(Sensing):
         # The buffers begin as after a reset. Lanes that belong to no environment stay frozen.
         self._views["frozen"].fill_(1)
         self._views["frozen"].view(-1)[self.slot] = 0
+
+    def __repr__(self) -> str:
+        return f"Simulation({counted(self.num_envs, 'environments')}, {self.arithmetic}, {self.dtype}, {self.device})"
 
     def __reduce_ex__(self, protocol: object) -> NoReturn:
         raise SimulationError("A simulation cannot be copied or pickled: another's set_state() takes its state().")

@@ -129,6 +129,10 @@ class Policy(nn.Module):
         self.actor.load_state_dict(without_exploration if spec.is_mlp else state)
         self.eval().requires_grad_(False)
 
+    def __repr__(self) -> str:
+        task = f"{self.metadata['task']}, " if "task" in self.metadata else ""
+        return f"Policy({task}{self.num_obs} observations, {self.num_actions} actions)"
+
     def __call__(self, obs: torch.Tensor | np.ndarray, *more: Any) -> Any:
         """:meth:`forward` of a tensor, :meth:`act` of an array.
 

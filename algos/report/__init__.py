@@ -36,7 +36,7 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
     # What is shown
     records = archive.records()
     done = [record for record in records if record.fitness is not None]
-    best = archive.best(10)
+    best = archive.best(10, with_parents=True)
     ancestors = archive.lineage(best[0].id) if best else []
     line = [record for record in ancestors if record.fitness is not None]
     search = SearchResult(folder, "", archive.settings, records, best[0] if best else None, {})

@@ -13,7 +13,7 @@ from warpvox.algos.candidate import START, Candidate
 from warpvox.algos.search.bodies import body_key, count_valid, mutate
 from warpvox.algos.search.settings import SearchSettings
 from warpvox.checks import check_integer, check_shape
-from warpvox.design import are_valid, check_design, draw_bodies
+from warpvox.design import are_valid, check_design, draw_bodies, repair_design
 from warpvox.errors import ConfigError, DesignError, SearchError
 
 
@@ -119,13 +119,15 @@ class BaseSearch(ABC):
         return None
 
     def random_proposal(self, rng: np.random.Generator) -> Proposal:
-        """A new body by EvoGym's sampling rule.
+        """A new body by EvoGym's sampling rule; in large shapes by that of :func:`warpvox.sample_design`.
 
         Raises:
             SearchError: none turns up.
         """
         # About one random body in seven of 5x5 is valid.
         body = self.new_body(lambda: draw_bodies(rng, 32, self.shape))
+        if body is None:  # the cells of large shapes hardly ever hang together
+            body = self.new_body(lambda: np.stack([*map(repair_design, draw_bodies(rng, 32, self.shape))]), 50_000)
         if body is None:
             fewer = f", or fewer evaluations than max_evaluations={self.settings.max_evaluations}" if self._seen else ""
             raise SearchError(

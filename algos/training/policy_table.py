@@ -51,10 +51,18 @@ class EvaluatedPolicy:
             rows.append(cls(name, env.spec.id, returns, independent, level, part, differ))
         return rows
 
+    def __repr__(self) -> str:
+        return f"EvaluatedPolicy({self.name}, {self.disturbance}, {self.episodes}, mean {self.mean:.3f})"
+
     @property
     def interval(self) -> Interval:
         """Student's interval of the mean return."""
         return mean_interval(self.independent, self.level)
+
+    @property
+    def episodes(self) -> str:
+        """The number of independent episodes, and whether others would have been the same."""
+        return str(len(self.returns)) if self.drawn else f"{len(self.independent)} (deterministic)"
 
     @property
     def mean(self) -> float:
@@ -71,12 +79,12 @@ class PolicyTable(tuple[EvaluatedPolicy, ...]):
     """Rows in the order in which policies were given; printed as a table."""
 
     def _cells(self) -> Iterator[tuple[str, ...]]:
-        percent = f"{100 * self[0].level:g} % interval"
-        yield "policy", "task", "episodes", "mean return", percent, "10 % quantile", "n"
+        yield "policy", "task", "protocol", "episodes", "mean", f"{100 * self[0].level:g} % CI", "10 % quantile"
         for row in self:
-            low, high, n = row.interval.low, row.interval.high, row.interval.n
-            interval = f"{low:.3f} to {high:.3f}" if n > 1 else "-"
-            yield row.name, row.task, row.disturbance, f"{row.mean:.3f}", interval, f"{row.low_tenth:.3f}", str(n)
+            low, high = row.interval.low, row.interval.high
+            interval = f"{low:.3f} to {high:.3f}" if row.interval.n > 1 else ""
+            mean, tenth = f"{row.mean:.3f}", f"{row.low_tenth:.3f}"
+            yield row.name, row.task, row.disturbance, row.episodes, mean, interval, tenth
 
     def _repr_html_(self) -> str:
         lines = ("".join(f"<td>{escape(cell)}</td>" for cell in line) for line in self._cells())

@@ -247,13 +247,20 @@ def test_what_is_no_body_is_refused_in_a_line(body: object) -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        *({"shape": (0, 5)}, {"seed": -1}, {"shape": (25, 25), "probabilities": [8, 1, 1, 1, 1]}),
+        *({"shape": (0, 5)}, {"seed": -1}, {"shape": (250, 250), "probabilities": [9, 9, 9, 0, 2e-5]}),
         *({"probabilities": given} for given in ([1, 1, 1], [1, 1, 1, 0, 0], [1, 1, float("nan"), 1, 1], [0] * 5, "x")),
     ],
 )
 def test_sampling_refuses_what_it_cannot_do(arguments: dict[str, object]) -> None:
     with pytest.raises(wv.DesignError):
         wv.sample_design(**arguments)
+
+
+def test_large_bodies_are_the_largest_piece_of_random_cells() -> None:
+    body = wv.sample_design((40, 40), seed=0)
+    assert body.shape == (40, 40)
+    assert np.count_nonzero(body) > 100
+    assert np.array_equal(wv.check_design(body), wv.sample_design((40, 40), seed=0))
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from warpvox.errors import ConfigError, SimulationError
 from warpvox.kernels.device import on_cuda
 from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.step import STAGES
-from warpvox.keys import check_known
+from warpvox.keys import Settings, check_known
 from warpvox.system import usable_cores
 from warpvox.types import Physics
 
@@ -57,6 +57,8 @@ class SimOptions:
     grid: tuple[int, int] | None = None
     cuda_graph: bool | None = None
     memory_check: bool = True
+
+    __repr__ = Settings.__repr__
 
     @classmethod
     def of(cls, sim: SimOptions | None, given: Mapping[str, Any], *functions: Callable[..., Any]) -> SimOptions:

@@ -71,9 +71,10 @@ class Rollout:
             check_scene(scene, number, self.positions.shape[2])
 
     def __repr__(self) -> str:
-        low, high = self.returns[-1].min(), self.returns[-1].max()
+        low, high = f"{self.returns[-1].min():.3f}", f"{self.returns[-1].max():.3f}"
+        returns = f"return {low}" if low == high else f"returns {low} to {high}"
         size = f"{counted(self.num_envs, 'environments')}, {counted(self.num_steps, 'steps')}"
-        return f"Rollout({self.title}, {size}, returns {low:.3f} to {high:.3f})"
+        return f"Rollout({self.title}, {size}, {returns})"
 
     def _repr_html_(self) -> str:
         """The player, for notebooks; of many environments the first 16."""

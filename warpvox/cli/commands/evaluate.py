@@ -117,7 +117,7 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
             if folder.parent.name == "designs":  # of a search
                 name = f"{folder.parents[1].name}/{name}"
             cells = (label, name, entry.disturbance, *_cells(row.interval))
-            rows.append((*cells, f"{row.low_tenth:.3f}", str(row.interval.n), "episodes"))
+            rows.append((*cells, f"{row.low_tenth:.3f}", row.episodes, "episodes"))
         if entry.over == "runs":
             interval = mean_interval(entry.values, config.level)
             rows.append(("", "all", entry.disturbance, *_cells(interval), "", str(interval.n), "runs"))
@@ -126,7 +126,7 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
     kind = "sampled actions" if config.stochastic else "deterministic"
     counts = sorted({len(row.returns) for entry in judged for row in entry.rows})
     many = counted(counts[0], "episodes") if len(counts) == 1 else f"{counts[0]} to {counts[-1]} episodes"
-    headings = "settings", "run", "episodes", "mean", f"{percent} interval", "10 % quantile", "n", "over"
+    headings = "settings", "run", "protocol", "mean", f"{percent} CI", "10 % quantile", "n", "over"
     _print_table(f"mean return, {kind}, {many} of each run", headings, sections, console)
 
     # Differences
@@ -136,7 +136,7 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
         sizes = f"{len(first.values)}, {len(second.values)}"
         rows.append((first.group.label, second.group.label, first.disturbance, *_cells(interval), sizes, over))
     if rows:
-        headings = "first", "less second", "episodes", "difference", f"{percent} interval", "n", "over"
+        headings = "first", "less second", "protocol", "difference", f"{percent} CI", "n", "over"
         _print_table(f"differences of mean returns, Welch's {percent} interval", headings, [rows], console)
     echo(console, "Student's t: intervals over runs cover other trainings, those over episodes this policy alone.")
 
@@ -149,7 +149,7 @@ def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]
     kept = []
     for heading, cells in zip(headings, columns, strict=True):
         width += max(map(len, (heading, *cells))) + 3
-        is_label = heading in ("settings", "episodes", "n", "over")
+        is_label = heading in ("settings", "protocol", "n", "over")
         if not is_label or len({*cells} - {""}) != 1:
             kept.append(headings.index(heading))
     if width < console.width:
@@ -169,4 +169,4 @@ def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]
 
 def _cells(interval: Interval) -> tuple[str, str]:
     known = math.isfinite(interval.low)
-    return f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}" if known else "-"
+    return f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}" if known else ""

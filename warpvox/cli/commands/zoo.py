@@ -74,7 +74,7 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
     echo(console, "trained: control steps of the whole search; body: cell types, rows from the top")
     echo(
         console,
-        "policy: a gait is open loop, its actions depend on the time alone; a network observes what the task has",
+        "policy: a network observes what the task has, the actions of a gait depend on the time alone",
     )
     echo(console, "`warpvox zoo task=ID` shows one in detail, `warpvox play zoo=ID` plays it.")
 
