@@ -119,9 +119,11 @@ def check_known(
     for name in () if takes_any else given:
         if name not in names:
             owner = functions[0].__qualname__.removesuffix(".__init__")
-            known = f"It takes {listing(names, len(names))}."
-            hint = _hint(name, names, functions[-1])
-            raise UnknownArgumentError(f"{owner} got an unexpected keyword argument {name!r}.{hint} {known}")
+            what = f"{owner} got an unexpected keyword argument {name!r}."
+            places = (place for one in (name, ELSEWHERE.get(name, "")) for place in _places(one, functions[-1]))
+            if place := next(places, None):
+                raise UnknownArgumentError(f"{what} It is a setting of a part: {place}.")
+            raise UnknownArgumentError(f"{what}{_hint(name, names)} It takes {listing(names, len(names))}.")
     return given
 
 
@@ -133,16 +135,8 @@ def _arguments(function: Callable[..., Any]) -> tuple[tuple[str, ...], bool]:
     return named, any(one.kind is one.VAR_KEYWORD for one in found)
 
 
-def _hint(name: str, names: Collection[str], whole: Any) -> str:
-    """A sentence about an unknown argument: where it belongs, or the nearest of ``names``, a blank before it.
-
-    Args:
-        whole: the settings that get the arguments, if there are some; the argument may be one of a part of them.
-    """
-    for one in (name, ELSEWHERE.get(name, name)):
-        place = next(_places(one, whole), None)
-        if place is not None:
-            return f" Write {place}."
+def _hint(name: str, names: Collection[str]) -> str:
+    """A sentence about an unknown argument, a blank before it: the nearest of ``names``, or settings that have it."""
     if name == "resume" and "folder" in names:
         return " A search goes on when it is called again with folder='...', its folder."
     if ELSEWHERE.get(name) in names:

@@ -129,7 +129,8 @@ class Simulation(Sensing):
         self._views["frozen"].view(-1)[self.slot] = 0
 
     def __repr__(self) -> str:
-        return f"Simulation({counted(self.num_envs, 'environments')}, {self.arithmetic}, {self.dtype}, {self.device})"
+        how = f"{self.arithmetic}, {self.options.dtype}, {self.device}"
+        return f"Simulation({counted(self.num_envs, 'environments')}, {how})"
 
     def __reduce_ex__(self, protocol: object) -> NoReturn:
         raise SimulationError("A simulation cannot be copied or pickled: another's set_state() takes its state().")

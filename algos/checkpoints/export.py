@@ -160,8 +160,9 @@ def _check_age(path: Path, names: Container[str]) -> None:
     if "_stable_baselines3_version" in names:
         raise RunError(
             f"{path} is a file of Stable-Baselines3. Load it by model = PPO.load(...) and evaluate a function of"
-            " observations: lambda obs: 1.1 + 0.5 * torch.as_tensor(model.predict(obs.numpy(), deterministic=True)[0])."
-            " Actions of VoxelSB3VecEnv, -1 to 1, stand for 0.6 to 1.6."
+            " observations: lambda obs: 1.1 + 0.5 *"
+            " torch.as_tensor(model.predict(obs.cpu().numpy(), deterministic=True)[0])."
+            " The actions of VoxelSB3VecEnv, -1 to 1, stand for 0.6 to 1.6."
         )
     if OLD_CARD in names:
         raise RunError(f"{path} was exported by warpvox 0.1.0: export the policy again from its run.")

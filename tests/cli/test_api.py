@@ -180,7 +180,7 @@ def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None
     assert wv.evaluate(policies[1], episodes=1, device="cpu", threads=1)[0].mean == table[1].mean
     few, many = (wv.record(wv.make_vec("Walker-v0", "mini", n, device="cpu"), policies[1]) for n in (1, 8))
     assert np.array_equal(few.positions[:, 0], many.positions[:, 0])
-    assert "mean return" in repr(table)
+    assert "1 (deterministic)" in repr(table)
     own = replace(get_task("Catcher-v0"), max_episode_steps=20)
     (row,) = wv.evaluate(lambda obs: torch.ones(len(obs), 8), own, "mini", episodes=8, device="cpu", threads=1)
     assert row.interval.n == 8

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+import warpvox as wv
 from warpvox.algos.robots.entry import Robot, save_robot, zoo, zoo_tasks
 from warpvox.algos.robots.episodes import judge
 from warpvox.algos.robots.policies import gait_policy
 from warpvox.algos.training.loading import load_policy
+from warpvox.cli.config import load
 from warpvox.design import full_connections, load_design
 from warpvox.view.rollout import Rollout
 
@@ -27,6 +29,15 @@ def test_the_list_names_every_robot(warpvox: Callable) -> None:
     for task in zoo_tasks():
         assert f"{zoo(task).mean_return:.3f}" in outcome.out
         assert task in outcome.out
+
+
+def test_ids_may_be_those_of_gymnasium(warpvox: Callable) -> None:
+    assert zoo() == zoo_tasks()
+    assert zoo(f"warpvox/{TASK}").sha256 == zoo(TASK).sha256
+    assert zoo(TASK).sha256 in "".join(warpvox("zoo", f"warpvox/{TASK}").out.split())
+    assert wv.make_vec(f"warpvox/{TASK}", device="cpu").spec.id == TASK
+    assert (wv.Training(f"warpvox/{TASK}").task, wv.Codesign(f"warpvox/{TASK}").task) == (TASK, TASK)
+    assert tuple(load("codesign", ["task=warpvox/Lifter-v0", "search=paper"]).shape) == (5, 7)
 
 
 def test_one_is_shown_with_its_command(warpvox: Callable) -> None:
@@ -69,7 +80,7 @@ def test_a_gait_is_listed_shown_played_and_loaded(warpvox: Callable) -> None:
     gait = gait_policy(body, [0, 10], [20, 12], np.full((2, 8), 0.9), wave, np.zeros((2, 8)))
     robot = Robot("Balancer-v0", body, full_connections(body).T, gait)
     save_robot("mine/Balancer-v0.npz", robot)
-    assert "○" in warpvox("zoo", "folder=mine").out.split("return: ")[0]
+    assert "gait" in warpvox("zoo", "folder=mine").out.split("return: ")[0]
     shown = warpvox("zoo", "folder=mine", "task=Balancer-v0")
     assert "gait, open loop: 51 parameters, 2 stages" in shown.out, shown.err
     warpvox("play", "zoo=mine/Balancer-v0.npz", "window=off", "export=[]")

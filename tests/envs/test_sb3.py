@@ -14,6 +14,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+import warpvox as wv
 from warpvox.design import example_design
 from warpvox.envs.adapters.sb3 import VoxelSB3VecEnv
 from warpvox.envs.vec_env import make_vec
@@ -79,6 +80,13 @@ def test_its_ppo_learns_on_it_and_is_evaluated(tmp_path: Path, monkeypatch: pyte
     assert model.ep_info_buffer[0]["l"] == 8
     mean, _ = evaluate_policy(model, env, n_eval_episodes=3, warn=False)
     assert np.isfinite(mean)
+
+
+def test_its_files_are_told_apart(tmp_path: Path) -> None:
+    PPO("MlpPolicy", make(), n_steps=2, batch_size=6, device="cpu").save(tmp_path / "model.zip")
+    for use in (wv.load_policy, wv.evaluate):
+        with refused(wv.RunError, "is a file of Stable-Baselines3. Load it by model = PPO.load"):
+            use(str(tmp_path / "model.zip"))
 
 
 def test_what_it_is_asked_about_its_environments() -> None:

@@ -234,3 +234,13 @@ def test_defaults_of_torch_change_no_number_or_are_refused() -> None:
         torch.set_default_dtype(torch.float32)
     with torch.device("meta"), pytest.raises(ConfigError):
         make_vec("Carrier-v0", device="cpu")
+
+
+def test_random_actions_follow_from_the_seed() -> None:
+    first, other = (make_vec("Walker-v0", ["mini", "worm"], 4, device="cpu", threads=1, seed=3) for _ in range(2))
+    actions = first.random_actions()
+    assert actions.shape == (4, first.num_actions)
+    assert 0.6 <= actions.min() < 0.8 < 1.4 < actions.max() <= 1.6
+    assert torch.equal(actions, other.random_actions())
+    assert not torch.equal(actions, first.random_actions())
+    first.step(actions)

@@ -14,6 +14,11 @@ def run(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True)
 
 
+def run_by(*words: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "warpvox.evogym", *words]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True)
+
+
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
     """A folder with another package named evogym, as if it were installed."""
@@ -137,6 +142,27 @@ assert sys.path == [before[0], first, *before[1:]]
 """
     done = run(code, tmp_path)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import gym",
+        "import gymnasium; gymnasium.make('Walking-v0')",
+        "obs, reward, done, info = 1, 2, 3, 4, 5",
+    ],
+)
+def test_a_script_for_older_releases_is_told_what_changed(code: str, tmp_path: Path) -> None:
+    (tmp_path / "old.py").write_text(code)
+    done = run_by("old.py", folder=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.strip().endswith("step() five: obs, reward, terminated, truncated, info.")
+
+
+def test_a_module_is_run_as_python_runs_it(package: Path) -> None:
+    (package / "own.py").write_text("import sys, evogym; print(__name__, evogym.__name__, sys.argv[1:])")
+    assert run_by("-m", "own", "-x", "a", folder=package).stdout == "__main__ warpvox.evogym ['-x', 'a']\n"
+    assert "there is no module nowhere" in run_by("-m", "nowhere", folder=package).stderr
 
 
 def test_a_script_is_run_as_python_runs_it(tmp_path: Path) -> None:

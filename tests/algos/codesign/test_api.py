@@ -69,6 +69,10 @@ def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_p
     assert ear.heard[0] == "begun 5"
     assert ear.heard[-1] == "ended done"
     assert len(found.designs) == 5
+    origin, fitness = found.best.candidate.origin, f"{found.best.fitness:.2f}"
+    assert repr(found.best).startswith(f"Record(#{found.best.id}, 3x3, {origin}")
+    assert repr(found.best).endswith(f", fitness {fitness})")
+    assert np.array_equal(found.best.body, found.design)
     assert found.best.fitness == found.summary["best_fitness"] == found.curve["best"][-1]
     env = wv.make_vec("Walker-v0", found.best.candidate.body, 2, device="cpu")
     assert found.policy(env.reset()[0]).shape == (2, env.num_actions)
