@@ -505,7 +505,6 @@ class Runner(OnPolicyRunner):
             policy = self.policy.double()
             content = self._policy_content()
             state = None if self.schedule.stop_return is None else self.state()
-            # from here on the networks of `alg` belong to the thread
             self._evaluation = _Evaluation(self._thread.submit(self.evaluator, policy), content, state)
             return math.nan
         value = math.nan
