@@ -18,7 +18,6 @@ from rsl_rl.utils.logger import Logger
 
 from warpvox.algos.checkpoints.files import (
     RNN,
-    Controller,
     check_fits,
     damaged,
     load_checkpoint,
@@ -27,6 +26,7 @@ from warpvox.algos.checkpoints.files import (
     spec_for,
     spec_of,
 )
+from warpvox.algos.checkpoints.policy import Policy
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator
 from warpvox.algos.expected import check_like
 from warpvox.algos.generators import Generators
@@ -35,14 +35,13 @@ from warpvox.algos.metrics import Metrics, read_metrics
 from warpvox.algos.ppo.iteration import Iteration
 from warpvox.algos.ppo.population import PopulationPPO
 from warpvox.algos.ppo.stock import PPO, rsl_rl_config
-from warpvox.algos.settings import Ppo
+from warpvox.algos.settings import WIDEST, Ppo
 from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
 from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
 from warpvox.io.writing import check_folder
-from warpvox.robots.network import WIDEST
 from warpvox.runs import BEST, STATE, Run
 
 COUNTERS = {
@@ -277,10 +276,10 @@ class Runner(OnPolicyRunner):
         return self.current_learning_iteration * self.steps_per_iteration
 
     @property
-    def controller(self) -> Controller:
-        """The policy as it is now, without exploration."""
+    def policy(self) -> Policy:
+        """The policy as it is now, without exploration, on the CPU."""
         self._catch_up()
-        return Controller(self.alg.get_policy(), self.spec)
+        return Policy(self.spec, self.alg.get_policy().state_dict())
 
     def run(self) -> None:
         """Learn until the schedule's total or ``stop_return`` is reached.
@@ -503,17 +502,17 @@ class Runner(OnPolicyRunner):
         """
         is_replayed = self._iteration is not None and self._iteration.is_replayed
         if is_replayed and self._judged is not None and self.evaluator is not None and self._is_default_type_ours:
-            controller = self.controller.to("cpu")
-            policy = self._policy_content()
+            policy = self.policy.double()
+            content = self._policy_content()
             state = None if self.schedule.stop_return is None else self.state()
             # from here on the networks of `alg` belong to the thread
-            self._evaluation = _Evaluation(self._thread.submit(self.evaluator, controller), policy, state)
+            self._evaluation = _Evaluation(self._thread.submit(self.evaluator, policy), content, state)
             return math.nan
         value = math.nan
         if self.group.is_main_process and self.evaluator is not None:
             self.alg.eval_mode()
             try:
-                self._judged = self.evaluator(self.controller)
+                self._judged = self.evaluator(self.policy.double())
                 value = self._judged.mean_return
             except ActionError as error:
                 self.current_learning_iteration -= 1  # it is not complete

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import runpy
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -165,3 +166,10 @@ def test_gpu_does_every_part(run: Callable) -> None:
     assert code == 0, tables
     assert "Tests of tests/envs/test_device.py" in tables
     assert {"8", "1", "learners, 8", "designs", "ppo=parallel, seed 0", "Walker-v0", "3 x 3 sampled"} <= rows.keys()
+
+
+def test_short_lives_have_a_table_of_their_own() -> None:
+    command = [sys.executable, str(SCRIPTS / "lives.py"), "--bodies", "2", "Walker-v0"]
+    table = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert table[1].split() == ["task", "gymnasium", "drop-in"]
+    assert all(float(value) > 0 for value in table[2].split()[1:])
