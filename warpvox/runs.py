@@ -276,17 +276,15 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
     """Write ``summary.json``: ``content``, and which version of the program has made it."""
-    made = {"version": __version__, "commit": _commit(), "processor": _processors()}
-    write_text(folder / SUMMARY, to_json(content | made) + "\n", make_folders=False)
-
-
-def _processors() -> str:
-    """The name of the processor, and of the GPU that this process has used."""
-    torch, names = sys.modules.get("torch"), [processor_name()]
+    # The processor, and the GPU that this process has used
+    processors = [processor_name()]
+    torch = sys.modules.get("torch")
     if torch is not None and torch.cuda.is_initialized():
         with suppress(RuntimeError):  # of a device that has failed, which is reported elsewhere
-            names.append(torch.cuda.get_device_name())
-    return ", ".join(names)
+            processors.append(torch.cuda.get_device_name())
+
+    made = {"version": __version__, "commit": _commit(), "processor": ", ".join(processors)}
+    write_text(folder / SUMMARY, to_json(content | made) + "\n", make_folders=False)
 
 
 @functools.cache

@@ -80,7 +80,12 @@ class Simulation(Sensing):
         self.options = SimOptions.of(sim, options, Simulation.__init__).resolved(len(worlds))
         if not isinstance(loose, Sequence) or isinstance(loose, str) or not all(isinstance(one, str) for one in loose):
             raise SimulationError(f"loose must be a list of names of objects, got {loose!r:.80}.")
-        low, high = _check_range(action_range)
+        try:
+            low, high = (float(bound) for bound in action_range)
+        except (TypeError, ValueError, OverflowError):
+            low, high = 1.0, 0.0
+        if not low <= high:  # NaN, too
+            raise SimulationError(f"action_range must be two numbers low <= high, got {action_range!r:.80}.")
         self.device = self.options.device
         self.physics = self.options.physics
         self.grid = self.options.grid
@@ -523,13 +528,3 @@ def checked_actions(
             bad = int((~fine).nonzero()[0, 0])
             raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")
     return actions
-
-
-def _check_range(action_range: tuple[float, float]) -> tuple[float, float]:
-    try:
-        low, high = (float(bound) for bound in action_range)
-    except (TypeError, ValueError, OverflowError):
-        low, high = 1.0, 0.0
-    if not low <= high:  # NaN, too
-        raise SimulationError(f"action_range must be two numbers low <= high, got {action_range!r:.80}.")
-    return low, high

@@ -86,13 +86,18 @@ def with_stages(gait: Gait, stages: int, steps: int) -> Gait:
 
 def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
     """A random wave or pose."""
-    return _wave(rng, body) if rng.random() < 0.7 else _pose(rng, body)
-
-
-def _wave(rng: np.random.Generator, body: Design) -> Motion:
-    """A wave that travels through the body in some direction, or round its centre."""
-    x, y = _places(body)
     vertical = body == Cell.V_ACT
+
+    # A pose: each actuator at its longest or shortest; as often all of a kind alike as each at random
+    if rng.random() >= 0.7:
+        rest = rng.choice([-1.0, 1.0], body.shape)
+        if rng.random() < 0.5:
+            rest = np.where(vertical, *rng.choice([-1.0, 1.0], 2))
+        period = _log_uniform(rng, PERIODS)
+        return period, np.zeros(body.shape), rng.uniform(0, 2 * np.pi, body.shape), rest
+
+    # A wave that travels through the body in some direction, or round its centre
+    x, y = _places(body)
     # From a sine to nearly a square wave: values are cut at -1 and 1.
     gain = np.full(body.shape, _log_uniform(rng, (1.0, 4.5)))
     if rng.random() < 0.25:
@@ -103,14 +108,6 @@ def _wave(rng: np.random.Generator, body: Design) -> Motion:
     turn_x, turn_y = rng.uniform(-1.6, 1.6, 2)
     phase = turn_x * x + turn_y * y + rng.uniform(0, 2 * np.pi) * vertical
     return _log_uniform(rng, PERIODS), gain, phase, np.zeros(body.shape)
-
-
-def _pose(rng: np.random.Generator, body: Design) -> Motion:
-    """Each actuator at its longest or shortest; as often all of a kind alike as each at random."""
-    rest = rng.choice([-1.0, 1.0], body.shape)
-    if rng.random() < 0.5:
-        rest = np.where(body == Cell.V_ACT, *rng.choice([-1.0, 1.0], 2))
-    return _log_uniform(rng, PERIODS), np.zeros(body.shape), rng.uniform(0, 2 * np.pi, body.shape), rest
 
 
 def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:

@@ -214,7 +214,13 @@ def _start(address: str | None, cpus: int) -> Any:
         raise ConfigError("executor=ray needs Ray, which is not installed: pip install 'warpvox[ray]'.") from None
     where = f"at {address}" if address else "on this machine"
     if address:
-        _check_answers(address, where)
+        # Ray itself would try for minutes. It resolves `auto` and the like.
+        host, _, port = address.removeprefix("ray://").rpartition(":")
+        if port.isdigit():
+            try:
+                socket.create_connection((host, int(port)), timeout=10).close()
+            except OSError as error:
+                raise RunError(f"Ray cannot be reached {where}: {error.strerror or error}.") from None
     options: dict[str, Any] = {"address": address} if address else {}
     if address is None:
         options = {"include_dashboard": False, "num_cpus": max(cpus, os.cpu_count() or 1)}
@@ -228,14 +234,3 @@ def _start(address: str | None, cpus: int) -> Any:
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, before)  # Ray's handler would end this process before anything is saved
     return ray
-
-
-def _check_answers(address: str, where: str) -> None:
-    """Raise RunError unless something answers at ``host:port``; Ray itself would try for minutes."""
-    host, _, port = address.removeprefix("ray://").rpartition(":")
-    if not port.isdigit():
-        return  # auto and the like, which Ray resolves
-    try:
-        socket.create_connection((host, int(port)), timeout=10).close()
-    except OSError as error:
-        raise RunError(f"Ray cannot be reached {where}: {error.strerror or error}.") from None

@@ -43,7 +43,13 @@ def world_of(document: Mapping[str, Any]) -> World:
     free of those before it, and terrain may well reach around a robot.
     """
     types = _cells(document, WORLD_SIZE[1], WORLD_SIZE[0], WorldError)
-    names = _names(document)
+    names = document.get("names")
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise WorldError("names must be a list of texts, one or more.")
+    if len(names) > OBJECTS or any(not 0 < len(name) <= 64 for name in names):
+        raise WorldError(f"There may be up to {OBJECTS} objects with names of 1 to 64 letters.")
+    if len(set(names)) < len(names):
+        raise WorldError(f"The names of objects must differ; they are {listing(names)}.")
     height, width = types.shape
 
     # Whose each cell is: the number of a name
@@ -91,7 +97,8 @@ def document_of(content: Design | World) -> dict[str, Any]:
         top = content.height - obj.y - obj.height
         box = slice(top, top + obj.height), slice(obj.x, obj.x + obj.width)
         filled = obj.grid != Cell.EMPTY
-        types[box][filled], owners[box][filled] = obj.grid[filled], number
+        types[box][filled] = obj.grid[filled]
+        owners[box][filled] = number
     return _document("world", list(content.objects) or ["object"], types, owners)
 
 
@@ -99,7 +106,8 @@ def check(document: Mapping[str, Any]) -> str:
     """A sentence that describes a valid document."""
     if _kind(document) == "body":
         body = design_of(document)
-        cells, actuators = counted((body > 0).sum(), "cells"), counted((body >= Cell.H_ACT).sum(), "actuators")
+        cells = counted((body > 0).sum(), "cells")
+        actuators = counted((body >= Cell.H_ACT).sum(), "actuators")
         return f"A valid robot: {body.shape[0]} x {body.shape[1]}, {cells}, {actuators}."
     world = world_of(document)
     parts = []
@@ -191,17 +199,6 @@ def _cells(document: Mapping[str, Any], rows: int, columns: int, error: type[War
     if len(value) > rows or any(len(row) > columns for row in value):
         raise error(f"There is room for {columns} columns and {rows} rows.")
     return as_grid(value, what="grid", error=error)
-
-
-def _names(document: Mapping[str, Any]) -> list[str]:
-    names = document.get("names")
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise WorldError("names must be a list of texts, one or more.")
-    if len(names) > OBJECTS or any(not 0 < len(name) <= 64 for name in names):
-        raise WorldError(f"There may be up to {OBJECTS} objects with names of 1 to 64 letters.")
-    if len(set(names)) < len(names):
-        raise WorldError(f"The names of objects must differ; they are {listing(names)}.")
-    return names
 
 
 def _box(filled: np.ndarray) -> tuple[slice, slice]:

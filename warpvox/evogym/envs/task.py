@@ -16,8 +16,6 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 __all__ = ["TaskEnv", "TimeLimit", "task_env"]
 
-_BOUND = 100.0  # as released: nominal, observations are not clipped
-
 
 class TaskEnv(BenchmarkBase):
     """A task of the benchmark with the rules of the release. A subclass says which, as ``task``.
@@ -57,7 +55,8 @@ class TaskEnv(BenchmarkBase):
             if "reach" in params:
                 self.sight_dist, self.terrain_list = params["reach"], list(params["objects"])
         self.action_space = spaces.Box(ACTION_LOW, ACTION_HIGH, (self.get_dim_action_space("robot"),), np.float64)
-        self.observation_space = spaces.Box(-_BOUND, _BOUND, self._observe(self._state()).shape, np.float64)
+        # As released: nominal, observations are not clipped.
+        self.observation_space = spaces.Box(-100.0, 100.0, self._observe(self._state()).shape, np.float64)
 
     def _rules(self) -> TaskSpec:
         return get_task(self.task)
