@@ -43,7 +43,7 @@ APPLICATION = 0x77766F78
 VERSION = 1
 """Version of the tables in archive.sql; a file of a later version is refused."""
 
-KINDS = {
+_KINDS = {
     "id": int, "generation": int, "body": str, "origin": str, "seed": int, "fitness": float, "steps": int,
     "stopped": int, "reused": int, "policy": str, "policy_sha256": str, "seconds": float,
 }  # fmt: skip
@@ -406,7 +406,7 @@ class Archive(AbstractContextManager["Archive"]):
             query = f"SELECT candidate, steps, value FROM curves WHERE candidate {chosen}"
             for number, *point in self._db.execute(query, values):
                 curves[number].append(tuple(point))
-            query = f"SELECT {', '.join(KINDS)} FROM candidates {where} ORDER BY id"
+            query = f"SELECT {', '.join(_KINDS)} FROM candidates {where} ORDER BY id"
             rows = self._db.execute(query, values).fetchall()
 
         records = []
@@ -429,18 +429,18 @@ class Archive(AbstractContextManager["Archive"]):
 
 
 def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, float]]) -> Record:
-    """The record of a row of :data:`KINDS`; ValueError where values are not of the kinds that are written.
+    """The record of a row of :data:`_KINDS`; ValueError where values are not of the kinds that are written.
 
     SQLite's columns take values of any kind, whatever their declaration says.
     """
     # Values. Those of a result may be missing, but for the fitness of one that has ended.
     number = row["id"]
     stopped = row["stopped"]
-    names = list(KINDS)
+    names = list(_KINDS)
     first_missing = names.index("fitness")
     if stopped in (0, 1):
         first_missing += 1
-    for place, (name, kind) in enumerate(KINDS.items()):
+    for place, (name, kind) in enumerate(_KINDS.items()):
         value = row[name]
         known = isinstance(value, kind) and (kind is not float or math.isfinite(value))
         if not known and not (value is None and place >= first_missing):
@@ -457,7 +457,7 @@ def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, 
 
     body = as_grid(parse_json(row["body"]))
     candidate = Candidate(number, body, tuple(parents), row["origin"], row["generation"])
-    known = {name: row[name] for name in KINDS if name in Record.__dataclass_fields__}
+    known = {name: row[name] for name in _KINDS if name in Record.__dataclass_fields__}
     known["stopped"] = None if stopped is None else bool(stopped)
     known["diverged"] = stopped == DIVERGED
     return Record(candidate, **known, curve=curve)

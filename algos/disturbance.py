@@ -73,9 +73,11 @@ class Disturbed:
         self, policy: Callable[[Any], Any], env: VoxelVecEnv, parts: Sequence[str], seed: int, stream: int = JUDGED
     ) -> None:
         copies = env.num_envs // (env.num_designs * len(parts))
-        self.policy, self.draws = policy, Draws(seed, stream, copies, env.device)
+        self.policy = policy
+        self.draws = Draws(seed, stream, copies, env.device)
         self.shape = env.num_envs, env.num_actions
-        self.parts, self.names = tuple(parts), [name for name in parts for _ in range(copies)] * env.num_designs
+        self.parts = tuple(parts)
+        self.names = [name for name in parts for _ in range(copies)] * env.num_designs
         self.kinds = [DISTURBANCES[name] for name in self.names]
         column = lambda name: torch.tensor([[getattr(kind, name)] for kind in self.kinds], device=env.device)  # noqa: E731
         self.noise, self.sticky, self.sensors = (column(name).double() for name in ("noise", "sticky", "sensors"))
@@ -93,7 +95,8 @@ class Disturbed:
         self.reset()
 
     def reset(self) -> None:
-        self.step, self.before = 0, None
+        self.step = 0
+        self.before = None
         if hasattr(self.policy, "reset"):
             self.policy.reset()
 
@@ -103,7 +106,8 @@ class Disturbed:
 
     def __call__(self, obs: torch.Tensor) -> torch.Tensor:
         """Actions ``[num_envs, num_actions]`` for observations ``[num_envs, num_obs]``."""
-        draws, step = self.draws, self.step
+        draws = self.draws
+        step = self.step
         if self.most["sensors"]:
             noise = self._each(draws.normal(SENSORS, step, obs.shape[1]))
             obs = obs + (self.sensors * noise).to(obs.dtype)
@@ -118,7 +122,8 @@ class Disturbed:
             actions = torch.where(repeats, self.before, actions)
         if self.most["noise"]:
             actions = torch.where(self.noise > 0, with_noise(actions, draws, step, self.noise), actions)
-        self.step, self.before = step + 1, actions
+        self.step = step + 1
+        self.before = actions
         return actions
 
 

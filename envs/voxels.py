@@ -71,7 +71,8 @@ class VoxelGrid:
         self.columns = max(least[1], *(grid.shape[1] for grid in grids))
         count = self.rows * self.columns
         self.about = About("voxels of {name}: corners, velocities, type, neighbours", NUMBER, count * NUM_FEATURES)
-        self._sim, self._name = sim, name
+        self._sim = sim
+        self._name = name
         self._cells: dict[int, _Cells] = {}
         self._tables = self._make_tables()
         self.action_cell, self._corners, self._known, self._filled = self._tables

@@ -8,7 +8,7 @@ import numpy as np
 from warpvox.design import Design
 from warpvox.types import Cell
 
-PERIODS = (5.0, 40.0)
+_PERIODS = (5.0, 40.0)
 """Control steps of a travelling wave."""
 SHORTEST, LONGEST = 3.0, 400.0
 """Control steps; limits of mutated periods."""
@@ -75,7 +75,8 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
 
 def with_stages(gait: Gait, stages: int, steps: int) -> Gait:
     """The same motion in more stages: the longest one is divided in two, again and again."""
-    begin, place = [int(time) for time in gait.begin], list(range(len(gait.begin)))
+    begin = [int(time) for time in gait.begin]
+    place = list(range(len(gait.begin)))
     while len(begin) < stages:
         ends = [*begin[1:], max(steps, begin[-1])]
         longest = max(range(len(begin)), key=lambda stage: ends[stage] - begin[stage])
@@ -93,7 +94,7 @@ def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
         rest = rng.choice([-1.0, 1.0], body.shape)
         if rng.random() < 0.5:
             rest = np.where(vertical, *rng.choice([-1.0, 1.0], 2))
-        period = _log_uniform(rng, PERIODS)
+        period = _log_uniform(rng, _PERIODS)
         return period, np.zeros(body.shape), rng.uniform(0, 2 * np.pi, body.shape), rest
 
     # A wave that travels through the body in some direction, or round its centre
@@ -107,7 +108,7 @@ def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
     # Radians from a voxel to the next: waves of four voxels and longer
     turn_x, turn_y = rng.uniform(-1.6, 1.6, 2)
     phase = turn_x * x + turn_y * y + rng.uniform(0, 2 * np.pi) * vertical
-    return _log_uniform(rng, PERIODS), gain, phase, np.zeros(body.shape)
+    return _log_uniform(rng, _PERIODS), gain, phase, np.zeros(body.shape)
 
 
 def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
@@ -128,7 +129,8 @@ def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) 
 
 def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design, begin: int) -> Motion:
     """A motion from control step ``begin`` on that differs from ``motion`` in one to three ways."""
-    gait, everywhere = gait_of([(begin, motion)]), np.ones(1, bool)
+    gait = gait_of([(begin, motion)])
+    everywhere = np.ones(1, bool)
     for _ in range(rng.integers(1, 4)):
         gait = replace(gait, **_change(rng, gait, body, begin, everywhere))
     return motions_of(gait)[0][1]

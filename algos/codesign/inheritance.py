@@ -67,11 +67,13 @@ def copy_weights(
         actor, critic: of the child; changed in place.
     """
     state = actor.state_dict()
-    inputs, outputs = _matches(child.columns, parent.columns), _matches(child.actuators, parent.actuators)
+    inputs = _matches(child.columns, parent.columns)
+    outputs = _matches(child.actuators, parent.actuators)
     layers = [k for k, layer in enumerate(actor.mlp) if isinstance(layer, nn.Linear)]
     for k in layers:
         for name in (f"mlp.{k}.weight", f"mlp.{k}.bias"):
-            own, old = state[name], policy.get(name)
+            own = state[name]
+            old = policy.get(name)
             rows = outputs if k == layers[-1] else None
             columns = inputs if k == layers[0] and own.ndim == 2 else None
             if columns is not None:

@@ -85,7 +85,9 @@ def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
 def _progress(search: SearchResult, archive: Archive) -> str:
     """Fitness over evaluations: every design, finalists by themselves, the best so far, the mean of each generation."""
     trained = [record for record in search.records if record.reused is None and record.fitness is not None]
-    dots, notes, finals = [], [], []
+    dots = []
+    notes = []
+    finals = []
     ends: dict[int, int] = {}
     for number, record in enumerate(trained, start=1):
         if record.candidate.origin == FINALIST:

@@ -19,7 +19,7 @@ from warpvox.runs import Run
 
 SUFFIXES = (".png", ".svg", ".pdf")
 AXES = {"steps": "control steps", "elapsed": "seconds", "iteration": "iterations", "evaluations": "designs trained"}
-COLOURS = ("#d96a14", "#2f6fb0", "#3a8a4d", "#8a4fa3", "#b03a48", "#5b6473")
+_COLOURS = ("#d96a14", "#2f6fb0", "#3a8a4d", "#8a4fa3", "#b03a48", "#5b6473")
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,8 @@ def curves_of(groups: Sequence[Group], x: str = "steps") -> list[Curve]:
     curves = []
     for group in groups:
         runs = [_points(each_run, x) for each_run in group.runs]
-        places, values = runs[0][0], runs[0][1:].T
+        places = runs[0][0]
+        values = runs[0][1:].T
         if len(runs) > 1:
             # Runs are evaluated at different steps: they are interpolated at 200 common ones.
             places = np.linspace(max(points[0, 0] for points in runs), max(points[0, -1] for points in runs), 200)
@@ -124,11 +125,11 @@ def write_curves(
 
         # Lines
         for index, curve in enumerate(several):
-            turn, colour = divmod(index, len(COLOURS))
+            turn, colour = divmod(index, len(_COLOURS))
             styles = ("-", "--", ":", "-.")  # the next one after each turn of the colours
-            look: dict[str, Any] = {"color": COLOURS[colour], "linestyle": styles[turn % len(styles)]}
+            look: dict[str, Any] = {"color": _COLOURS[colour], "linestyle": styles[turn % len(styles)]}
             if len(curve.runs) > 1:
-                axes.fill_between(curve.places, curve.low, curve.high, color=COLOURS[colour], alpha=0.18, linewidth=0)
+                axes.fill_between(curve.places, curve.low, curve.high, color=_COLOURS[colour], alpha=0.18, linewidth=0)
                 for points in curve.runs:
                     axes.plot(*points, **look, linewidth=0.8, alpha=0.3)
             label = _plain(f"{curve.label} (n={len(curve.runs)})")

@@ -109,13 +109,15 @@ def _names(found: Sequence[tuple[Path, Mapping[str, Any]]]) -> list[str]:
         # Runs of one algorithm may differ in these.
         may_differ = ("task", "seed", "shape", "search.algorithm", "search.max_evaluations")
         keys[kind] = telling(alike, [key for key in differing(alike) if key not in may_differ])
-    names, known = [], {}
+    names = []
+    known = {}
     for (folder, _), own, kind in zip(found, settings, kinds, strict=True):
         if re.fullmatch(r"seed\d+", folder.name):
             names.append(folder.parent.name)
             continue
         name = ", ".join([kind[1], *(f"{key}={own[key]}" for key in keys[kind][:SHOWN] if key in own)])
-        values, others = {key: own.get(key) for key in keys[kind]}, known.setdefault(name, [])
+        values = {key: own.get(key) for key in keys[kind]}
+        others = known.setdefault(name, [])
         if values not in others:  # the settings that are shown may be those of another search
             others.append(values)
         number = others.index(values) + 1
@@ -155,7 +157,8 @@ def progress(members: Sequence[SearchResult], x: str) -> tuple[np.ndarray, np.nd
     if not members or not all(len(one.best) for one in members):
         raise ValueError("A search has not evaluated any design yet.")
     spent = [getattr(one, x) for one in members]
-    first, last = max(s[0] for s in spent), max(s[-1] for s in spent)
+    first = max(s[0] for s in spent)
+    last = max(s[-1] for s in spent)
     every = np.unique(np.concatenate(spent))
     most = 200  # points of the curve
     places = every[every >= first] if len(every) <= most else np.linspace(first, last, most)

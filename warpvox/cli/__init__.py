@@ -77,7 +77,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                     raise ConfigError(f"Unknown command '{name}'; there are {', '.join(COMMANDS)}.{hint}")
                 else:
                     if name == "demo":
-                        name, words = "train", ["preset=demo", *words]
+                        name = "train"
+                        words = ["preset=demo", *words]
                     from warpvox.cli.application import read_command
                     from warpvox.io.console import make_console
 

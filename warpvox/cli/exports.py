@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
 
 ROLLOUT = "rollout.npz"
-TILES = 16
+_TILES = 16
 """Environments that a picture shows at most; of a run over many bodies."""
 LARGE = (960, 540)
-"""Size of pictures of more than :data:`TILES`, and of a window, in pixels."""
+"""Size of pictures of more than :data:`_TILES`, and of a window, in pixels."""
 
 
 def record_run(
@@ -74,7 +74,7 @@ def record_agent(config: Any) -> Rollout:
 def tiles_of(rollout: Rollout, most: int = 36) -> list[int]:
     """The environments that a picture shows: the first ones; of those that have names some, evenly chosen."""
     if "names" not in rollout.metadata:
-        return list(range(min(rollout.num_envs, TILES)))
+        return list(range(min(rollout.num_envs, _TILES)))
     return np.linspace(0, rollout.num_envs - 1, min(rollout.num_envs, most)).round().astype(int).tolist()
 
 
@@ -112,7 +112,7 @@ def write_exports(
                 options["size"] = tuple(size)
             if name in tiled:
                 options["envs"] = tiles_of(rollout)
-                if len(options["envs"]) > TILES:
+                if len(options["envs"]) > _TILES:
                     options = {"size": LARGE} | options
             # parameter of a writer for the key every
             thinned = {"usd": "stride", "gif": "every", "mp4": "every", "html": "every"}
@@ -136,10 +136,12 @@ def write_exports(
 
 def print_returns(rollout: Rollout, console: Console) -> None:
     """A table with a row for each environment (the first ones of many) and their mean."""
-    returns, lengths = rollout.returns[-1], rollout.lengths
+    returns = rollout.returns[-1]
+    lengths = rollout.lengths
     several = len(rollout.scenes) > 1 and "names" not in rollout.metadata
     agent = rollout.metadata.get("agent", "policy")
-    sampled, protocol = rollout.metadata.get("stochastic"), rollout.metadata.get("protocol", NOMINAL)
+    sampled = rollout.metadata.get("stochastic")
+    protocol = rollout.metadata.get("protocol", NOMINAL)
     kinds = ["sampled actions"] * bool(sampled) + [f"protocol {protocol}"] * (protocol != NOMINAL)
     kind = (", ".join(kinds) or "deterministic") if agent == "policy" else f"agent {agent}"
     if rollout.metadata.get("diverged"):

@@ -69,7 +69,7 @@ def try_out(
             raise WorldError("Nothing in this world moves: it needs cells that are not fixed.")
         if moving > MOST_MOVING:
             raise WorldError(f"{moving} cells of this world move; the editor tries out up to {MOST_MOVING}.")
-        env = OpenWorld(Simulation([world], device="cpu", threads=1), seed)
+        env = _OpenWorld(Simulation([world], device="cpu", threads=1), seed)
 
     act = agent_of(agent, env)
     deadline = time.monotonic() + TIME_LIMIT
@@ -82,12 +82,15 @@ def try_out(
     return record(env, in_time, round(seconds / FRAME_SECONDS), metadata={"agent": agent})
 
 
-class OpenWorld:
+class _OpenWorld:
     """A simulation with the interface of an environment, as far as recording needs it."""
 
     def __init__(self, sim: Any, seed: int) -> None:
-        self.sim, self.seed, self.auto_reset = sim, seed, False
-        self.num_envs, self.num_actions = sim.num_envs, sim.num_actions
+        self.sim = sim
+        self.seed = seed
+        self.auto_reset = False
+        self.num_envs = sim.num_envs
+        self.num_actions = sim.num_actions
         self.max_episode_steps = round(LONGEST / FRAME_SECONDS)
         self._robot = min((obj.name for obj in sim.worlds[0].objects.values() if obj.is_robot), default=None)
         self._where = self._place()
@@ -104,5 +107,6 @@ class OpenWorld:
     def step(self, actions: Any) -> tuple[Any, ...]:
         """Take a control step: no observation, progress as reward, terminated where the simulation had to stop."""
         self.sim.step(actions)
-        before, self._where = self._where, self._place()
+        before = self._where
+        self._where = self._place()
         return None, self._where - before, self.sim.unstable, self.sim.unstable & False, {}

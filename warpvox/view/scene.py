@@ -198,7 +198,8 @@ def check_scene(scene: Scene, number: int, points: int) -> None:
             raise RolloutError(f"{what} sticks out of its world.")
         if obj.is_static:
             continue
-        first, end = obj.first_point, obj.first_point + obj.num_points
+        first = obj.first_point
+        end = obj.first_point + obj.num_points
         if first < 0 or obj.num_points < 0 or end > points:
             raise RolloutError(f"{what} has points {first} to {end - 1}, but there are {points}.")
         if obj.corners.shape != (len(obj.cells), 4) or obj.corners.min() < first or obj.corners.max() >= end:
