@@ -141,22 +141,23 @@ class Archive(AbstractContextManager["Archive"]):
             raise RunError(f"{path} is gone.{hint}")
         lock = _lock_for_writing(path)
         try:
-            # A killed process leaves no empty archive, and a file with our mark has all tables.
-            with (
-                atomic_path(path, make_folders=False) as temporary,
-                closing(_connect(temporary, "rwc")) as db,
-                _transaction(db),
-            ):
-                for statement in _statements():
-                    db.execute(statement)
-                for key, value in {"settings": dict(settings), "created_at": _now()}.items():
-                    db.execute("INSERT INTO experiment VALUES (?, ?)", (key, json.dumps(value)))
-                db.execute(f"PRAGMA application_id = {APPLICATION}")
-                db.execute(f"PRAGMA user_version = {VERSION}")
+            with atomic_path(path, make_folders=False) as temporary:  # a killed process leaves no empty archive
+                cls._fill(temporary, settings)
             return cls(path, _connect(path, "rw"), lock)
         except (sqlite3.Error, StorageError) as error:
             lock.close()
             raise _write_error(path, error) from None
+
+    @staticmethod
+    def _fill(path: Path, settings: Mapping[str, Any]) -> None:
+        with closing(_connect(path, "rwc")) as db, _transaction(db):
+            for statement in _statements():
+                db.execute(statement)
+            for key, value in {"settings": dict(settings), "created_at": _now()}.items():
+                db.execute("INSERT INTO experiment VALUES (?, ?)", (key, json.dumps(value)))
+            # Inside the transaction: a file with our mark has all tables.
+            db.execute(f"PRAGMA application_id = {APPLICATION}")
+            db.execute(f"PRAGMA user_version = {VERSION}")
 
     @classmethod
     def open(cls, path: Path) -> Archive:
