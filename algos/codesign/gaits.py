@@ -46,17 +46,21 @@ Motion = tuple[float, np.ndarray, np.ndarray, np.ndarray]
 
 def motions_of(gait: Gait) -> tuple[tuple[int, Motion], ...]:
     """The motions of a gait, with the control steps in which they begin."""
-    stages = zip(gait.period.tolist(), gait.amplitude, gait.phase, gait.rest, strict=True)
-    found = list(zip(map(int, gait.begin), stages, strict=True))
-    return tuple(one for one, after in zip(found, [*found[1:], None], strict=True) if not after or after[0] > one[0])
+    found = []
+    for stage, begin in enumerate(map(int, gait.begin)):
+        is_last = stage == len(gait.begin) - 1
+        # A stage that the next one begins with has no control step of its own.
+        if is_last or int(gait.begin[stage + 1]) > begin:
+            motion = (gait.period.tolist()[stage], gait.amplitude[stage], gait.phase[stage], gait.rest[stage])
+            found.append((begin, motion))
+    return tuple(found)
 
 
 def gait_of(motions: Sequence[tuple[int, Motion]]) -> Gait:
     """The inverse of :func:`motions_of`."""
-    return Gait(
-        np.array([begin for begin, _ in motions]),
-        *(np.array(values) for values in zip(*(motion for _, motion in motions), strict=True)),
-    )
+    begins = [begin for begin, _ in motions]
+    periods, amplitudes, phases, rests = zip(*(motion for _, motion in motions), strict=True)
+    return Gait(np.array(begins), np.array(periods), np.array(amplitudes), np.array(phases), np.array(rests))
 
 
 def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -> Gait:
@@ -64,9 +68,12 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
 
     Stages are short at the beginning of the episode as often as at its end, which alone counts in some tasks.
     """
+    # Motions
     motions = [draw_motion(rng, body) for _ in range(stages)]
     if rng.random() < 0.5:
         motions = motions[:1] * stages
+
+    # When they begin
     begin = np.exp(rng.uniform(np.log(3.0), np.log(max(steps, 4)), stages)).round()
     begin = np.sort(begin if rng.random() < 0.5 else np.maximum(steps - begin, 0.0))
     begin[0] = 0.0
@@ -76,13 +83,14 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
 def with_stages(gait: Gait, stages: int, steps: int) -> Gait:
     """The same motion in more stages: the longest one is divided in two, again and again."""
     begin = [int(time) for time in gait.begin]
-    place = list(range(len(gait.begin)))
+    source = list(range(len(gait.begin)))  # the stage whose motion each of the new ones has
     while len(begin) < stages:
         ends = [*begin[1:], max(steps, begin[-1])]
-        longest = max(range(len(begin)), key=lambda stage: ends[stage] - begin[stage])
+        lengths = [end - start for start, end in zip(begin, ends, strict=True)]
+        longest = lengths.index(max(lengths))
         begin.insert(longest + 1, (begin[longest] + ends[longest]) // 2)
-        place.insert(longest + 1, place[longest])
-    return Gait(np.array(begin), gait.period[place], gait.amplitude[place], gait.phase[place], gait.rest[place])
+        source.insert(longest + 1, source[longest])
+    return Gait(np.array(begin), gait.period[source], gait.amplitude[source], gait.phase[source], gait.rest[source])
 
 
 def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
@@ -138,17 +146,23 @@ def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design, begin:
 
 def _with_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
     """Another motion in one stage or from there on: a random one, or that of some stage."""
+    # Where, and which motion
     stages = len(gait.begin)
     first, source = rng.integers(stages, size=2)
     chosen = slice(first, None if rng.random() < 0.5 else first + 1)
-    known = (gait.period[source], gait.amplitude[source], gait.phase[source], gait.rest[source])
-    motion = draw_motion(rng, body) if rng.random() < 0.6 else known
+    motion = (float(gait.period[source]), gait.amplitude[source], gait.phase[source], gait.rest[source])
+    if rng.random() < 0.6:
+        motion = draw_motion(rng, body)
     fields = {name: getattr(gait, name).copy() for name in vars(gait)}
     for name, values in zip(("period", "amplitude", "phase", "rest"), motion, strict=True):
         fields[name][chosen] = values
+
+    # When it begins
     if first and rng.random() < 0.5:
         limits = (*gait.begin, steps)
-        fields["begin"][first] = rng.integers(limits[first - 1], max(limits[first + 1], limits[first - 1]) + 1)
+        low = limits[first - 1]
+        high = max(limits[first + 1], low)
+        fields["begin"][first] = rng.integers(low, high + 1)
     return Gait(**fields)
 
 
