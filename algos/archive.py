@@ -1,7 +1,7 @@
 """The archive of a design search: one SQLite file with all candidates and their results.
 
 Every change is a transaction, so that a process killed at any moment leaves a consistent file, and other programs
-can read it while the search is running. The tables are described in ``docs/archive.md``.
+can read it while the search is running. The tables are described in ``docs/formats.md``.
 
 The journal is SQLite's default, not WAL: an experiment then is a single file between two transactions, may be copied,
 and may lie on the shared disk of a cluster, where WAL does not work. Writing happens once an evaluation, so that its

@@ -17,12 +17,11 @@ from warpvox.algos.codesign.gait_beam import beam_search
 from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait, with_stages
 from warpvox.algos.disturbance import SEARCHED, Draws
 from warpvox.algos.env_factory import EnvFactory
-from warpvox.algos.policies.gait import AMPLITUDE
 from warpvox.algos.protocols import NOMINAL
 from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.types import Cell
+from warpvox.types import ACTION_SCALE, Cell
 
 
 class GaitSearch(Protocol):
@@ -194,7 +193,7 @@ def _stored(gait: Gait, body: Design, columns: Iterable[slice]) -> tuple[dict[st
     num_obs = sum(part.stop - part.start for part in columns) + 1  # with the time
     stages, rows, width = gait.phase.shape
     shape = {"stages": stages, "rows": rows, "columns": width}
-    spec = PolicySpec(num_obs, len(driven), [], "", normalize_obs=False, action_scale=AMPLITUDE, gait=shape)
+    spec = PolicySpec(num_obs, len(driven), [], "", normalize_obs=False, action_scale=ACTION_SCALE, gait=shape)
     state = {name: torch.as_tensor(values) for name, values in vars(gait).items()}
     state["cells"] = torch.as_tensor(driven)
     return state, spec_dict(spec)

@@ -25,6 +25,7 @@ from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.listener import Listener
 from warpvox.algos.metrics import check_logger
 from warpvox.algos.protocols import episodes_of
+from warpvox.algos.robots.entry import Robot
 from warpvox.algos.search import BaseSearch, make_search
 from warpvox.algos.search.factory import start_with
 from warpvox.algos.settings import sim_of
@@ -41,7 +42,6 @@ from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.writing import to_yaml
 from warpvox.keys import flat
-from warpvox.robots.entry import Robot
 from warpvox.runs import CONFIG, END, keep_code, run_folder, search_as_now
 from warpvox.types import Cell
 

@@ -67,6 +67,7 @@ class Terminal(Listener):
         echo(self.console, _announcement(run))
         self._job = run
         self._figures = Figures()
+        self._spent = run.runner.spent
         self._total = run.runner.schedule.total
         self._start = run.runner.current_learning_iteration
         self._began = self._printed = time.monotonic()
@@ -76,26 +77,27 @@ class Terminal(Listener):
                 TextColumn("{task.completed}/{task.total}"),
                 *([BarColumn(bar_width=16)] if wide else []),
                 TextColumn("{task.fields[figures]}"),
+                *([TextColumn("{task.fields[spent]}")] if self.console.width >= 150 else []),
                 *([TimeElapsedColumn()] if wide else []),
                 TextColumn("left"),
                 TimeRemainingColumn(),
                 console=self.console,
                 refresh_per_second=4,
             )
-            self._line = self._bar.add_task("", total=self._total, completed=self._start, figures="")
+            self._line = self._bar.add_task("", total=self._total, completed=self._start, figures="", spent="")
             self._bar.start()
 
     def iterated(self, row: Mapping[str, float]) -> None:
         figures = self._figures.text(row)
         done = row["iteration"]
         if self._bar is not None:
-            self._bar.update(self._line, completed=done, figures=figures)
+            self._bar.update(self._line, completed=done, figures=figures, spent=str(self._spent))
             return
         now = time.monotonic()
         if math.isfinite(row["eval_return"]) or now - self._printed >= QUIET_SECONDS or done == self._total:
             self._printed = now
             left = duration((now - self._began) / max(done - self._start, 1) * (self._total - done))
-            echo(self.console, f"iteration {done}/{self._total}  {figures}  left {left}")
+            echo(self.console, f"iteration {done}/{self._total}  {figures}  left {left}  {self._spent}".rstrip())
 
     def ended(self, summary: Mapping[str, Any]) -> None:
         if self._bar is not None:
@@ -165,6 +167,8 @@ def _conclusion(job: Job, seconds: float) -> str:
     text = f"{words} after {runner.steps:,} control steps in {seconds:.0f} s"
     if best is not None:
         text += f"; best evaluation {best:.2f} (iteration {runner.best_iteration})"
+    if str(runner.spent):
+        text += f"\nwhere time went: {runner.spent}"
     if folder is None:
         return text
     keys = words_of_code(job.settings)

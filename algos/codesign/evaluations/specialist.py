@@ -23,7 +23,7 @@ class Specialist(Evaluation):
     name: str = key("specialist", "each design has a policy of its own", choices=("specialist",))
 
     def check(self, search: Codesign) -> None:
-        from warpvox.algos.training.ppo import rsl_rl_config
+        from warpvox.algos.ppo.stock import rsl_rl_config
 
         training = search.training
         training.ppo.check(training.envs, "training.ppo")
