@@ -11,13 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.errors import ConfigError
 from warpvox.keys import Settings, key, plain
-from warpvox.robots.network import MAX_LAYERS, WIDEST
 from warpvox.types import Physics
 
 if TYPE_CHECKING:
     from warpvox.batch.options import SimOptions
 
 
+WIDEST = 1 << 16
+"""Most observations, actions or units of a layer: neither a file nor a typing error asks for more memory."""
+MAX_LAYERS = 256
+"""Most layers of a network."""
 MLP = "mlp"
 """The policy that is no network for voxels: fully connected layers on the whole observation."""
 REFRESH = ("none", "new", "random", "performance")

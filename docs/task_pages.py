@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from lab.zoo import results
+from warpvox.algos.robots.entry import zoo
 from warpvox.envs.about import UNITS
 from warpvox.envs.registry import get_task, known_returns, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.worlds import task_world
-from warpvox.robots.entry import zoo
 from warpvox.view.body_picture import draw_world
 
 PAGE = Path(__file__).with_name("task_page.txt").read_text(encoding="utf-8")
@@ -123,4 +123,8 @@ def _training(task: str) -> str:
 
 def _paper(task: TaskSpec) -> str:
     changed = ", ".join(key.replace("_", " ") for key in task.paper)
-    return f"\nUnder `rules=paper` these differ: {changed} ([how](../paper.md#what-rulespaper-changes)).\n" if changed else ""
+    return (
+        f"\nUnder `rules=paper` these differ: {changed} ([how](../paper.md#what-rulespaper-changes)).\n"
+        if changed
+        else ""
+    )

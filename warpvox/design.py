@@ -44,7 +44,7 @@ LARGEST_BODY = 1 << 16
 LARGEST_FILE = 4_000_000
 """Bytes that a file of a design, its arrays together, or the text of one may have."""
 
-ZOO_FOLDER = Path(__file__).parent / "robots" / "data"
+ZOO_FOLDER = Path(__file__).parent / "data"
 """The zoo: a stored robot for every task, ``TASK.npz``."""
 
 DESIGN_SUFFIXES = (".json", ".npz", ".npy")

@@ -32,7 +32,6 @@ from warpvox.io.writing import (
     write_bytes,
     write_text,
 )
-from warpvox.robots.entry import Robot
 from warpvox.system import is_device_name, processor_name
 
 NUMBERS = ("evaluations", "steps", "elapsed_seconds", "best_fitness")  # of a summary
@@ -63,7 +62,7 @@ class Run:
     folder: Path
     config: dict[str, Any]
     checkpoint: Path | None = None
-    robot: Robot | None = None
+    robot: Any = None
 
     @property
     def is_many(self) -> bool:

@@ -10,11 +10,11 @@ import torch
 from warpvox.algos.checkpoints.files import actions_of
 from warpvox.algos.codesign.gaits import Gait
 from warpvox.algos.disturbance import Draws, with_noise
-from warpvox.algos.policies.gait import AMPLITUDE, gait_outputs
+from warpvox.algos.policies.gait import gait_outputs
 from warpvox.algos.protocols import DISTURBANCES
 from warpvox.envs.episodes import state_rows
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.types import Cell
+from warpvox.types import ACTION_SCALE, Cell
 
 AT_ONCE = 1 << 20
 """Actions that are computed at once, about: those of many control steps, if environments are few."""
@@ -96,4 +96,4 @@ def actions_of_gaits(
         if begin >= end:
             return
         times = torch.arange(begin, end, dtype=torch.float64, device=env.device)[:, None, None]
-        yield from actions_of(gait_outputs(times, *parts).float(), AMPLITUDE)
+        yield from actions_of(gait_outputs(times, *parts).float(), ACTION_SCALE)

@@ -17,11 +17,10 @@ from warpvox.algos.codesign.gait_beam import beam_search
 from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait, with_stages
 from warpvox.algos.disturbance import SEARCHED, Draws
 from warpvox.algos.env_factory import EnvFactory
-from warpvox.algos.policies.gait import AMPLITUDE
 from warpvox.algos.protocols import NOMINAL
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.types import Cell
+from warpvox.types import ACTION_SCALE, Cell
 
 FRESH = 0.125
 """Share of the first gaits of a design with a parent that owe nothing to it."""
@@ -162,7 +161,7 @@ class _Rounds:
         columns = self.env.obs_columns[place].values()
         sizes = sum(part.stop - part.start for part in columns) + 1, int((body >= Cell.H_ACT).sum())  # with the time
         shape: dict[str, int] = dict(zip(("stages", "rows", "columns"), gait.phase.shape, strict=True))
-        spec = PolicySpec(*sizes, [], "", normalize_obs=False, action_scale=AMPLITUDE, gait=shape)
+        spec = PolicySpec(*sizes, [], "", normalize_obs=False, action_scale=ACTION_SCALE, gait=shape)
         state = {name: torch.as_tensor(values) for name, values in vars(gait).items()}
         state["cells"] = torch.as_tensor(np.flatnonzero(body >= Cell.H_ACT))
         return Outcome(value, self.curves[place], self.spent[place], state, spec=spec_dict(spec))

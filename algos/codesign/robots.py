@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from warpvox.algos.archive import FILE as ARCHIVE, Archive, Record
+from warpvox.algos.checkpoints.policy import read_policy
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.find import find_codesign, find_run
+from warpvox.algos.robots.entry import Robot, read_robot, save_robot, zoo
 from warpvox.algos.training.bodies import has_designs, read_bodies
 from warpvox.design import check_design, full_connections
 from warpvox.errors import ConfigError, RunError
-from warpvox.robots.entry import Robot, read_robot, save_robot, zoo
-from warpvox.robots.replay import policy_of_checkpoint
 from warpvox.runs import ZOO
 
 COPIES = Path("training") / "start"
@@ -108,4 +108,4 @@ def _of_run(path: Path) -> Robot:
 
 
 def _robot(task: str, body: np.ndarray, checkpoint: Path) -> Robot:
-    return Robot(task, body, full_connections(body).T, policy_of_checkpoint(checkpoint))
+    return Robot(task, body, full_connections(body).T, read_policy(checkpoint))

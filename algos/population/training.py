@@ -137,7 +137,7 @@ class PopulationTraining:
         """float64 ``[designs]``: the mean return of deterministic episodes, the same ones every time.
 
         NaN for a design whose policy gives actions that are not numbers; the others are not affected. The networks are
-        evaluated in float64, as :class:`warpvox.algos.checkpoints.files.Controller` does.
+        evaluated in float64, as :class:`warpvox.algos.checkpoints.policy.Policy` is.
         """
         actor = self.algorithm.actor.part(slice(None)).double()
 

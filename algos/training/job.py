@@ -11,12 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.algos.checkpoints.files import load_checkpoint
-from warpvox.algos.checkpoints.policy import Policy, policy_of
+from warpvox.algos.checkpoints.policy import Policy
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator, evaluator
 from warpvox.algos.generators import Generators
 from warpvox.algos.metrics import SERVICES, check_logger
 from warpvox.algos.policies.registry import MLP, check_network, check_policy, voxels_of
 from warpvox.algos.protocols import episodes_of
+from warpvox.algos.robots.entry import zoo
+from warpvox.algos.robots.episodes import known_task
 from warpvox.algos.settings import physics_of, sim_of
 from warpvox.algos.training.bodies import (
     Bodies,
@@ -42,8 +44,6 @@ from warpvox.envs.vec_env import make_vec
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, ResumeError, RunError, StorageError
 from warpvox.io.writing import check_writable, to_yaml
-from warpvox.robots.entry import zoo
-from warpvox.robots.replay import known_task
 from warpvox.runs import STATE, ZOO, Run, check_unchanged, keep_code, read_summary, run_folder, write_summary
 from warpvox.system import usable_cores
 
@@ -334,13 +334,13 @@ class Job:
     def _keep_best(self, judge: Evaluator, policy: Any) -> EpisodeReturns:
         found = judge(policy)
         if found.mean_return > self.runner.best_return:
-            self.best = policy_of(policy)
+            self.best = self.runner.policy
         return found
 
     @property
     def policy(self) -> Policy:
         """The policy with the best evaluation, of a training that writes nothing."""
-        policy = self.best or policy_of(self.runner.controller)
+        policy = self.best or self.runner.policy
         known = {name: getattr(self.settings, name) for name in ("obs", "dtype", "arithmetic")}
         known["lanes"] = lanes_of(self.settings, len(load_bodies(self.settings.design, self.settings.seed)))
         policy.metadata |= self.runner.trained_on | known | {"physics": dataclasses.asdict(self.settings.physics)}

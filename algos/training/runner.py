@@ -17,7 +17,6 @@ from rsl_rl.utils.logger import Logger
 
 from warpvox.algos.checkpoints.files import (
     RNN,
-    Controller,
     check_fits,
     damaged,
     load_checkpoint,
@@ -26,12 +25,13 @@ from warpvox.algos.checkpoints.files import (
     spec_for,
     spec_of,
 )
+from warpvox.algos.checkpoints.policy import Policy
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator
 from warpvox.algos.expected import check_like
 from warpvox.algos.generators import Generators
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.metrics import Metrics, read_metrics
-from warpvox.algos.settings import Ppo
+from warpvox.algos.settings import WIDEST, Ppo
 from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
 from warpvox.algos.training.ppo import PPO, rsl_rl_config
@@ -39,7 +39,6 @@ from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
 from warpvox.io.writing import check_folder
-from warpvox.robots.network import WIDEST
 from warpvox.runs import BEST, STATE, Run
 
 COUNTERS = {
@@ -207,9 +206,9 @@ class Runner(OnPolicyRunner):
         return self.current_learning_iteration * self.steps_per_iteration
 
     @property
-    def controller(self) -> Controller:
-        """The policy as it is now, without exploration."""
-        return Controller(self.alg.get_policy(), self.spec)
+    def policy(self) -> Policy:
+        """The policy as it is now, without exploration, on the CPU."""
+        return Policy(self.spec, self.alg.get_policy().state_dict())
 
     def run(self) -> None:
         """Learn until the schedule's total or ``stop_return`` is reached.
@@ -341,7 +340,7 @@ class Runner(OnPolicyRunner):
         if self.group.is_main_process and self.evaluator is not None:
             self.alg.eval_mode()
             try:
-                self._judged = self.evaluator(self.controller)
+                self._judged = self.evaluator(self.policy.double())
                 value = self._judged.mean_return
             except ActionError as error:
                 self.current_learning_iteration -= 1  # it is not complete

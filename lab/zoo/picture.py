@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import warpvox as wv
-from warpvox.robots import robot_env
+from warpvox.algos.robots import robot_env
 from warpvox.view.render import Film
 from warpvox.view.rollout import Rollout
 

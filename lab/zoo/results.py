@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 import warpvox as wv
+from warpvox.algos.robots import Robot
 from warpvox.envs.registry import KnownReturn, known_returns
-from warpvox.robots import Robot
 
 FOLDER = Path(__file__).resolve().parent
 ROOT = FOLDER.parents[1]

@@ -13,9 +13,9 @@ import torch
 
 import warpvox as wv
 from warpvox.algos.codesign.robots import read_start
+from warpvox.algos.robots import Robot, save_robot
 from warpvox.envs import registry
 from warpvox.envs.registry import get_task
-from warpvox.robots import Robot, save_robot
 
 KEYS = {"design": "mini", "num_envs": 8, "threads": 1, "device": "cpu", "max_iterations": 2, "eval_interval": 1}
 PPO = {"steps": 4, "hidden": [8], "epochs": 1}

@@ -9,7 +9,7 @@ import notebooks
 import pytest
 import torch
 
-from warpvox.robots import zoo
+from warpvox.algos.robots import zoo
 
 ROOT = Path(__file__).resolve().parents[2]
 PATHS = sorted(notebooks.FOLDER.glob("*.ipynb"))

@@ -11,9 +11,9 @@ import pytest
 from parts import PARTS
 
 import warpvox
+from warpvox.algos.robots import zoo_tasks
 from warpvox.configs.schema import COMMANDS as WITH_KEYS
 from warpvox.envs.registry import task_ids
-from warpvox.robots import zoo_tasks
 
 ROOT = Path(__file__).resolve().parents[2]
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")

@@ -34,10 +34,10 @@ import warpvox as wv
 from warpvox import system
 from warpvox.algos.archive import BACKUP, FILE, Archive
 from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.robots.entry import read_robot
 from warpvox.errors import ResumeError, RolloutError, RunError, StorageError
 from warpvox.io import writing
 from warpvox.io.writing import MARK, atomic_path, claimed, write_text
-from warpvox.robots.entry import read_robot
 from warpvox.runs import run_folder
 
 resource = pytest.importorskip("resource", reason="signals and limits are those of POSIX")

@@ -34,7 +34,7 @@ def _train(factory: EnvFactory, settings: DesignTraining, seed: int, candidate: 
         if value > outcome.fitness:
             outcome.fitness = value
             outcome.spec = spec_dict(policy.spec)
-            state = policy.actor.state_dict()
+            state = runner.alg.actor.state_dict()
             outcome.policy = {name: tensor.detach().clone() for name, tensor in state.items()}
         return result
 

@@ -193,7 +193,7 @@ class SimulatedCuda(TorchFunctionMode):
         yield kernel_device, "_streams", {}
         yield arrays, "on_cuda", lambda name: False  # what a block shares on CUDA is memory of its own on the CPU
         if not self._own_capacities:
-            yield arrays, "choose", lambda points, springs, precision, *more: choose(points, springs, precision, "cpu")
+            yield arrays, "choose", lambda sizes, precision, device: choose(sizes, precision, "cpu")
 
     # ------------------------------------------------------------------------------------------------ memory
 

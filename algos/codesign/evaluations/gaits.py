@@ -15,12 +15,11 @@ from warpvox.algos.codesign.settings import Codesign, register_evaluation
 from warpvox.algos.protocols import ROBUST
 from warpvox.errors import ConfigError
 from warpvox.keys import key
-from warpvox.robots.gait import Gait as RobotGait
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
+    from warpvox.algos.robots.entry import Robot
     from warpvox.envs.spec import TaskSpec
-    from warpvox.robots.entry import Robot
 
 COPIES = 4
 """Episodes of a gait where they differ: in tasks that draw at random, and with noise on the actions."""
@@ -66,13 +65,14 @@ class Gaits(Specialist):
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
         """The gaits of robots that have one, by the bytes of their bodies."""
         from warpvox.algos.codesign.gaits import Gait
-        from warpvox.robots.replay import by_cell
 
-        return {
-            robot.body.tobytes(): Gait(robot.policy.begin, robot.policy.period, **by_cell(robot.policy, robot.body))
-            for robot in start
-            if isinstance(robot.policy, RobotGait)
-        }
+        found = {}
+        for robot in start:
+            if not robot.has_feedback:
+                state = robot.own_policy.actor.state_dict()
+                arrays = {field.name: state[field.name].numpy() for field in dataclasses.fields(Gait)}
+                found[robot.body.tobytes()] = Gait(**arrays)
+        return found
 
     def inherits(self, search: Codesign) -> bool:
         return True

@@ -11,8 +11,8 @@ from scipy import stats
 from lab.zoo import results
 from lab.zoo.picture import draw_zoo
 from warpvox import task_ids, zoo
+from warpvox.algos.robots import Robot, zoo_tasks
 from warpvox.envs.registry import known_returns
-from warpvox.robots import Robot, zoo_tasks
 
 DOCS = results.PAGE.parent
 

@@ -7,14 +7,14 @@ from typing import Any
 from rich.console import Console
 from rich.table import Column, Table
 
+from warpvox.algos.robots.entry import read_robot
+from warpvox.algos.robots.policies import arrays_of
 from warpvox.configs.tools import ZooConfig
 from warpvox.design import ZOO_FOLDER
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError, counted, did_you_mean, listing
 from warpvox.io.console import echo, literal
 from warpvox.io.text import duration, figure
-from warpvox.robots.entry import read_robot
-from warpvox.robots.gait import Gait
 from warpvox.view.cell_text import body_rows
 
 
@@ -80,12 +80,14 @@ def _print_one(path: Path, console: Console) -> None:
     # What acts
     if robot.policy is None:
         policy = "none"
-    elif isinstance(robot.policy, Gait):
-        stages = counted(robot.policy.num_stages, "stages")
-        policy = f"gait, open loop: {robot.policy.num_parameters} parameters, {stages}"
+    elif robot.policy.spec.gait is not None:
+        arrays = arrays_of(robot.policy)
+        parameters = sum(array.size for array in arrays.values()) - 1  # the first stage begins with the episode
+        policy = f"gait, open loop: {parameters} parameters, {counted(len(arrays['begin']), 'stages')}"
     else:
-        sizes = [robot.policy.num_obs, *(len(bias) for bias in robot.policy.biases)]
-        policy = f"{'-'.join(map(str, sizes))}, {robot.policy.activation}"
+        spec = robot.policy.spec
+        sizes = [spec.num_obs, *spec.hidden, spec.num_actions]
+        policy = f"{'-'.join(map(str, sizes))}, {spec.activation}"
 
     # What it took
     steps = about.get("control_steps")
