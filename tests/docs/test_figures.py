@@ -49,14 +49,14 @@ def phrases() -> Iterator[tuple[str, str]]:
     yield "docs/index.md", f"the median of all tasks (without: {middle})"
     yield "docs/performance.md", f"{low} to {high} times, the median {middle}"
     took, steps = re.search(r"in (\S+) s \(`ppo=parallel`, (\S+) control steps", text_of("docs/figures.md")).groups()
-    yield "docs/performance.md", f"or after {steps} in {float(took):.0f} s on two of the old ones"
+    yield "docs/performance.md", f"two of the old ones it took {steps} control steps and {float(took):.0f} s"
     yield "docs/performance.md", f"{float(least):.0f} to {most} times as many control steps"
     yield "docs/performance.md", f"the median of all tasks is {median}"
     batch = cells(tables("tasks"), "Walker-v0")[-1]
     single = cells(tables("peer"), "warpvox, one gymnasium environment")[-1]
     yield (
         "docs/faq.md",
-        f"gymnasium is {float(single):.0f} times as fast as EvoGym's, 512 of `make_vec` together {batch} times",
+        f"gymnasium runs {float(single):.0f} times as fast as EvoGym's; 512 of `make_vec` run {batch} times as fast",
     )
     rate = cells(tables("peer"), "warpvox, one gymnasium environment")[0]
     yield "docs/performance.md", f"{rate} control steps a second ({float(single):.0f} times EvoGym's)"
