@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from warpvox.algos.protocols import FITNESS, NOMINAL
 from warpvox.algos.robots.entry import Robot, zoo
 from warpvox.algos.search.settings import ALGORITHMS, GA, SearchSettings
-from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, physics_of, sim_of
+from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, Ppo, physics_of, sim_of
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY, RULE_SETS, TASK, TORCH_THREADS, arithmetic_key
 from warpvox.checks import check_choice
 from warpvox.errors import ConfigError, RunError
@@ -25,7 +25,6 @@ from warpvox.types import RULES
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
-    from warpvox.algos.codesign.evaluations.workload import Workload
     from warpvox.algos.env_factory import EnvFactory
     from warpvox.envs.spec import TaskSpec
 
@@ -43,6 +42,21 @@ Kind = TypeVar("Kind", bound="Evaluation")
 
 EVALUATIONS: dict[str, type[Evaluation]] = {}
 """The evaluations by name."""
+
+
+@dataclass(frozen=True)
+class Workload:
+    """Designs that are simulated together, for estimates of memory.
+
+    ``envs`` environments for each of ``designs``; ``key`` with its ``value`` sets ``envs``; ``ppo``: of a policy that
+    learns.
+    """
+
+    designs: int
+    envs: int
+    key: str
+    value: int
+    ppo: Ppo | None = None
 
 
 @dataclass

@@ -139,7 +139,7 @@ def test_python_runs_no_code_that_a_file_names(foreign: Path, monkeypatch: pytes
     one = wv.evaluate("own_network", policy="evil:T", episodes=1, device="cpu", threads=1)  # which holds layers alone
     assert len(one) == 1
     assert not Path("marker").exists()
-    with pytest.raises(ConfigError, match="'T' does not exist"):
+    with pytest.raises(ConfigError):
         wv.make_vec(wv.Code("evil.py:T"))
     assert Path("marker").exists()
     Path("marker").unlink()

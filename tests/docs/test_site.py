@@ -73,16 +73,6 @@ def test_the_tables_of_keys_are_current(page: Path) -> None:
     assert key_tables.with_tables(text) == text, "the keys of a command have changed: run `make tables`"
 
 
-def test_keys_of_groups_that_commands_share_are_listed_once() -> None:
-    train, codesign = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8").split("<!-- end of help -->")[:2]
-    assert "| `physics.dt` |" in train
-    assert "| `ppo.gamma` |" in train
-    assert "| `physics.dt` |" not in codesign
-    assert "| `training.ppo.gamma` |" not in codesign
-    assert "| `training.ppo.steps` | `64` |" in codesign  # another default
-    assert "All others of `training.ppo.*`, `physics.*` are as `ppo.*`, `physics.*` of [train](#train)." in codesign
-
-
 @pytest.fixture
 def site() -> Path:
     """The built site."""

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.evaluations.specialist import Specialist
-from warpvox.algos.codesign.evaluations.workload import Workload, steps_of_training
-from warpvox.algos.codesign.settings import Codesign, register_evaluation
+from warpvox.algos.codesign.settings import Codesign, Workload, register_evaluation
 from warpvox.algos.protocols import ROBUST
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -20,9 +19,6 @@ if TYPE_CHECKING:
     from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
     from warpvox.algos.robots.entry import Robot
     from warpvox.envs.spec import TaskSpec
-
-COPIES = 4
-"""Episodes of a gait where they differ: in tasks that draw at random, and with noise on the actions."""
 
 
 @register_evaluation
@@ -81,7 +77,7 @@ class Gaits(Specialist):
         steps = self._episodes(search) * task.max_episode_steps
         first = self.passes * self.beam + self.rounds * self.gaits
         last = self.final_passes * self.final_beam + self.final_rounds * self._final_gaits
-        return first * steps, self.finalists * (last * steps + steps_of_training(search.training, self.finalists))
+        return first * steps, self.finalists * (last * steps + search.training.steps_of_design(self.finalists))
 
     def workloads(self, search: Codesign) -> list[Workload]:
         first = {"evaluation.gaits": self.gaits, "evaluation.beam": self.beam if self.passes else 1}
@@ -97,7 +93,8 @@ class Gaits(Specialist):
     def _episodes(self, search: Codesign) -> int:
         from warpvox.envs.registry import get_task
 
-        return self.episodes or (COPIES if search.fitness == ROBUST or get_task(search.task).is_random else 1)
+        # Where they differ, four episodes: in tasks that draw at random, and with noise on the actions.
+        return self.episodes or (4 if search.fitness == ROBUST or get_task(search.task).is_random else 1)
 
     def _final_episodes(self, search: Codesign) -> int:
         return search.training.eval_envs or self._episodes(search)

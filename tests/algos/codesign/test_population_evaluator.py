@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 import torch
-from one_by_one import outcomes_one_by_one
 from population_cases import candidates, factory, small, training_preset
 
 from warpvox.algos.candidate import Candidate, Outcome
@@ -57,16 +56,6 @@ def test_fitness_is_the_best_of_the_evaluations_and_the_policy_earns_it(task: st
             spec = PolicySpec(env.num_obs, env.num_actions, how.ppo.hidden, how.ppo.activation, True, 0.5)
             again = evaluate(env, Policy(spec, outcome.policy).double(), seed=5)
             assert float(again.returns[0]) == outcome.fitness
-
-
-@DOUBLE
-@pytest.mark.parametrize("preset", ["paper", "fast"])
-def test_the_batch_equals_trainings_one_by_one(preset: str) -> None:
-    found, how = candidates(3), small(preset)
-    batched = PopulationEvaluator(factory(dtype="float64"), how, 7).evaluate(found, {})
-    separate = outcomes_one_by_one(factory(dtype="float64"), how, 7, found)
-    for ours, theirs in zip(batched, separate, strict=True):
-        assert_close(ours, theirs)
 
 
 @pytest.mark.parametrize(("name", "samples"), [("paper", 512), ("paper_wide", 512), ("fast", 2048), ("gpu", 8192)])

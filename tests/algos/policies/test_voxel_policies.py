@@ -18,8 +18,8 @@ from warpvox.algos.evaluate import evaluate, evaluator
 from warpvox.algos.policies.layout import FEATURES, INPUTS, VoxelInputs, VoxelLayout, layout_of
 from warpvox.algos.policies.model import VoxelNormalizer
 from warpvox.algos.policies.registry import check_network, check_policy, layout_for, make_network
+from warpvox.algos.ppo.stock import PPO, rsl_rl_config
 from warpvox.algos.training.playing import SampledPolicy
-from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.code import Code
 from warpvox.envs.vec_env import VoxelVecEnv
