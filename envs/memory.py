@@ -79,7 +79,10 @@ def environment_bytes(
     # A rollout in float32, and a minibatch of it with the activations of two networks and their derivatives. Besides
     # observation, action, mean and deviation a transition has six numbers: reward, end, value, ...
     transition = num_obs + 3 * sizes["action"] + 6
-    return each + 4 * ppo.steps * (transition + (transition + 4 * sum(ppo.hidden)) / ppo.minibatches)
+    learning = (transition + 4 * sum(ppo.hidden)) / ppo.minibatches
+    if sim.device != "cpu":  # a graph keeps scaled inputs and means, and the rollout in the order of learning
+        learning += 2 * transition
+    return each + 4 * ppo.steps * (transition + learning)
 
 
 def _entries(spec: TaskSpec, obs: str, points: int, cells: int) -> int:

@@ -68,10 +68,10 @@ class BayesianSearch(BaseSearch):
         return [Proposal(body, (), "improvement" if moved else "thompson") for body, moved in chosen]
 
     def _ends_or_starts(self, starts: np.ndarray, ends: np.ndarray) -> Iterator[tuple[np.ndarray, bool]]:
-        """Each end, or its start where the end is not valid or not new; and whether it is the end."""
+        """Each end, or its start where the end is not valid or not new; and whether it has moved."""
         for start, end, good in zip(starts, ends, are_valid(ends), strict=True):
             if good and self.claim(end):
-                yield end, True
+                yield end, not np.array_equal(end, start)
             elif self.claim(start):  # False where an earlier climb has ended at this start
                 yield start, False
 

@@ -92,7 +92,13 @@ class _Generator(torch.Generator):
         return made
 
     def __init__(self, device: Any = "cpu") -> None:
-        pass
+        self.is_stuck = False  # in a capture that has failed
+
+    def clone_state(self) -> _Generator:
+        return self
+
+    def graphsafe_set_state(self, state: _Generator) -> None:
+        self.is_stuck = False
 
     @property
     def device(self) -> torch.device:
@@ -273,6 +279,8 @@ class SimulatedCuda(TorchFunctionMode):
         generator = kwargs.get("generator")
         if generator is not None and (generator.device.type == "cuda") != on_cuda:
             raise RuntimeError(f"{name}: the generator is on {generator.device}, not where the numbers shall be")
+        if isinstance(generator, _Generator) and generator.is_stuck:
+            raise RuntimeError("Offset increment outside graph capture encountered unexpectedly.")
         if generator is not None and self._capturing is not None and generator not in self.captured[-1].generators:
             raise RuntimeError(f"{name}: the generator is not registered with the graph")
         self.operations[name] += on_cuda

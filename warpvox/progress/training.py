@@ -96,7 +96,7 @@ class Terminal(Listener):
         if math.isfinite(row["eval_return"]) or now - self._printed >= QUIET_SECONDS or done == self._total:
             self._printed = now
             left = duration((now - self._began) / max(done - self._start, 1) * (self._total - done))
-            echo(self.console, f"iteration {done}/{self._total}  {figures}  left {left}  ({self._spent})")
+            echo(self.console, f"iteration {done}/{self._total}  {figures}  left {left}  {self._spent}".rstrip())
 
     def ended(self, summary: Mapping[str, Any]) -> None:
         if self._bar is not None:
@@ -162,7 +162,7 @@ def _conclusion(job: Job, seconds: float) -> str:
     text = f"{words} after {runner.steps:,} control steps in {seconds:.0f} s"
     if best is not None:
         text += f"; best evaluation {best:.2f} (iteration {runner.best_iteration})"
-    if runner.spent:
+    if str(runner.spent):
         text += f"\nwhere time went: {runner.spent}"
     if folder is None:
         return text

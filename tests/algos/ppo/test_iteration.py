@@ -194,7 +194,10 @@ def test_bodies_are_exchanged_between_captured_iterations(device: None) -> None:
 def test_a_capture_that_fails_is_said_once_and_learning_goes_on(cuda: SimulatedCuda, monkeypatch) -> None:
     @contextmanager
     def failing(*_: Any, **__: Any) -> Iterator[None]:
-        runners[1]._iteration.algorithm.storage.step = 3
+        algorithm = runners[1]._iteration.algorithm
+        algorithm.storage.step = 3
+        for generator in algorithm.streams.generators:
+            generator.is_stuck = True
         raise RuntimeError("operation failed due to a previous error during capture")
         yield
 
