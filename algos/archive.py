@@ -1,7 +1,7 @@
 """The archive of a design search: one SQLite file with all candidates and their results.
 
 Every change is a transaction, so that a process killed at any moment leaves a consistent file, and other programs
-can read it while the search is running. The tables are described in ``docs/archive.md``.
+can read it while the search is running. The tables are described in ``docs/formats.md``.
 
 The journal is SQLite's default, not WAL: an experiment then is a single file between two transactions, may be copied,
 and may lie on the shared disk of a cluster, where WAL does not work. Writing happens once an evaluation, so that its
@@ -40,14 +40,8 @@ APPLICATION = 0x77766F78
 """SQLite's application id of our files: "wvox"."""
 VERSION = 1
 """Version of the tables in archive.sql; a file of a later version is refused."""
-STEPS_BETWEEN_SIGNALS = 1_000_000
-"""Instructions of SQLite's virtual machine, of which it makes as many in some milliseconds."""
-WAIT_SECONDS = 30.0
-"""How long to wait for a reader to finish."""
 
 TABLES = Path(__file__).with_suffix(".sql").read_text(encoding="utf-8")
-JOURNAL = bytes.fromhex("d9d505f920a163d7")
-"""SQLite's mark of a journal; at its end, that it belongs to a transaction of several files."""
 KINDS = {
     "id": int, "generation": int, "body": str, "origin": str, "seed": int, "fitness": float, "steps": int,
     "stopped": int, "reused": int, "policy": str, "policy_sha256": str, "seconds": float,
@@ -471,14 +465,15 @@ def _transaction(db: sqlite3.Connection, kind: str = "IMMEDIATE") -> Iterator[No
     db.execute("COMMIT")
 
 
-def _connect(path: Path, mode: str, wait: float = WAIT_SECONDS) -> sqlite3.Connection:
+def _connect(path: Path, mode: str, wait: float = 30.0) -> sqlite3.Connection:
     _check_journal(Path(f"{path.resolve()}-journal"))
     # transactions are opened by hand: isolation_level=None turns the module's own off
     options = {"uri": True, "timeout": wait, "isolation_level": None, "check_same_thread": False}
     db = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", **options)
     db.row_factory = sqlite3.Row
-    # called in the middle of a query, it gives Python the chance to handle a signal, which ends the query
-    db.set_progress_handler(lambda: 0, STEPS_BETWEEN_SIGNALS)
+    # Called in the middle of a query, after some milliseconds of instructions, it gives Python the chance to handle a
+    # signal, which ends the query.
+    db.set_progress_handler(lambda: 0, 1_000_000)
     return db
 
 
@@ -491,8 +486,10 @@ def _check_journal(journal: Path) -> None:
         return
     with suppress(OSError), journal.open("rb") as file:  # what cannot be read SQLite cannot read either
         file.seek(0, os.SEEK_END)
-        file.seek(max(0, file.tell() - len(JOURNAL)))
-        if file.read() == JOURNAL:
+        # SQLite's mark at the end of a journal that belongs to a transaction of several files
+        mark = bytes.fromhex("d9d505f920a163d7")
+        file.seek(max(0, file.tell() - len(mark)))
+        if file.read() == mark:
             raise sqlite3.DatabaseError(f"{journal.name} is not of this archive alone; remove it")
 
 

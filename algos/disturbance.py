@@ -16,14 +16,8 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 JUDGED, SEARCHED = 0xFA1F, 0x5EED
 """Streams of random numbers: no seed makes the disturbances of a search those of a judgement."""
-GRID = 2.0**20
-"""Normal numbers are multiples of its inverse, so that machines whose logarithms differ in a last bit agree."""
-BITS = 1 << 53
-"""Numbers that are drawn for one in [0, 1)."""
 NOISE, STICKY, START, SENSORS, LENGTH = range(5)
 """Purposes of random numbers, a stream each."""
-STEPS = 1 << 20
-"""More control steps than an episode has."""
 
 
 class Draws:
@@ -40,14 +34,16 @@ class Draws:
 
     def uniform(self, purpose: int, step: int, count: int) -> torch.Tensor:
         """float64 ``[copies, count]`` in [0, 1)."""
-        self.stream.episode.fill_(purpose * STEPS + step)
-        return self.stream.rewind().integers(0, BITS, count).double() / BITS
+        # An episode has fewer than 2**20 control steps.
+        self.stream.episode.fill_(purpose * 2**20 + step)
+        return self.stream.rewind().integers(0, 2**53, count).double() / 2**53
 
     def normal(self, purpose: int, step: int, count: int) -> torch.Tensor:
         """float64 ``[copies, count]``, standard normal (Box and Muller)."""
         first, second = self.uniform(purpose, step, 2 * count).unflatten(1, (count, 2)).unbind(2)
         values = torch.sqrt(-2.0 * torch.log(1.0 - first)) * torch.cos(2.0 * math.pi * second)
-        return torch.round(values * GRID) / GRID
+        # Multiples of 2**-20: machines whose logarithms differ in the last bit agree.
+        return torch.round(values * 2.0**20) / 2.0**20
 
 
 def with_noise(actions: torch.Tensor, draws: Draws, step: int, deviation: Any) -> torch.Tensor:

@@ -16,8 +16,6 @@ DRAWING = frozenset({
     "kaiming_normal_", "kaiming_uniform_", "trunc_normal_", "xavier_normal_", "xavier_uniform_",
 })  # fmt: skip
 """Functions of torch, methods of tensors and ways to initialise weights that take a ``generator``."""
-TWISTER_SIZE = 624
-"""Numbers that torch's generator on the CPU, the Mersenne Twister MT19937, makes at once."""
 
 
 class Generators(TorchFunctionMode):
@@ -76,8 +74,9 @@ class Generators(TorchFunctionMode):
         if len(state["cpu"]) >= 24:
             left = int(state["cpu"][8:12].cpu().view(torch.int32))
             place = int(state["cpu"][16:24].cpu().view(torch.int64))
-            if left + place > TWISTER_SIZE + 1:
-                raise RunError(f"random.cpu has {left} numbers left at place {place} of {TWISTER_SIZE}.")
+            twister_size = 624  # numbers that the Mersenne Twister MT19937 makes at once
+            if left + place > twister_size + 1:
+                raise RunError(f"random.cpu has {left} numbers left at place {place} of {twister_size}.")
 
         for kind in self._generators.keys() & state.keys():
             self._generators[kind].set_state(state[kind].cpu())

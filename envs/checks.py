@@ -203,6 +203,10 @@ class FiniteGuard:
         self._of_columns.zero_()
         self._columns = self._layout.columns
 
+    def total(self) -> torch.Tensor:
+        """How many numbers were not finite since designs have changed, long, on the device."""
+        return self._of_rewards.sum() + self._of_columns.sum()
+
     def _counts(self) -> dict[str, int]:
         """In how many environments each term was not finite so far, all terms."""
         counts: dict[str, int] = {}

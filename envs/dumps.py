@@ -110,7 +110,12 @@ class DivergenceDump:
 
         # As a rollout: numbers that are finite, and an end in the last step
         scene = self._scenes[int(self.env.sim.design_index[env])]
-        shown = _finite_frames(positions[:, : scene.num_points])
+        with np.errstate(over="ignore", invalid="ignore"):
+            shown = positions[:, : scene.num_points].astype(np.float32)  # [steps, points, 2]
+        # A frame that float32 cannot hold is replaced by the one before.
+        good = np.isfinite(shown).all((1, 2))
+        last = np.maximum.accumulate(np.where(good, np.arange(steps), good.argmax()))
+        shown = shown[last] if good.any() else np.zeros_like(shown)
         over = np.zeros((steps, 1), bool)
         over[-1] = True
         return Rollout(
@@ -131,12 +136,3 @@ class DivergenceDump:
                 "states_not_finite": int((~np.isfinite(positions)).any((1, 2)).sum()),
             },
         )
-
-
-def _finite_frames(positions: np.ndarray) -> np.ndarray:
-    """Frames ``[frames, points, 2]``; one that float32 cannot hold is replaced by the one before."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        frames = positions.astype(np.float32)
-    good = np.isfinite(frames).all((1, 2))
-    last = np.maximum.accumulate(np.where(good, np.arange(len(frames)), good.argmax()))
-    return frames[last] if good.any() else np.zeros_like(frames)

@@ -3,7 +3,8 @@
 The physics is that of the stages of ``step.py`` in fast arithmetic, in one launch; the C++ is in ``native/group``.
 Packs have one lane, so that the rows of an environment lie side by side and each may have tables of its own. The
 threads of a group take points, springs and candidates in turns (``for (i = part; i < n; i += parts)``); sums are
-made in a fixed order by one thread, without atomics: the bits of an environment do not depend on the rest of the batch.
+made in a fixed order by one thread, and what is atomic, the marking of pairs, is the same in any order: the bits of an
+environment do not depend on the rest of the batch.
 
 On the CPU the same source runs in Warp's cooperative blocks, for tests. There, and in float64, it equals the lanes bit
 for bit. In float32 on CUDA it is *approximate*: roots and quotients of springs and the contact law are accurate to a
@@ -12,6 +13,7 @@ few units in the last place of float32, positions and velocities are accumulated
 
 import functools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import warp as wp
@@ -47,8 +49,8 @@ class Group:
     Attributes:
         precision: of the springs, 'float32' or 'float64'.
         parts: threads of a group: 16, 32, 64 or 128.
-        points, movers, springs: capacities, multiples of 16 or 32; no other points than the first ``movers`` are free
-            or hang on a spring.
+        points, movers, springs, rigids: capacities, multiples of 16 or 32; no other points than the first ``movers``
+            are free or hang on a spring; rigids are the sides of rigid voxels.
         approximate: roots, quotients and the contact law in fast float32.
     """
 
@@ -57,6 +59,7 @@ class Group:
     points: int
     movers: int
     springs: int
+    rigids: int
     approximate: bool
 
     @property
@@ -74,15 +77,15 @@ class Group:
     def layout(self) -> dict[str, tuple[int, int]]:
         """Elements of each field of ``Shared`` (``native/group/base.h``), and the bytes of one.
 
-        Forces of springs share their place with others. The list of close corners has room for 8 a thread of a warp.
+        Tensions of springs share their place with others. The list of close corners has room for 8 a thread.
         """
         real, movers, springs, parts = 4 if self.precision == "float32" else 8, self.movers, self.springs, self.parts
-        touch = 16 * movers + parts * (16 + 12 * real + 16)
-        in_turn = max(touch, 2 * real * (2 * springs + 2), 2 * real * movers)
+        touch = 16 * movers + min(parts, WARP) * (16 + 12 * real) + 16 * parts
+        in_turn = max(touch, 2 * real * (springs + 2), 2 * real * movers)
         fields = dict(pos=(self.points, 16), disp=(movers, 2 * real), contact=(movers, 2 * real), links=(movers, 16))
-        fields |= dict(spring=(springs, 2 * real), length=(springs, 2 * real), rigid=(parts, 2 * real))
+        fields |= dict(spring=(springs, 2 * real), length=(springs, 2 * real), rigid=(self.rigids, 2 * real))
         fields |= dict(tension=(in_turn // (2 * real), 2 * real))
-        return fields | dict(close=(8 * min(parts, WARP), 2))
+        return fields | dict(close=(8 * parts, 2))
 
     @property
     def bytes(self) -> int:
@@ -95,12 +98,15 @@ class Group:
         return (self.bytes + 4 * max(WARP, self.parts)) // 8
 
 
-def choose(points: int, springs: int, precision: str, device: str, movers: int | None = None) -> Group | None:
-    """The group for worlds with so many points and springs at most; None where they exceed the shared memory.
+def choose(sizes: Mapping[str, int], precision: str, device: str) -> Group | None:
+    """The group for worlds of such sizes; None where they exceed the shared memory.
 
-    No other points than the first ``movers`` are free or hang on a spring; None: any may.
+    Args:
+        sizes: the most points ('point'), springs ('spring') and sides of rigid voxels ('rigid'); no other points than
+            the first 'mover' are free or hang on a spring.
     """
-    movers = points if movers is None else movers
+    counts = [sizes[name] for name in ("point", "mover", "spring", "rigid")]
+    points, movers, springs, _ = counts
     if on_cuda(device):
         # 16 threads for bodies of 5 x 5 voxels, with a box or a ball; else as many as keep loops unrolled
         if movers <= 48 and springs <= 144:
@@ -110,14 +116,14 @@ def choose(points: int, springs: int, precision: str, device: str, movers: int |
             tried = [next((parts for parts in (WARP, 2 * WARP) if rounds <= parts), 4 * WARP), WARP]
     else:
         # One kernel for most worlds, as memory is no limit there
-        points = movers = max(points, 512)
-        springs = max(springs, 1024)
+        points = max(points, 512)
+        counts = [points, points, max(springs, 1024), max(counts[-1], 1024)]
         tried = [16 if points <= 16 * ROUNDS else 32]
 
     for parts in tried:
         unit = min(parts, WARP)
-        sizes = [math.ceil(max(count, 1) / unit) * unit for count in (points, movers, springs)]
-        group = Group(precision, parts, *sizes, on_cuda(device) and precision == "float32")
+        room = [math.ceil(max(count, 1) / unit) * unit for count in counts]
+        group = Group(precision, parts, *room, on_cuda(device) and precision == "float32")
         fits = group.movers <= ROUNDS * parts and group.springs < 1 << 15  # point and place numbers have 16 bits
         if fits and (not on_cuda(device) or group.bytes * max(WARP // parts, 1) <= SHARED_BYTES):
             return group
@@ -127,7 +133,7 @@ def choose(points: int, springs: int, precision: str, device: str, movers: int |
 def source(group: Group, whole_warps: bool = False) -> str:
     """The C++ of a group kernel; with ``whole_warps`` the groups of a warp are one block on the CPU, too."""
     sizes = dict(PARTS=group.parts, POINTS=group.points, MOVERS=group.movers, SPRINGS=group.springs, LINKS=LINKS)
-    sizes |= dict(GROUP_BYTES=group.bytes, FEW=FEW, CODED=CODED, CLOSE=group.layout["close"][0])
+    sizes |= dict(RIGIDS=group.rigids, GROUP_BYTES=group.bytes, FEW=FEW, CODED=CODED, CLOSE=group.layout["close"][0])
     sizes |= CPP_CONSTANTS | dict(VOXEL=VOXEL, PARALLEL=PARALLEL, DEGENERATE=DEGENERATE, CLOSE_MARGIN=CLOSE_MARGIN)
     sizes |= dict(SHARED_BYTES=SHARED_BYTES, WHOLE_WARPS=int(whole_warps))
     lines = [f"typedef {'float' if group.precision == 'float32' else 'double'} Real;"]

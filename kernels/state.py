@@ -88,7 +88,11 @@ MODEL: Table = {
         "mesh twin_end",
         "springs, ascending, that pull at a twin of an end: spring, twin, end, lanes",
     ),
-    "rigid_spring": (int, "mesh rigid", "sides of rigid voxels in the order of the second strain pass"),
+    "rigid_spring": (
+        int,
+        "mesh rigid",
+        "sides of rigid voxels in the order of the second strain pass; in groups level by level, the last as -1 - s",
+    ),
     "rigid_lanes": (int, "mesh rigid", "where the voxel is rigid and has this side"),
     "corner": (
         wp.vec4i,

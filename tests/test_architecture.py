@@ -210,11 +210,11 @@ def test_simulations_and_environments_are_used_by_their_public_methods() -> None
 
 
 CEILINGS = {
-    "tokens": 259_600,
+    "tokens": 262_200,  # an iteration as one graph, evaluations beside it, and where time goes
     "tokens a line of code": 11.05,
     "names at module level": 1_840,
     "public names at module level": 1_400,
-    "files that train may load": 145,
+    "files that train may load": 148,  # the PPO of populations learns for train on CUDA
     "files in circles, types counted": 0,
 }
 """How large the house may be. Lower a figure when a change has brought it down; a higher one needs a reason."""

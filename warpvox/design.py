@@ -44,7 +44,7 @@ LARGEST_BODY = 1 << 16
 LARGEST_FILE = 4_000_000
 """Bytes that a file of a design, its arrays together, or the text of one may have."""
 
-ZOO_FOLDER = Path(__file__).parent / "robots" / "data"
+ZOO_FOLDER = Path(__file__).parent / "data"
 """The zoo: a stored robot for every task, ``TASK.npz``."""
 
 DESIGN_SUFFIXES = (".json", ".npz", ".npy")
@@ -100,8 +100,16 @@ def as_grid(
         limit: cells at most.
     """
     cells = design_of(cells)
+
+    # Texts and further lists are refused before numpy makes an array of the rows: beside one long text it would take as
+    # much memory for every number.
     if isinstance(cells, list | tuple):
-        _check_rows(cells, what, error)
+        for row in cells:
+            for cell in row if isinstance(row, list | tuple) else [row]:
+                if isinstance(cell, str | bytes):
+                    raise error(f"The {what} must hold numbers (cell types 0 to {int(max(Cell))}), got {cell!r:.60}.")
+                if isinstance(cell, list | tuple):
+                    raise error(f"The {what} must have two dimensions [rows, columns], got lists inside of its rows.")
     try:
         raw = np.asarray(cells)
     except ValueError:  # numpy's word for nested lists of unequal length
@@ -125,19 +133,6 @@ def as_grid(
             f" known are {_cell_names()}."
         )
     return raw.astype(np.int8)
-
-
-def _check_rows(rows: Sequence[object], what: str, error: type[Exception]) -> None:
-    """Raise ``error`` for rows with texts or further lists.
-
-    Before numpy makes an array of them: beside one long text it would take as much memory for every number.
-    """
-    for row in rows:
-        for cell in row if isinstance(row, list | tuple) else [row]:
-            if isinstance(cell, str | bytes):
-                raise error(f"The {what} must hold numbers (cell types 0 to {int(max(Cell))}), got {cell!r:.60}.")
-            if isinstance(cell, list | tuple):
-                raise error(f"The {what} must have two dimensions [rows, columns], got lists inside of its rows.")
 
 
 def has_actuator(body: object) -> bool:
@@ -308,7 +303,12 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
     if text.startswith("zoo:"):
         return _read_path(zoo_file(text.removeprefix("zoo:"), DesignError))
     if text == "random" or text.startswith("random:"):
-        return sample_design(_parse_size(text), seed)
+        size = re.fullmatch(r"random(:(\d{1,9})[xX](\d{1,9}))?", text)
+        if size is None:
+            raise DesignError(
+                f"Cannot read the size in '{_shorten(text)}': expected random:ROWSxCOLUMNS, e.g. random:5x7."
+            )
+        return sample_design((int(size[2] or 5), int(size[3] or 5)), seed)
     if text in EXAMPLES:
         return example_design(text)
     path = os.path.expanduser(text)
@@ -387,28 +387,26 @@ def _run_folder(path: Path) -> Path:
     return path.parent if path.suffix == ".pt" else path
 
 
-def _read_run(path: Path) -> Design:
-    """The body of a training, or the best one of a design search."""
-    folder = _run_folder(path)
-    try:
-        config = read_config(folder)
-    except RunError as error:
-        raise DesignError(str(error)) from None
-    of_search = "search" in config
-    body = (read_facts(folder / SUMMARY) if of_search else config).get("design")
-    many = config.get("designs")
-    if isinstance(many, dict) and many.get("bodies") is not None:
-        raise DesignError(f"The run {path} has many bodies: give one of them.")
-    if not isinstance(body, list):
-        what = "has evaluated no design yet" if of_search else "says no single body"
-        raise DesignError(f"The run {path} {what}.")
-    return check_design(body)
-
-
 def _read_path(path: Path) -> Design:
     """Read the design of a file, a folder or a run."""
-    if os.path.isfile(_run_folder(path) / CONFIG):  # False of any path, however long
-        return _read_run(path)
+    # The body of a training, or the best one of a design search
+    folder = _run_folder(path)
+    if os.path.isfile(folder / CONFIG):  # False of any path, however long
+        try:
+            config = read_config(folder)
+        except RunError as error:
+            raise DesignError(str(error)) from None
+        of_search = "search" in config
+        body = (read_facts(folder / SUMMARY) if of_search else config).get("design")
+        many = config.get("designs")
+        if isinstance(many, dict) and many.get("bodies") is not None:
+            raise DesignError(f"The run {path} has many bodies: give one of them.")
+        if not isinstance(body, list):
+            what = "has evaluated no design yet" if of_search else "says no single body"
+            raise DesignError(f"The run {path} {what}.")
+        return check_design(body)
+
+    # The design of a file or a folder
     try:
         body, connections = _read_folder(path) if os.path.isdir(path) else _read_file(path)
     except Missing:
@@ -419,9 +417,16 @@ def _read_path(path: Path) -> Design:
         raise DesignError(f"The design file '{path}' cannot be read: {error}.") from None
     except OSError as error:
         raise DesignError(f"The folder '{path}' cannot be read: {error.strerror or error}.") from None
+
+    # A body alone means "all neighbours are connected"; dropping cuts silently would be another robot.
     if connections is not None and isinstance(body, np.ndarray) and body.ndim == 2:
-        # A body alone means "all neighbours are connected"; dropping cuts silently would be another robot.
-        cuts = {tuple(pair) for pair in full_connections(body).tolist()} - _pairs(path, connections)
+        if connections.size and (connections.shape[:-1] != (2,) or not np.isfinite(connections).all()):
+            raise DesignError(
+                f"The design file '{path}' has connections that are not pairs of cells [2, k]: got shape"
+                f" {connections.shape} of {connections.dtype}."
+            )
+        connected = {tuple(sorted(pair)) for pair in connections.T.tolist()}
+        cuts = {tuple(pair) for pair in full_connections(body).tolist()} - connected
         if cuts:
             raise DesignError(
                 f"The design file '{path}' leaves {len(cuts)} pair(s) of neighbouring cells unconnected,"
@@ -498,16 +503,6 @@ def _parse_grid(data: bytes) -> list[list[float]]:
     return rows
 
 
-def _pairs(path: Path, connections: np.ndarray) -> set[tuple[int, ...]]:
-    """Connections ``[2, k]`` as a set of pairs a < b."""
-    if connections.size and (connections.shape[:-1] != (2,) or not np.isfinite(connections).all()):
-        raise DesignError(
-            f"The design file '{path}' has connections that are not pairs of cells [2, k]: got shape"
-            f" {connections.shape} of {connections.dtype}."
-        )
-    return {tuple(sorted(pair)) for pair in connections.T.tolist()}
-
-
 def _parse_list(text: str, source: str) -> object:
     try:
         if len(text) > LARGEST_FILE:
@@ -545,15 +540,6 @@ def _robot_of(world: dict, source: str) -> np.ndarray:
     rows = np.flatnonzero(filled.any(1))
     columns = np.flatnonzero(filled.any(0))
     return grid[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-
-
-def _parse_size(text: str) -> tuple[int, int]:
-    if text == "random":
-        return (5, 5)
-    match = re.fullmatch(r"random:(\d{1,9})[xX](\d{1,9})", text)
-    if match is None:
-        raise DesignError(f"Cannot read the size in '{_shorten(text)}': expected random:ROWSxCOLUMNS, e.g. random:5x7.")
-    return int(match[1]), int(match[2])
 
 
 def _check_weights(weights: Sequence[float]) -> np.ndarray:

@@ -117,10 +117,6 @@ def check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
                 raise ConfigError(f"{name} must be {words} {limits[bound]}, got {entry!r}.")
 
 
-KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "text", list: "a list"}
-ACCEPTED = {int: Integral, float: Real, bool: bool | np.bool_, str: str | os.PathLike, list: list | tuple | np.ndarray}
-
-
 def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> None:
     """Give the values of a dataclass the types of its fields, but for ``without``: numpy's numbers, tuples, mappings.
 
@@ -179,8 +175,16 @@ def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
             raise ConfigError(f"{name} must be {kind.__name__}(...) or values by name, got {value!r:.80}.")
         return value
     plain = get_origin(kind) or kind
-    if not isinstance(value, ACCEPTED[plain]) or (plain is not bool and isinstance(value, bool)):
-        raise ConfigError(f"{name} must be {KINDS[plain]}{f' or {none}' if optional else ''}, got {value!r:.80}.")
+    accepted = {
+        int: Integral,
+        float: Real,
+        bool: bool | np.bool_,
+        str: str | os.PathLike,
+        list: list | tuple | np.ndarray,
+    }
+    if not isinstance(value, accepted[plain]) or (plain is not bool and isinstance(value, bool)):
+        kinds = {int: "an integer", float: "a number", bool: "true or false", str: "text", list: "a list"}
+        raise ConfigError(f"{name} must be {kinds[plain]}{f' or {none}' if optional else ''}, got {value!r:.80}.")
     if plain is list:
         return [converted(entry, get_args(kind)[0], name) for entry in value]
     if plain is str:

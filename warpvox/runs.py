@@ -32,10 +32,8 @@ from warpvox.io.writing import (
     write_bytes,
     write_text,
 )
-from warpvox.robots.entry import Robot
 from warpvox.system import is_device_name, processor_name
 
-NUMBERS = ("evaluations", "steps", "elapsed_seconds", "best_fitness")  # of a summary
 ZOO = "zoo:"
 """How the name of a stored robot begins where a run or a design is expected."""
 BEST = "model_best.pt"
@@ -49,8 +47,6 @@ STAMP, STAMP_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 NOT_IN_NAMES = re.compile(r"[^\w.+-]+")
 LONGEST_NAME, LONGEST_BYTES = 100, 150
 """Limits of what a name adds to that of a folder: date and values of a sweep need room, and 255 bytes are the end."""
-PATIENCE = 20.0
-"""Seconds that git may take, on the disk of a network for instance."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +59,7 @@ class Run:
     folder: Path
     config: dict[str, Any]
     checkpoint: Path | None = None
-    robot: Robot | None = None
+    robot: Any = None
 
     @property
     def is_many(self) -> bool:
@@ -272,7 +268,8 @@ def read_summary(folder: Path) -> dict[str, Any]:
     known = read_facts(folder / SUMMARY)
     fresh = known.get("fresh_seeds")
     judged = isinstance(fresh, dict) and all(is_number(fresh.get(name)) for name in ("mean", "low", "high", "episodes"))
-    good = {name: is_number(known.get(name)) for name in NUMBERS} | {"fresh_seeds": judged}
+    numbers = ("evaluations", "steps", "elapsed_seconds", "best_fitness")
+    good = {name: is_number(known.get(name)) for name in numbers} | {"fresh_seeds": judged}
     return {name: value for name, value in known.items() if good.get(name, True)}
 
 
@@ -299,7 +296,8 @@ def _commit() -> str | None:
         return None
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, stdin=subprocess.DEVNULL)
+        # git may wait for the disk of a network.
+        done = subprocess.run(command, capture_output=True, text=True, timeout=20.0, stdin=subprocess.DEVNULL)
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout.strip() or None if done.returncode == 0 else None

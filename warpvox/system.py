@@ -28,13 +28,9 @@ GONE = {errno.EPIPE, errno.ECONNRESET, errno.ESHUTDOWN, *([errno.EINVAL] if WIND
 
 SAFE_PATH = "PYTHONSAFEPATH"
 """Variable of the environment by which interpreters from Python 3.11 on leave the current folder out of their path."""
-SAFE_FOLDER = os.path.dirname(os.__file__)
-"""The folder of the standard library: what is imported from there would be imported anyway."""
 _starting = threading.RLock()
 """Held while the current folder and the environment are those for a start."""
 
-DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(10))}
-"""Names that Windows keeps."""
 
 HANGUP: int | None = getattr(signal, "SIGHUP", None)
 """Sent when the terminal's window or connection is closed; None on Windows, which has no such signal."""
@@ -57,7 +53,7 @@ def safe_start(move: bool = True) -> Iterator[None]:
 
     ``python -c`` and ``python -m``, by which libraries start theirs, look into the current folder first, and Ray has
     its workers do so. Python 3.11 and later can be told not to by :data:`SAFE_PATH`. For Python 3.10 and for Ray the
-    block runs in :data:`SAFE_FOLDER`; a child whose place matters changes to the right folder itself.
+    block runs in the folder of the standard library; a child whose place matters changes to the right folder itself.
 
     Args:
         move: False: the block stays in the current folder. Nothing then protects children of Python 3.10.
@@ -70,7 +66,8 @@ def safe_start(move: bool = True) -> Iterator[None]:
         os.environ[SAFE_PATH] = "1"
         try:
             if move:
-                os.chdir(SAFE_FOLDER)
+                # The folder of the standard library: what is imported from there would be imported anyway.
+                os.chdir(os.path.dirname(os.__file__))
             yield
         finally:
             if move:
@@ -141,7 +138,9 @@ def _quotas(root: Path = Path("/")) -> Iterator[int]:
 
 def is_device_name(name: str) -> bool:
     """Return whether Windows takes a file's name for a device, whatever its suffix: files are to open there, too."""
-    return name.partition(".")[0].rstrip(" ").upper() in DEVICES
+    # Names that Windows keeps
+    kept = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(10))}
+    return name.partition(".")[0].rstrip(" ").upper() in kept
 
 
 def processor_name() -> str:

@@ -24,14 +24,18 @@ def write_csv(archive: Archive, path: Path) -> Path:
     RunError: another suffix than .csv.
     """
     check_suffix("The table", path, (".csv",), RunError)
-    write_table(path, COLUMNS, (map(_cell, _row(record).values()) for record in archive.records()))
+    rows = []
+    for record in archive.records():
+        cells = []
+        for value in _row(record).values():
+            if isinstance(value, list):
+                value = json.dumps(value)
+            elif isinstance(value, bool):
+                value = int(value)
+            cells.append(value)
+        rows.append(cells)
+    write_table(path, COLUMNS, rows)
     return path
-
-
-def _cell(value: Any) -> Any:
-    if isinstance(value, list):
-        return json.dumps(value)
-    return int(value) if isinstance(value, bool) else value
 
 
 def write_parquet(archive: Archive, path: Path) -> Path:

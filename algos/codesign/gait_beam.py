@@ -11,14 +11,6 @@ from warpvox.algos.codesign.gaits import Gait, Motion, draw_motion, gait_of, mot
 from warpvox.algos.disturbance import Draws
 from warpvox.envs.vec_env import VoxelVecEnv
 
-KEPT = 0.125
-"""Share of the beginnings of an episode that is continued after each stage."""
-SIBLINGS = 0.25
-"""Share of these that may continue the same beginning, lest all descend from one."""
-FOLLOWED, VARIED, KNOWN, EARLIER = 0.1, 0.4, 0.65, 0.75
-"""Cumulative shares of continuations: the known gait, mutants of the present motion, motions of known gaits and their
-mutants, mutants of an earlier motion. The rest are random motions."""
-
 Begun = tuple[tuple[int, Motion], ...]
 """Motions with the control steps in which they begin."""
 
@@ -99,7 +91,8 @@ class _Search:
         self.body, self.count, self.rng = body, count, rng
         self.plan = motions_of(known[0]) if known else ()
         self.motions = [motion for gait in known for _, motion in motions_of(gait)]
-        self.kept = max(1, round(KEPT * count))
+        # One beginning of an episode in eight is continued after each stage.
+        self.kept = max(1, round(0.125 * count))
         self.beginnings = [_Beginning(is_known=bool(known))]
         self.sources: list[int] = []
         self.best: tuple[float, Gait] | None = None
@@ -118,7 +111,11 @@ class _Search:
                 is_known = beginning.is_known and number == 0
                 added = self._plan(first, last) if is_known else self._motions(beginning.begun, number, first, last)
                 self.sources.append(beginning.place)
-                self._tried.append(_Beginning(len(self._tried), _joined(beginning.begun, added), is_known))
+                # A motion that goes on is not begun again.
+                begun = beginning.begun
+                goes_on = bool(begun) and begun[-1][1] is added[0][1]
+                begun += added[1:] if goes_on else added
+                self._tried.append(_Beginning(len(self._tried), begun, is_known))
                 self._gaits.append(gait_of(added))
         return self._gaits
 
@@ -132,7 +129,8 @@ class _Search:
                 self.best = value, gait_of(tried.begun)
         going = [tried for tried in self._tried if not ended[tried.place]]
         going.sort(key=lambda tried: (not tried.is_known, -values[tried.place]))
-        most = max(2, round(SIBLINGS * self.kept))
+        # A quarter of these at most continue the same beginning, or all would descend from one.
+        most = max(2, round(0.25 * self.kept))
         chosen: list[_Beginning] = []
         children = dict.fromkeys(self.sources, 0)
         for tried in going:
@@ -148,15 +146,17 @@ class _Search:
         if begun and number == 0:
             return ((first, begun[-1][1]),)
         kind = rng.random()
-        if self.plan and kind < FOLLOWED:
+        # A tenth follow the known gait, three tenths are mutants of the present motion, a quarter are motions
+        # of known gaits or mutants of them, a tenth are mutants of an earlier motion, the others are random.
+        if self.plan and kind < 0.1:
             return self._plan(first, last)
-        if begun and kind < VARIED:
+        if begun and kind < 0.4:
             motion = mutate_motion(rng, begun[-1][1], body, first)
-        elif self.motions and kind < KNOWN:
+        elif self.motions and kind < 0.65:
             motion = self.motions[rng.integers(len(self.motions))]
             if rng.random() < 0.5:
                 motion = mutate_motion(rng, motion, body, first)
-        elif begun and kind < EARLIER:
+        elif begun and kind < 0.75:
             motion = mutate_motion(rng, begun[rng.integers(len(begun))][1], body, first)
         else:
             motion = draw_motion(rng, body)
@@ -167,8 +167,3 @@ class _Search:
         present = max(place for place, (begin, _) in enumerate(self.plan) if begin <= first)
         later = tuple((begin, motion) for begin, motion in self.plan[present + 1 :] if begin < last)
         return ((first, self.plan[present][1]), *later)
-
-
-def _joined(begun: Begun, added: Begun) -> Begun:
-    """Motions one after another; one that goes on is not begun again."""
-    return begun + (added[1:] if begun and begun[-1][1] is added[0][1] else added)

@@ -10,20 +10,8 @@ from warpvox.types import Cell
 
 PERIODS = (5.0, 40.0)
 """Control steps of a travelling wave."""
-SLOW_PERIODS = (8.0, 200.0)
-"""Control steps of a wave about the centre, once per turn of a rolling body."""
 SHORTEST, LONGEST = 3.0, 400.0
 """Control steps; limits of mutated periods."""
-MOST_TURN = 1.6
-"""Radians from a voxel to the next: waves of four voxels and longer."""
-GAINS = (1.0, 4.5)
-"""From a sine to nearly a square wave, for values are cut at -1 and 1."""
-MOST_REST = 2.0
-"""A rest beyond 1 holds an actuator still for a part of the period."""
-STEP_SIZES = (0.02, 1.0)
-"""Of mutations: as often small as large, on a logarithmic scale."""
-NEW_MOTION = 0.3
-"""Share of mutants with several stages of which one begins another motion: what happens before it stays as it was."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,11 +93,14 @@ def _wave(rng: np.random.Generator, body: Design) -> Motion:
     """A wave that travels through the body in some direction, or round its centre."""
     x, y = _places(body)
     vertical = body == Cell.V_ACT
-    gain = np.full(body.shape, _log_uniform(rng, GAINS))
+    # From a sine to nearly a square wave: values are cut at -1 and 1.
+    gain = np.full(body.shape, _log_uniform(rng, (1.0, 4.5)))
     if rng.random() < 0.25:
+        # About the centre: a wave for each turn of a rolling body
         phase = rng.choice([-1, 1]) * np.arctan2(y, x) + rng.integers(4) * np.pi / 2 * vertical
-        return _log_uniform(rng, SLOW_PERIODS), gain, phase + rng.uniform(0, 2 * np.pi), np.zeros(body.shape)
-    turn_x, turn_y = rng.uniform(-MOST_TURN, MOST_TURN, 2)
+        return _log_uniform(rng, (8.0, 200.0)), gain, phase + rng.uniform(0, 2 * np.pi), np.zeros(body.shape)
+    # Radians from a voxel to the next: waves of four voxels and longer
+    turn_x, turn_y = rng.uniform(-1.6, 1.6, 2)
     phase = turn_x * x + turn_y * y + rng.uniform(0, 2 * np.pi) * vertical
     return _log_uniform(rng, PERIODS), gain, phase, np.zeros(body.shape)
 
@@ -125,7 +116,8 @@ def _pose(rng: np.random.Generator, body: Design) -> Motion:
 def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
     """A gait that differs from ``gait`` in one to three ways, in one stage or in all of them."""
     stages = len(gait.begin)
-    if stages > 1 and rng.random() < NEW_MOTION:
+    # In three mutants of ten one stage begins another motion: what happens before it stays as it was.
+    if stages > 1 and rng.random() < 0.3:
         gait = _with_motion(rng, gait, body, steps)
         if rng.random() < 0.5:
             return gait
@@ -163,7 +155,8 @@ def _with_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int)
 
 def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chosen: np.ndarray) -> dict:
     """The changed fields of ``gait``; ``chosen``: stages that change, bool ``[stages]``."""
-    size = _log_uniform(rng, STEP_SIZES)
+    # Mutations are as often small as large.
+    size = _log_uniform(rng, (0.02, 1.0))
     cells = chosen[:, None, None] * (rng.random(body.shape) < rng.choice([0.08, 0.3, 1.0]))
     noise = size * cells * rng.normal(size=body.shape)
     kind = rng.integers(7)
@@ -185,9 +178,10 @@ def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chos
     if kind == 3:
         return {"phase": gait.phase + 2 * noise}
     if kind == 4:
-        return {"rest": np.clip(gait.rest + 1.5 * noise, -MOST_REST, MOST_REST)}
+        # A rest beyond 1 holds an actuator still for a part of the period.
+        return {"rest": np.clip(gait.rest + 1.5 * noise, -2.0, 2.0)}
     if kind == 5:
-        return {"amplitude": np.clip(gait.amplitude + 1.5 * noise, 0.0, 2 * GAINS[1])}
+        return {"amplitude": np.clip(gait.amplitude + 1.5 * noise, 0.0, 9.0)}
     # a few cells at their longest or shortest
     few = chosen[:, None, None] & (rng.random(body.shape) < 0.15)
     return {"rest": np.where(few, rng.choice([-1.0, 1.0], body.shape), gait.rest)}

@@ -14,9 +14,6 @@ from warpvox.envs.worlds import ROBOT
 from warpvox.errors import RunError
 from warpvox.types import Cell
 
-MAX_COUNT = 4096
-"""Largest sample count that a child's normaliser takes over, so that it still adapts to its own observations."""
-
 
 @dataclass(frozen=True)
 class BodyLayout:
@@ -86,7 +83,8 @@ def copy_weights(
         if key in state:
             _copy(state[key].T, policy[key].T, inputs, None, key)
     if "obs_normalizer.count" in state:
-        state["obs_normalizer.count"].copy_(policy["obs_normalizer.count"].clamp(max=MAX_COUNT))
+        # A child still adapts its normaliser to its own observations.
+        state["obs_normalizer.count"].copy_(policy["obs_normalizer.count"].clamp(max=4096))
     actor.load_state_dict(state)
     moments = {name: value for name, value in state.items() if name.startswith("obs_normalizer.")}
     critic.load_state_dict(critic.state_dict() | moments)

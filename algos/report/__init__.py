@@ -7,6 +7,7 @@ import base64
 import html
 import json
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from warpvox.algos.archive import Archive, Record
@@ -14,17 +15,15 @@ from warpvox.algos.candidate import FINALIST, best_so_far
 from warpvox.algos.find import find_run
 from warpvox.algos.report.charts import Series, chart, sparkline
 from warpvox.algos.report.members import SearchResult
-from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.code import words_of_code
 from warpvox.errors import RunError
 from warpvox.io.text import in_html, shell_argument
 from warpvox.palette import body_svg
 from warpvox.runs import CONFIG
+from warpvox.view.player import asset, fill_template
 
 FILE, FILM = "report.html", "film.webp"
 """The report in the folder of a search, and an episode of a robot in that of its design."""
-BEST, CURVES = 10, 5
-"""Designs that are shown large, and with their learning curves."""
 
 
 def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str:
@@ -34,23 +33,39 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
         facts: what stands under the title, by name: status, search, version, ...
         folder: of the search, with policies and films of designs.
     """
+    # What is shown
     records = archive.records()
     done = [record for record in records if record.fitness is not None]
-    best = archive.best(BEST)
-    line = [record for record in archive.lineage(best[0].id) if record.fitness is not None] if best else []
+    best = archive.best(10)
+    ancestors = archive.lineage(best[0].id) if best else []
+    line = [record for record in ancestors if record.fitness is not None]
     search = SearchResult(folder, "", archive.settings, records, best[0] if best else None, {})
-    learning = [Series(f"#{one.id}", best_so_far(one.curve), "step", k) for k, one in enumerate(best[:CURVES], 1)]
-    title = " · ".join(str(facts[name]) for name in ("task", "search") if name in facts)
-    slots = {
-        "facts": fact_list(_figures(done, best) | dict(facts)),
+    learning = []
+    for colour, record in enumerate(best[:5], 1):
+        learning.append(Series(f"#{record.id}", best_so_far(record.curve), "step", colour))
+    facts = _figures(done, best) | dict(facts)
+    title = " · ".join(facts[name] for name in ("task", "search") if name in facts) or "design search"
+
+    # Its parts
+    named = []
+    for name, value in facts.items():
+        named.append(f"<div><dt>{in_html(name)}</dt><dd>{in_html(str(value))}</dd></div>")
+    parts = {
+        "facts": "".join(named),
         "progress": _progress(search, archive),
-        "best": "".join(_card(one, folder) for one in best) or NOTHING,
+        "best": "".join(_card(record, folder) for record in best) or '<p class="faint">No design is evaluated yet.</p>',
         "curves": chart(learning, "control steps", "best return so far"),
         "tree": family_tree(line) if line else '<p class="faint">Nothing to show yet.</p>',
         "rows": "".join(_row(record) for record in records),
         "settings": html.escape(json.dumps(archive.settings, indent=2)),
     }
-    return page("search.html", title or "design search", slots)
+
+    # The page. It needs no network and links to nothing.
+    text = partial(asset, package="warpvox.algos.report")
+    main = fill_template(text("search.html"), {}, **parts)
+    style = text("page.css")
+    script = text("page.js")
+    return fill_template(text("page.html"), {}, main=main, title=in_html(title), style=style, script=script)
 
 
 def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
@@ -93,50 +108,66 @@ def _progress(search: SearchResult, archive: Archive) -> str:
 
 def _card(record: Record, folder: Path) -> str:
     """A design, in motion if there is a film of it, with the command that plays it if it is there."""
-    item = record.candidate
-    parents = ", ".join(f"#{parent}" for parent in item.parents)
-    lines = f"#{record.id} · generation {item.generation}", f"{item.origin}{f' of {parents}' if parents else ''}"
-    more, film = sparkline([value for _, value in best_so_far(record.curve)]), ""
+    candidate = record.candidate
+    parents = ", ".join(f"#{parent}" for parent in candidate.parents)
+    descent = f"{candidate.origin} of {parents}" if parents else candidate.origin
+    lines = [f"#{record.id} · generation {candidate.generation}", descent]
+    text = "".join(f"<span>{in_html(line)}</span>" for line in lines)
+    text += sparkline([value for _, value in best_so_far(record.curve)])
+
+    # The folder of its policy
+    film = ""
     place = (folder / str(record.policy)).parent
     if record.policy is not None and (place / CONFIG).is_file():
         try:
             keys = words_of_code(find_run(str(place), "").config)
-            more += f"<code>warpvox play {in_html(shell_argument('run', place) + keys)}</code>"
+            text += f"<code>warpvox play {in_html(shell_argument('run', place) + keys)}</code>"
         except RunError as error:  # of this design alone
-            more += f'<p class="faint">{in_html(str(error))}</p>'
+            text += f'<p class="faint">{in_html(str(error))}</p>'
         if (place / FILM).is_file():
             data = base64.b64encode((place / FILM).read_bytes()).decode()
             film = f'<img src="data:image/webp;base64,{data}" alt="an episode of design {record.id}">'
-    return card(record, lines, more=more, film=film)
+
+    body = body_svg(candidate.body, 22)
+    return f'<figure class="card">{film}{body}<figcaption><b>{record.fitness:.3f}</b>{text}</figcaption></figure>'
 
 
 def _row(record: Record) -> str:
-    item = record.candidate
-    states = {
-        f"same body as #{record.reused}": record.reused is not None,
-        "diverged": record.diverged,
-        "stopped early": record.stopped,
-        "policy of its own": item.origin == FINALIST,
-        "waiting": record.fitness is None,
-    }
-    state = next((text for text, holds in states.items() if holds), "")
+    """The row of a design in the table of all."""
+    candidate = record.candidate
+    state = ""
+    if record.reused is not None:
+        state = f"same body as #{record.reused}"
+    elif record.diverged:
+        state = "diverged"
+    elif record.stopped:
+        state = "stopped early"
+    elif candidate.origin == FINALIST:
+        state = "policy of its own"
+    elif record.fitness is None:
+        state = "waiting"
+    fitness = "" if record.fitness is None else record.fitness
+
+    # By what a column is sorted (None: it is not), and HTML
     cells = (
         (record.id, f"{record.id}"),
-        (None, body_svg(item.body, 5)),
-        ("" if record.fitness is None else record.fitness, "" if record.fitness is None else f"{record.fitness:.4f}"),
-        (item.generation, f"{item.generation}"),
-        (None, in_html(item.origin)),
-        (None, ", ".join(f"#{parent}" for parent in item.parents)),
+        (None, body_svg(candidate.body, 5)),
+        (fitness, f"{fitness:.4f}" if fitness != "" else ""),
+        (candidate.generation, f"{candidate.generation}"),
+        (None, in_html(candidate.origin)),
+        (None, ", ".join(f"#{parent}" for parent in candidate.parents)),
         (record.steps or 0, "" if record.steps is None else f"{record.steps:,}"),
         (None, sparkline([value for _, value in best_so_far(record.curve)], 72, 20)),
         (None, state),
     )
-    return row(cells)
+    parts = []
+    for key, content in cells:
+        sorted_by = "" if key is None else f' data-v="{key}"'
+        parts.append(f"<td{sorted_by}>{content}</td>")
+    return f"<tr>{''.join(parts)}</tr>\n"
 
 
-LIMIT = 60
-"""Ancestors that are shown at most, the nearest ones."""
-CELL, COLUMN, ROW, MARGIN = 8, 98, 92, 12
+CELL, MARGIN = 8, 12
 
 
 def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
@@ -161,10 +192,11 @@ def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
 
 def family_tree(line: Sequence[Record]) -> str:
     """The tree as an ``<svg>`` element, with a sentence if it had to be cut."""
-    shown = list(line)[-LIMIT:]
+    # The nearest ancestors
+    shown = list(line)[-60:]
     where = places(shown)
     rows, columns = (max(record.candidate.body.shape[axis] for record in shown) for axis in (0, 1))
-    column, row = max(COLUMN, columns * CELL + 60), max(ROW, rows * CELL + 48)
+    column, row = max(98, columns * CELL + 60), max(92, rows * CELL + 48)
     parts = []
     for record in shown:
         for parent in record.candidate.parents:

@@ -8,8 +8,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from warpvox.algos.report.page import text
 from warpvox.io.text import in_html
+from warpvox.view.player import asset
 
 SIZE, SMALL = (920, 340), (440, 250)
 """Pixels of a chart on a page, and of one in a notebook."""
@@ -58,7 +58,7 @@ def picture(points: Sequence[tuple[float, float]], x_label: str, y_label: str, k
     """A curve as ``<img>`` with a style of its own, for notebooks."""
     figure = _figure([Series("", points, kind)], x_label, y_label, SMALL)
     # Programs other than browsers do not know variables, so that their values are filled in
-    style = text("page.css")
+    style = asset("page.css", package="warpvox.algos.report")
     values = dict(re.findall(r"(--\w+): ([^;]+);", style[: style.index("}")]))
     style = re.sub(r"var\((--\w+)\)", lambda match: values[match[1]], style[style.index("* {") :])
     kept = [line for line in style.splitlines() if line.startswith((".chart", ".s1", ".curve", "circle {"))]

@@ -19,9 +19,6 @@ from warpvox.view.painter import BELOW, INK, PNG_SUFFIXES, Canvas, font, save_pn
 
 COLUMNS, TILE, SCALE = 4, (324, 150), 8
 LABEL, GAP = 24, 10
-PAPER = (255, 255, 255)
-AHEAD = 5.0  # voxels between the left rim of a picture and the robot
-HEIGHT = 0.42  # of the middle of the robot in its picture, where the ground is not in sight
 
 
 def everywhere(design: str = "walker") -> list[tuple[str, Design, str]]:
@@ -35,7 +32,7 @@ def draw_gallery(shown: Sequence[tuple[str, Design, str]]) -> Image.Image:
     columns = min(COLUMNS, len(shown))
     rows = -(-len(shown) // columns)
     width, height = TILE[0] + GAP, TILE[1] + LABEL + GAP
-    sheet = Image.new("RGB", (columns * width + GAP, rows * height + GAP), PAPER)
+    sheet = Image.new("RGB", (columns * width + GAP, rows * height + GAP), (255, 255, 255))
     draw, letters = ImageDraw.Draw(sheet), font(14)
     for number, (task, body, caption) in enumerate(shown):
         row, column = divmod(number, columns)
@@ -50,12 +47,14 @@ def _tile(task: Any, body: np.ndarray) -> Image.Image:
     scene, points = scene_of_world(task_world(task, body))
     robot = points[scene.robot_points] / VOXEL
     view = np.array(TILE) / SCALE
-    left = robot[:, 0].min() - AHEAD
+    # Five voxels are between the left rim of the picture and the robot.
+    left = robot[:, 0].min() - 5.0
     if scene.width + 2 * BELOW > view[0]:
         left = np.clip(left, -BELOW, scene.width + BELOW - view[0])
     else:
         left = (scene.width - view[0]) / 2
-    bottom = max(-BELOW, robot[:, 1].mean() - HEIGHT * view[1])
+    # The middle of the robot lies below that of the picture, where the ground is not in sight.
+    bottom = max(-BELOW, robot[:, 1].mean() - 0.42 * view[1])
     corner = np.rint(np.array([left, bottom]) * SCALE).astype(int)
     return Canvas(scene, TILE, SCALE).picture(points, (int(corner[0]), int(corner[1])))
 

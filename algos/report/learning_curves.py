@@ -19,12 +19,7 @@ from warpvox.runs import Run
 
 SUFFIXES = (".png", ".svg", ".pdf")
 AXES = {"steps": "control steps", "elapsed": "seconds", "iteration": "iterations", "evaluations": "designs trained"}
-PANELS = 4
-"""Pictures beside each other at most."""
 COLOURS = ("#d96a14", "#2f6fb0", "#3a8a4d", "#8a4fa3", "#b03a48", "#5b6473")
-STYLES = ("-", "--", ":", "-.")
-"""Line styles of groups: the next one after each turn of the colours."""
-POINTS = 200  # of the mean of several runs
 
 
 @dataclass(frozen=True)
@@ -75,7 +70,8 @@ def curves_of(groups: Sequence[Group], x: str = "steps") -> list[Curve]:
         runs = [_points(each_run, x) for each_run in group.runs]
         places, values = runs[0][0], runs[0][1:].T
         if len(runs) > 1:
-            places = np.linspace(max(points[0, 0] for points in runs), max(points[0, -1] for points in runs), POINTS)
+            # Runs are evaluated at different steps: they are interpolated at 200 common ones.
+            places = np.linspace(max(points[0, 0] for points in runs), max(points[0, -1] for points in runs), 200)
             values = np.stack([np.interp(places, *points) for points in runs], axis=1)
         curves.append(_mean_curve(group.label, places, values, runs))
     return curves
@@ -115,7 +111,8 @@ def write_curves(
         from matplotlib.figure import Figure
     except ImportError:
         raise ConfigError("Curves need matplotlib, which is not installed: pip install 'warpvox[view]'.") from None
-    columns = min(PANELS, len(panels))
+    # At most four pictures beside each other
+    columns = min(4, len(panels))
     rows = -(-len(panels) // columns)
     more = max(0, *(len(several) - 4 for several in panels.values()))
     inches = (columns * size[0] / 100, rows * (size[1] + 22 * more) / 100)
@@ -128,7 +125,8 @@ def write_curves(
         # Lines
         for index, curve in enumerate(several):
             turn, colour = divmod(index, len(COLOURS))
-            look: dict[str, Any] = {"color": COLOURS[colour], "linestyle": STYLES[turn % len(STYLES)]}
+            styles = ("-", "--", ":", "-.")  # the next one after each turn of the colours
+            look: dict[str, Any] = {"color": COLOURS[colour], "linestyle": styles[turn % len(styles)]}
             if len(curve.runs) > 1:
                 axes.fill_between(curve.places, curve.low, curve.high, color=COLOURS[colour], alpha=0.18, linewidth=0)
                 for points in curve.runs:

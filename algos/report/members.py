@@ -14,10 +14,6 @@ from warpvox.algos.statistics import Interval
 from warpvox.keys import flat
 from warpvox.runs import read_summary
 
-PLACES = 200
-"""Points of a curve, at most."""
-OWN = ("task", "seed", "shape", "search.algorithm", "search.max_evaluations")
-"""Settings in which runs of one algorithm may differ."""
 SHOWN = 3
 """Settings that a name tells at most."""
 
@@ -110,7 +106,9 @@ def _names(found: Sequence[tuple[Path, Mapping[str, Any]]]) -> list[str]:
     keys = {}
     for kind in dict.fromkeys(kinds):
         alike = [own for own, other in zip(settings, kinds, strict=True) if other == kind]
-        keys[kind] = telling(alike, [key for key in differing(alike) if key not in OWN])
+        # Runs of one algorithm may differ in these.
+        may_differ = ("task", "seed", "shape", "search.algorithm", "search.max_evaluations")
+        keys[kind] = telling(alike, [key for key in differing(alike) if key not in may_differ])
     names, known = [], {}
     for (folder, _), own, kind in zip(found, settings, kinds, strict=True):
         if re.fullmatch(r"seed\d+", folder.name):
@@ -159,6 +157,7 @@ def progress(members: Sequence[SearchResult], x: str) -> tuple[np.ndarray, np.nd
     spent = [getattr(one, x) for one in members]
     first, last = max(s[0] for s in spent), max(s[-1] for s in spent)
     every = np.unique(np.concatenate(spent))
-    places = every[every >= first] if len(every) <= PLACES else np.linspace(first, last, PLACES)
+    most = 200  # points of the curve
+    places = every[every >= first] if len(every) <= most else np.linspace(first, last, most)
     values = [one.best[np.searchsorted(s, places, "right") - 1] for one, s in zip(members, spent, strict=True)]
     return places.astype(np.float64), np.stack(values, axis=1)

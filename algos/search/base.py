@@ -16,12 +16,6 @@ from warpvox.checks import check_integer, check_shape
 from warpvox.design import are_valid, check_design, draw_bodies
 from warpvox.errors import ConfigError, DesignError, SearchError
 
-BATCH = 32
-"""Random bodies drawn at a time; about one in seven of 5x5 is valid."""
-
-STREAM = 0x5EA2C4
-"""Keeps the random numbers of a search apart from those of the trainings, which follow from (seed, candidate)."""
-
 
 @dataclass(frozen=True)
 class Proposal:
@@ -130,7 +124,8 @@ class BaseSearch(ABC):
         Raises:
             SearchError: none turns up.
         """
-        body = self.new_body(lambda: draw_bodies(rng, BATCH, self.shape))
+        # About one random body in seven of 5x5 is valid.
+        body = self.new_body(lambda: draw_bodies(rng, 32, self.shape))
         if body is None:
             fewer = f", or fewer evaluations than max_evaluations={self.settings.max_evaluations}" if self._seen else ""
             raise SearchError(
@@ -166,7 +161,9 @@ class BaseSearch(ABC):
         left = self.settings.max_evaluations - len(self.bodies)
         if left <= 0:
             return []
-        rng = np.random.default_rng([STREAM, self.seed, self.generation])
+        # 0x5EA2C4 keeps the random numbers of a search apart from those of the trainings, which follow from
+        # (seed, candidate).
+        rng = np.random.default_rng([0x5EA2C4, self.seed, self.generation])
         wanted = min(self.settings.population, left)
         proposals = [] if self.generation else [known for known in self._start if self.claim(known.body)]
         if len(proposals) < wanted:

@@ -143,10 +143,12 @@ def test_learning_ends_with_its_goal(run: Callable) -> None:
 
 
 def test_gpu_goes_on_after_a_failure(run: Callable) -> None:
-    parts = "--parts nothing designs tasks --tasks Walker-v0".split()
+    parts = "--parts nothing learners designs tasks --tasks Walker-v0".split()
     code, tables, rows = run("gpu", "--device", "cpu", *parts)
     assert code == 1
     assert "FAILED, nothing: KeyError" in tables
+    assert [len(rates) for rates in rows["learners, 8"]] == [1, 1]
+    assert "one graph an iteration" in tables
     assert rows["designs"][:2] == [2, 8]
     assert rows["Walker-v0"][1][0] > 0
 
@@ -163,7 +165,7 @@ def test_gpu_does_every_part(run: Callable) -> None:
     code, tables, rows = run("gpu", *words)
     assert code == 0, tables
     assert "Tests of tests/envs/test_device.py" in tables
-    assert {"8", "1", "designs", "ppo=parallel, seed 0", "Walker-v0", "3 x 3 sampled"} <= rows.keys()
+    assert {"8", "1", "learners, 8", "designs", "ppo=parallel, seed 0", "Walker-v0", "3 x 3 sampled"} <= rows.keys()
 
 
 def test_short_lives_have_a_table_of_their_own() -> None:

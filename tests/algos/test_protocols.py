@@ -15,15 +15,16 @@ from refusals import refused
 
 import warpvox as wv
 from warpvox.algos.candidate import candidate_seed
-from warpvox.algos.checkpoints.files import Controller, build_actor, load_controller, spec_of
+from warpvox.algos.checkpoints.files import spec_of
+from warpvox.algos.checkpoints.policy import Policy, read_policy
 from warpvox.algos.codesign.evaluations import Gaits
 from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 from warpvox.algos.disturbance import JUDGED, NOISE, SEARCHED, Disturbed, Draws
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.protocols import COPIES, DISTURBANCES, PROTOCOLS
+from warpvox.algos.robots.entry import DIGITS, zoo_tasks
 from warpvox.envs.registry import get_task
 from warpvox.errors import ConfigError
-from warpvox.robots.entry import DIGITS, zoo_tasks
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 EPISODES = 32  # under noise, of an entry of the zoo
@@ -192,12 +193,10 @@ def test_a_robust_gait_is_worth_what_its_policy_gets_in_the_same_copies() -> Non
     where = dataclasses.replace(factory(), fitness="robust")
     how = GaitEvaluator(where, Gaits(gaits=4, passes=1, beam=4, rounds=1, stages=2), episodes=COPIES)
     (outcome,) = how.evaluate([candidate], {})
-    spec = spec_of(outcome.spec)
-    actor = build_actor(spec)
-    actor.load_state_dict(outcome.policy)
+    policy = Policy(spec_of(outcome.spec), outcome.policy).double()
     where = dataclasses.replace(factory(), obs="timed").computed(lanes=8)
     env = where.make([candidate.body], COPIES, [candidate_seed(0, 0)], auto_reset=False)
-    found = evaluator(env, 0, "robust")(Controller(actor, spec))
+    found = evaluator(env, 0, "robust")(policy)
     assert outcome.fitness == pytest.approx(found.mean_return, abs=1e-5)
     assert np.ptp(found.returns.numpy()) > 0
 
@@ -206,7 +205,7 @@ def test_a_training_chooses_by_disturbed_copies(tmp_path: Path, short_walks: Non
     small = {"design": "mini", "num_envs": 8, "max_iterations": 2, "eval_interval": 1, "device": "cpu"}
     run = wv.train(fitness="robust", folder=tmp_path / "run", progress=False, **small)
     env = wv.make_vec("Walker-v0", "mini", COPIES, seed=0, device="cpu", auto_reset=False)
-    policy = load_controller(run.folder / "model_best.pt")
+    policy = read_policy(run.folder / "model_best.pt").double()
     assert run.best_return == evaluator(env, 0, "robust")(policy).mean_return
     assert run.best_return != evaluator(env, 0)(policy).mean_return
 

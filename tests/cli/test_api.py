@@ -18,7 +18,8 @@ import torch
 from refusals import refused
 
 import warpvox as wv
-from warpvox.algos.checkpoints.files import load_checkpoint, load_controller
+from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.checkpoints.policy import read_policy
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.cli.config import load
 from warpvox.configs.composition import settings_named
@@ -226,7 +227,7 @@ def test_policies_are_loaded_by_whatever_names_them(train: Callable[..., Path], 
         (str(folder / "model_2.pt"), "model_2.pt"),
     ):
         policy = wv.load_policy(source)
-        torch.testing.assert_close(policy(obs), load_controller(folder / file)(obs), rtol=0, atol=1e-6)
+        torch.testing.assert_close(policy(obs), read_policy(folder / file).in_float64()(obs), rtol=0, atol=1e-6)
         assert policy.metadata["task"] == "Walker-v0"
     last = wv.load_policy(folder / "model_2.pt")(obs)
     assert torch.equal(wv.load_policy(folder, checkpoint="last")(obs), last)

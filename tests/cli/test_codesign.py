@@ -19,7 +19,7 @@ from tiny import tiny
 
 from warpvox.algos.archive import FILE, Archive
 from warpvox.algos.candidate import Candidate
-from warpvox.algos.checkpoints.files import load_controller
+from warpvox.algos.checkpoints.policy import read_policy
 from warpvox.algos.codesign import results as results_of
 from warpvox.algos.codesign.results import Results
 from warpvox.algos.codesign.settings import Codesign
@@ -82,7 +82,7 @@ def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) 
             assert record.fitness == max(value for _, value in record.curve)
             stored = yaml.safe_load((folder / "designs" / str(record.id) / "config.yaml").read_text())
             assert stored["design"] == record.candidate.body.tolist()
-            load_controller(folder / record.policy)
+            read_policy(folder / record.policy)
         pictures = sorted((folder / "generations").iterdir())
         assert [file.name for file in pictures] == [f"{row['generation']:03}.png" for row in archive.generations()]
     assert {Image.open(file).format for file in pictures} == {"PNG"}

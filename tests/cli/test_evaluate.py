@@ -12,10 +12,11 @@ import pytest
 import torch
 from tiny import tiny
 
-from warpvox.algos.checkpoints.files import load_controller
+from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.checkpoints.policy import policy_of
 from warpvox.algos.find import find_runs
 from warpvox.algos.statistics import difference, mean_interval
-from warpvox.algos.training.playing import SampledController
+from warpvox.algos.training.playing import SampledPolicy
 from warpvox.cli.config import load
 from warpvox.cli.run_groups import group_runs
 from warpvox.design import example_design
@@ -74,12 +75,15 @@ def test_a_label_names_sections_and_bodies_as_they_are_chosen() -> None:
 
 def test_sampled_actions_have_the_deviation_of_training(train: Callable) -> None:
     folder = train("max_iterations=1", "ppo.init_std=0.2")
-    controller = load_controller(folder / "model_1.pt")
-    obs = torch.zeros(4000, controller.spec.num_obs)
-    actions = SampledController(controller, seed=1)(obs)
-    assert torch.equal(actions, SampledController(controller, seed=1)(obs))
-    assert not torch.equal(actions, SampledController(controller, seed=2)(obs))
-    mean, spread = controller(obs)[0], controller.spec.action_scale * controller.actor.distribution.log_std_param.exp()
+    file = folder / "model_1.pt"
+    content = load_checkpoint(file)
+    policy = policy_of(content, file).double()
+    actor = content["actor_state_dict"]
+    obs = torch.zeros(4000, policy.num_obs)
+    actions = SampledPolicy(policy, actor, seed=1)(obs)
+    assert torch.equal(actions, SampledPolicy(policy, actor, seed=1)(obs))
+    assert not torch.equal(actions, SampledPolicy(policy, actor, seed=2)(obs))
+    mean, spread = policy(obs)[0], policy.spec.action_scale * actor["distribution.log_std_param"].exp()
     inside = (mean - 1.1).abs() < 0.5 - 3 * spread  # of the others the bounds of actions cut something off
     assert inside.any()
     assert torch.allclose(actions.std(0)[inside], spread[inside], rtol=0.1)

@@ -13,10 +13,10 @@ from warpvox.algos.archive import FILE, Archive, Record
 from warpvox.algos.candidate import FINALIST, START, Candidate, Outcome
 from warpvox.algos.codesign.robots import read_start, robots_of
 from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.robots import judge, save_robot
 from warpvox.algos.training.bodies import draw_bodies
 from warpvox.cli.config import load
 from warpvox.design import example_design, load_design, save_design
-from warpvox.robots import judge, save_robot
 from warpvox.runs import read_summary
 
 pytestmark = pytest.mark.usefixtures("narrow_packs")

@@ -14,7 +14,7 @@ from episodes import short_episodes
 
 import warpvox as wv
 from warpvox.algos.codesign.robots import read_start
-from warpvox.robots import Robot, save_robot
+from warpvox.algos.robots import Robot, save_robot
 
 KEYS = {"design": "mini", "num_envs": 8, "threads": 1, "device": "cpu", "max_iterations": 2, "eval_interval": 1}
 PPO = {"steps": 4, "hidden": [8], "epochs": 1}

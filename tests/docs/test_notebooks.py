@@ -10,8 +10,8 @@ import pytest
 import torch
 from episodes import short_episodes
 
+from warpvox.algos.robots import zoo
 from warpvox.envs.registry import task_ids
-from warpvox.robots import zoo
 
 ROOT = Path(__file__).resolve().parents[2]
 PATHS = sorted(notebooks.FOLDER.glob("*.ipynb"))

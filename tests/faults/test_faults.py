@@ -35,10 +35,10 @@ import warpvox as wv
 from warpvox import system
 from warpvox.algos.archive import BACKUP, FILE, Archive
 from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.robots.entry import read_robot
 from warpvox.errors import ResumeError, RolloutError, RunError, StorageError
 from warpvox.io import writing
 from warpvox.io.writing import MARK, atomic_path, claimed, write_text
-from warpvox.robots.entry import read_robot
 from warpvox.runs import run_folder
 
 resource = pytest.importorskip("resource", reason="signals and limits are those of POSIX")
@@ -200,7 +200,7 @@ def test_a_folder_that_vanishes_is_told_of_and_not_made_again(command: str, warp
     def remove(*_: Any) -> None:
         shutil.rmtree(tmp_path / "outputs", ignore_errors=True)
 
-    monkeypatch.setattr("warpvox.progress.training.Terminal.__call__", remove)
+    monkeypatch.setattr("warpvox.progress.training.Terminal.iterated", remove)
     monkeypatch.setattr("warpvox.progress.search.SearchProgress.progress", remove)
     warpvox(*COMMANDS[command], fails="outputs")
     assert list(tmp_path.iterdir()) == []
@@ -329,7 +329,7 @@ def test_a_signal_waits_for_the_iteration_and_a_second_one_does_not(
             signal.raise_signal(number)
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpvox.progress.training.Terminal.__call__", send)
+        patch.setattr("warpvox.progress.training.Terminal.iterated", send)
         outcome = warpvox(*TRAIN, code=code)
     for number, handler in before.items():
         signal.signal(number, handler)

@@ -17,6 +17,7 @@ struct Trace {
     unsigned written = 0, read = 0;  // since which barrier, which meeting
     Threads readers = 0;             // a bit for each
     int writer = -1;
+    bool atomic = false;  // the last write
     void *write_at = nullptr, *read_at = nullptr;
 };
 constexpr int MOST = 128, GRAIN = 2;  // threads; bytes that are told apart
@@ -36,7 +37,7 @@ struct { Lane lane; void *dim, *args; size_t id; } block;
 
 void note(Kind what, void* first, void* second) { ++found[{what, uintptr_t(first), uintptr_t(second)}]; }
 
-void touch(void* address, size_t size, bool write, void* at) {
+void touch(void* address, size_t size, bool write, void* at, bool atomic = false) {
     if (current < 0) return;
     for (const Range& range : ranges) {
         const uintptr_t offset = uintptr_t(address) - range.begin;  // wraps below
@@ -46,12 +47,15 @@ void touch(void* address, size_t size, bool write, void* at) {
         for (size_t k = offset / GRAIN; k <= (offset + size - 1) / GRAIN; ++k) {
             Trace& trace = traces[range.first + k];
             const Threads me = Threads(1) << current;
-            if (trace.written == barrier && trace.writer != current) note(write ? WRITE_WRITE : WRITE_READ, trace.write_at, at);
+            if (trace.written == barrier && trace.writer != current && !(atomic && trace.atomic)) {
+                note(write ? WRITE_WRITE : WRITE_READ, trace.write_at, at);
+            }
             if (write) {
                 // A vote is no barrier, but what is written after it depends on what was read before.
                 if (trace.read == meeting && trace.readers & ~me) note(READ_WRITE, trace.read_at, at);
                 trace.written = barrier;
                 trace.writer = current;
+                trace.atomic = atomic;
                 trace.write_at = at;
             } else {
                 trace.readers = (trace.read == meeting ? trace.readers : 0) | me;
@@ -134,6 +138,12 @@ int wp_cpu_run_block(int, int count, Lane lane, void* dim, size_t id, void* args
 WATCH(1) WATCH(2) WATCH(4) WATCH(8) WATCH(16)
 void __tsan_read_range(void* p, size_t n) { touch(p, n, false, PLACE); }
 void __tsan_write_range(void* p, size_t n) { touch(p, n, true, PLACE); }
+int __tsan_atomic32_fetch_or(int* p, int bits, int) {
+    touch(p, sizeof *p, true, PLACE, true);
+    const int before = *p;
+    *p |= bits;
+    return before;
+}
 void __tsan_init() {}
 void __tsan_func_entry(void*) {}
 void __tsan_func_exit() {}

@@ -46,9 +46,9 @@ def races(
     if compiler is None:
         pytest.skip("needs g++, whose -fsanitize=thread tells what is read and written")
     state, substeps = sim.buffers, sim.physics.substeps
-    group = choose(state.sizes["point"], state.sizes["spring"], "float32", "cuda:0", state.sizes["mover"])
+    group = choose(state.sizes, "float32", "cuda:0")
     if parts is not None:
-        sizes = (-(-state.sizes[name] // WARP) * WARP for name in ("point", "mover", "spring"))
+        sizes = (-(-state.sizes[name] // WARP) * WARP for name in ("point", "mover", "spring", "rigid"))
         group = type(group)("float32", parts, *sizes, True)
     kernel = group_kernel(group, whole_warps=True)
     scratch = zeros((sim.num_envs, group.row), wp.float64, "cpu")

@@ -21,16 +21,16 @@ from sample_files import archive_bytes, checkpoint_content, config_text, rollout
 import warpvox as wv
 from warpvox.algos.archive import Archive
 from warpvox.algos.checkpoints.export import read_exported
-from warpvox.algos.checkpoints.files import load_controller
+from warpvox.algos.checkpoints.policy import read_policy
 from warpvox.algos.find import find_run
 from warpvox.algos.report import family_tree
+from warpvox.algos.robots.entry import Robot, read_robot, save_robot
 from warpvox.algos.training.pretrained import check_learned
 from warpvox.cli.config import load
 from warpvox.design import check_design, full_connections, load_design, save_design
 from warpvox.errors import ConfigError, DesignError, RolloutError, RunError, WorldError
 from warpvox.io.reading import Unreadable, parse_json, parse_yaml, read_facts
 from warpvox.io.world_files import LARGEST_GRID
-from warpvox.robots.entry import Robot, read_robot, save_robot
 from warpvox.runs import write_summary
 from warpvox.view.rollout import Rollout
 from warpvox.world import World, WorldObject
@@ -93,7 +93,7 @@ def test_pickles_are_never_run(tmp_path: Path) -> None:
     (tmp_path / "b.pt").write_bytes(pickle.dumps(Creates(marker)))
     for name in ("a.pt", "b.pt"):
         with pytest.raises(RunError):
-            load_controller(tmp_path / name)
+            read_policy(tmp_path / name)
     (tmp_path / "config.yaml").write_text(f"{config_text()}more: !!python/object/apply:os.mkdir ['{marker}']\n")
     with pytest.raises(RunError):
         find_run(str(tmp_path), "outputs")
@@ -171,7 +171,7 @@ QUANTIZED = torch.quantize_per_tensor(torch.ones(3), 0.1, 0, torch.qint8)
 def test_a_checkpoint_of_another_kind_is_refused(changes: dict, tmp_path: Path) -> None:
     torch.save(GOOD | changes, tmp_path / "a.pt")
     with pytest.raises(RunError):
-        load_controller(tmp_path / "a.pt")
+        read_policy(tmp_path / "a.pt")
     with pytest.raises(RunError):
         wv.load_policy(tmp_path / "a.pt")
 
@@ -179,7 +179,7 @@ def test_a_checkpoint_of_another_kind_is_refused(changes: dict, tmp_path: Path) 
 def test_a_value_function_of_another_kind_is_refused(tmp_path: Path) -> None:
     torch.save(GOOD, tmp_path / "a.pt")
     for value in (torch.ones(2, device="meta"), QUANTIZED, 3):
-        content = {"critic_state_dict": {"w": value}, "optimizer_state_dict": {}}
+        content = GOOD | {"critic_state_dict": {"w": value}, "optimizer_state_dict": {}}
         with pytest.raises(RunError):
             check_learned(tmp_path / "a.pt", content, None)
 
@@ -187,7 +187,7 @@ def test_a_value_function_of_another_kind_is_refused(tmp_path: Path) -> None:
 def test_an_encrypted_export_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "policy.pt"
     with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("policy/extra/warpvox.json", "{}")
+        archive.writestr("policy/extra/warpvox.pt", "{}")
     data = bytearray(path.read_bytes())
     data[data.index(b"PK\x01\x02") + 8] |= 1
     data[6] |= 1
@@ -285,7 +285,7 @@ READERS: dict[str, tuple[Callable[[Path], bytes], Callable[[Path], object]]] = {
     "design.npy": (lambda path: save_design(path, wv.example_design("walker")).read_bytes(), load_design),
     "robot.npz": (npz, read_robot),
     "rollout.npz": (lambda _: rollout_bytes(), Rollout.load),
-    "model_1.pt": (lambda path: torch.save(GOOD, path) or path.read_bytes(), load_controller),
+    "model_1.pt": (lambda path: torch.save(GOOD, path) or path.read_bytes(), read_policy),
     "archive.sqlite": (lambda _: archive_bytes(), use_archive),
     "config.yaml": (lambda _: config_text().encode(), use_config),
 }

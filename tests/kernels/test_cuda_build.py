@@ -21,7 +21,7 @@ CASES = pytest.mark.parametrize(("arithmetic", "precision"), [FAST, ("fast", "fl
 
 def kernels_of_steps(arithmetic, precision):
     """The control step, its actions and resets."""
-    walker = choose(36, 104, precision, "cuda:0")
+    walker = choose(dict(point=36, mover=36, spring=104, rigid=8), precision, "cuda:0")
     return [
         step_kernel(arithmetic, precision, 1),
         *([group_kernel(walker)] if arithmetic == "fast" else []),

@@ -211,16 +211,21 @@ def test_the_layout_is_chosen_by_device_arithmetic_and_size(monkeypatch):
     assert pair_of_task("Walker-v0", count=1)[1].layout == "lanes"  # too large for a group
 
 
+def chosen(points, springs, rigids, precision="float32", device="cuda:0"):
+    sizes = dict(point=points, mover=points, spring=springs, rigid=rigids)
+    return group.choose(sizes, precision, device)
+
+
 def test_all_tasks_fit_into_shared_memory_and_35x35_bodies_do_not():
     for precision in ("float32", "float64"):
-        assert group.choose(36, 104, precision, "cuda:0").parts == 16
-        assert group.choose(48, 133, precision, "cuda:0").parts == 16
-        assert group.choose(72, 133, precision, "cuda:0").parts == 32
-        assert group.choose(36 * 36, 5000, precision, "cuda:0") is None
-        assert group.choose(36 * 36, 5000, precision, "cpu").points >= 36 * 36
-        assert group.choose(61 * 61, 14000, precision, "cpu") is None
-    for points, springs, parts in [(356, 560, 64), (370, 362, 64), (344, 850, 128)]:  # the largest worlds of the tasks
-        assert group.choose(points, springs, "float32", "cuda:0").parts == parts
+        assert chosen(36, 104, 150, precision).parts == 16
+        assert chosen(48, 133, 32, precision).parts == 16
+        assert chosen(72, 133, 88, precision).parts == 32
+        assert chosen(36 * 36, 5000, 1220, precision) is None
+        assert chosen(36 * 36, 5000, 1220, precision, "cpu").points >= 36 * 36
+        assert chosen(61 * 61, 14000, 1220, precision, "cpu") is None
+    for points, springs, rigids, parts in [(356, 560, 40, 64), (370, 362, 8, 64), (344, 850, 628, 128)]:
+        assert chosen(points, springs, rigids).parts == parts  # the largest worlds of the tasks
 
 
 @pytest.mark.parametrize(
@@ -237,8 +242,7 @@ def test_a_layout_that_there_is_not_is_refused(options, says):
 
 
 def take_memory_of_cuda(sim):
-    sizes = sim._state.sizes
-    on_cuda = group.choose(sizes["point"], sizes["spring"], "float32", "cuda:0", sizes["mover"])
+    on_cuda = group.choose(sim._state.sizes, "float32", "cuda:0")
     sim._state.group = replace(on_cuda, approximate=False)
     take_parts(sim, on_cuda.parts)
 

@@ -9,7 +9,9 @@ from warpvox.kernels.step import step_kernel
 
 WARPS = {80: 11, 89: 7, 90: 16, 100: 16}
 """Warps of walkers on a multiprocessor, by compute capability: two environments each."""
-WALKER, CARRIER, BEAM, CLIMBER, TRAVERSER = (36, 104), (48, 133), (69, 196), (336, 289, 282), (344, 850)
+WALKER, CARRIER, BEAM = (36, 36, 104, 8), (48, 48, 133, 32), (69, 69, 196, 88)
+CLIMBER, TRAVERSER = (336, 282, 289, 8), (344, 344, 850, 628)
+"""Points, points that move, springs, and sides of rigid voxels."""
 BLOCK_SHARED = 48 * 1024
 LANES = Limits(registers=255, stack=512, spilled=640, shared=0)
 """One thread an environment: what it keeps is in memory anyway."""
@@ -27,7 +29,8 @@ needs_assembler = pytest.mark.usefixtures("assembler")
 
 
 def limits_of(sizes, precision, architecture, folder):
-    chosen = group.choose(*sizes[:2], precision, "cuda:0", *sizes[2:])
+    names = ("point", "mover", "spring", "rigid")
+    chosen = group.choose(dict(zip(names, sizes, strict=True)), precision, "cuda:0")
     return assemble(group.group_kernel(chosen), architecture, folder), chosen.registers
 
 
@@ -51,7 +54,7 @@ def test_a_walker_needs_no_memory_but_registers_and_shared_memory(architecture, 
 @needs_assembler
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["float32", "float64"])
-@pytest.mark.parametrize("sizes", [WALKER, CARRIER, (48, 144), BEAM])
+@pytest.mark.parametrize("sizes", [WALKER, CARRIER, (48, 48, 144, 32), BEAM])
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_other_groups_neither(architecture, sizes, precision, tmp_path):
     check_group(*limits_of(sizes, precision, architecture, tmp_path))

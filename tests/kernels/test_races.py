@@ -12,7 +12,9 @@ pytestmark = pytest.mark.slow
 ENVS = 8
 
 
-@pytest.fixture(params=["crowd", "Walker-v0", "BeamToppler-v0", "Catcher-v0", "Climber-v1", "Traverser-v0"])
+@pytest.fixture(
+    params=["crowd", "Walker-v0", "BeamToppler-v0", "BridgeWalker-v0", "Catcher-v0", "Climber-v1", "Traverser-v0"]
+)
 def sim(request):
     """Environments of a task, or different bodies on top of each other; one of them is frozen."""
     if request.param == "crowd":

@@ -14,14 +14,6 @@ from warpvox.kernels.group import LINKS, Group, choose
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, STALE, allocate, structs
 from warpvox.types import Physics
 
-SIZES = {
-    "point": "rest_pos", "active": "active", "joint": "link_start", "spring": "spring_rest", "link": "link",
-    "rigid": "rigid_spring", "twin": "twin", "twin_end": "twin_end", "voxel": "body", "movable": "movable",
-    "robot": "fold_limit", "row": "order", "object": "object_range", "node": "node", "leaf": "leaf",
-    "plot": "cell_leaf",
-}  # fmt: skip
-"""Capacities and the tables whose second axis has them."""
-
 
 @dataclass
 class Buffers:
@@ -77,7 +69,7 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
         links = np.diff(tables["link_start"])
         moves = ((links > 0) | (tables["free_lanes"] != 0)).any(0)
         sizes["mover"] = sizes["point"] if batch.grid else 1 + int(np.flatnonzero(moves).max(initial=0))
-        group = choose(sizes["point"], sizes["spring"], precision, device, sizes["mover"])
+        group = choose(sizes, precision, device)
         if group is None or batch.cut or links.max(initial=0) > LINKS:
             return None
 
@@ -130,7 +122,26 @@ def array_sizes(batch: Batch, tables: dict[str, np.ndarray], room: dict[str, int
     packs = len(batch.pack_group)
 
     # Meshes; x and y have a row each
-    sizes = {symbol: tables[name].shape[1] for symbol, name in SIZES.items()}
+    # capacities, and the tables whose second axis has them
+    sizes_of = {
+        "point": "rest_pos",
+        "active": "active",
+        "joint": "link_start",
+        "spring": "spring_rest",
+        "link": "link",
+        "rigid": "rigid_spring",
+        "twin": "twin",
+        "twin_end": "twin_end",
+        "voxel": "body",
+        "movable": "movable",
+        "robot": "fold_limit",
+        "row": "order",
+        "object": "object_range",
+        "node": "node",
+        "leaf": "leaf",
+        "plot": "cell_leaf",
+    }
+    sizes = {symbol: tables[name].shape[1] for symbol, name in sizes_of.items()}
     sizes["point"] //= 2
     sizes["active"] //= 2
     sizes["action"] = int(tables["actions"].max(initial=0))

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from warpvox.batch.frames import Frame, capacities, frame_key, is_cut
+from warpvox.batch.levels import by_level
 from warpvox.batch.options import ResolvedOptions, choose_lanes
 from warpvox.compile import compile_world, exact_tables, join
 from warpvox.contact_order import no_order
@@ -246,6 +247,8 @@ class Batch:
             tables = join(parts)
             empty = no_order()
             tables |= {name: np.repeat(np.asarray(value)[None], len(kinds), axis=0) for name, value in empty.items()}
+        if self.layout == "group":
+            tables |= by_level(tables)
         tables["object_range"] = self._spans(tables.pop("object_points"), names)
         return tables, which.reshape(-1)
 

@@ -38,7 +38,6 @@ COMMANDS = {
     "tasks": "list the tasks, or show one in detail",
     "info": "versions, devices, kernel cache",
 }
-DONE, BAD_INPUT, INTERRUPTED, SIGNALLED = 0, 2, 130, 128
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -55,10 +54,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     with lasting_output(gone):
         try:
             with terminable(), enough_memory("Ask for less at once, such as a smaller num_envs."):
-                code = DONE
+                code = 0
                 if name in ("", "-h", "--help", "help"):
                     print(_help(), file=sys.stdout if name else sys.stderr)
-                    code = DONE if name else BAD_INPUT
+                    code = 0 if name else 2
                 elif name in ("-V", "--version", "version"):
                     print(f"warpvox {warpvox.__version__}")
                 elif name in ("-sc", "--shell-completion"):
@@ -90,10 +89,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _complain(error)
         except Terminated as request:
             print(f"warpvox: asked to end ({signal.Signals(request.number).name})", file=sys.stderr)
-            return SIGNALLED + request.number
+            return 128 + request.number
         except KeyboardInterrupt:
             print("warpvox: interrupted", file=sys.stderr)
-            return INTERRUPTED
+            return 130
         except PermissionError as error:
             return _complain(f"Permission is denied: {error.filename or error}. Name a place that you may use.")
         except OSError as error:
@@ -124,4 +123,4 @@ def _complain(error: WarpvoxError | str) -> int:
     # one line, with the blanks of paths as they are
     text = " ".join(line.strip() for line in str(error).splitlines())
     print(f"warpvox: {escaped(text)}", file=sys.stderr)
-    return BAD_INPUT
+    return 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,7 +35,7 @@ WRITERS = {
 TILED = ("gif", "mp4", "png")
 THINNED = {"usd": "stride", "gif": "every", "mp4": "every", "html": "every"}
 """Parameter of a writer for the key ``every``."""
-TILES, BODIES = 16, 36
+TILES = 16
 """Environments that a picture shows at most; of a run over many bodies."""
 LARGE = (960, 540)
 """Size of pictures of more than :data:`TILES`, and of a window, in pixels."""
@@ -86,7 +85,7 @@ def record_agent(config: Any) -> Rollout:
     return record(env, config.agent, config.steps)
 
 
-def tiles_of(rollout: Rollout, most: int = BODIES) -> list[int]:
+def tiles_of(rollout: Rollout, most: int = 36) -> list[int]:
     """The environments that a picture shows: the first ones; of those that have names some, evenly chosen."""
     if "names" not in rollout.metadata:
         return list(range(min(rollout.num_envs, TILES)))
@@ -123,7 +122,11 @@ def write_exports(
                 options[THINNED[name]] = every
             # Films take long enough to say how far they are.
             if name in ("gif", "mp4"):
-                options["on_frame"] = partial(_tell, status, file)
+
+                def tell(done: int, total: int, status: Status = status, file: str = file) -> None:
+                    status.update(f"writing {file}: {done:,} of {total:,} pictures; every=N makes fewer")
+
+                options["on_frame"] = tell
             getattr(import_module(module), function)(rollout, folder / file, **options)
         written.append(folder / file)
     for path in written:
@@ -131,10 +134,6 @@ def write_exports(
         echo(console, f"{shown(path)}  ({f'{large / 1e6:.1f} MB' if large >= 1e6 else f'{large / 1e3:.0f} kB'})")
     if "html" in formats:
         echo(console, f"open in a browser: {(folder / WRITERS['html'][0]).resolve().as_uri()}")
-
-
-def _tell(status: Status, file: str, done: int, total: int) -> None:
-    status.update(f"writing {file}: {done:,} of {total:,} pictures; every=N makes fewer")
 
 
 def print_returns(rollout: Rollout, console: Console) -> None:

@@ -11,9 +11,6 @@ from warpvox.configs.composition import quoted
 from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.keys import MISSING, flat
 
-FOLDERS = ("ppo", "training")
-"""Keys that take the name of a YAML file in the folder of the same name, and of nothing else."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Key:
@@ -64,7 +61,8 @@ def _keys(schema: type, prefix: str) -> Iterator[tuple[str, Key]]:
 def groups_of(command: str) -> list[str]:
     """The keys of a command that choose a dataclass or a YAML file by its name, but for the preset."""
     names = [item.name for item in dataclasses.fields(schema_of(command))]
-    return [name for name in names if name in nodes_of(command) or name in FOLDERS]
+    # ppo and training take the name of a YAML file in the folder of the same name, and of nothing else.
+    return [name for name in names if name in nodes_of(command) or name in ("ppo", "training")]
 
 
 def options_of(command: str, key: str) -> list[str]:

@@ -27,10 +27,7 @@ BODY_SIDE = 32
 WORLD_SIZE = (400, 100)
 """Columns and rows that a world may have in the editor."""
 OBJECTS = 64
-LONGEST_NAME = 200
-"""Bytes of a file's name, so that the file system takes it with its suffix and a temporary one beside it."""
 FILE_NAME = re.compile(r"[^\W_][\w.-]{0,63}")
-ROBOT = "robot"
 
 
 def design_of(document: Mapping[str, Any]) -> Design:
@@ -79,7 +76,7 @@ def document_of(content: Design | World) -> dict[str, Any]:
     """The document that draws a body or a world."""
     if not isinstance(content, World):
         grid = np.asarray(content)
-        return _document("body", [ROBOT], grid, np.zeros_like(grid))
+        return _document("body", ["robot"], grid, np.zeros_like(grid))
     if content.width > WORLD_SIZE[0] or content.height > WORLD_SIZE[1] or len(content.objects) > OBJECTS:
         raise WorldError(
             f"The editor shows worlds of up to {WORLD_SIZE[0]} x {WORLD_SIZE[1]} cells and {OBJECTS} objects; this one"
@@ -117,7 +114,8 @@ def check(document: Mapping[str, Any]) -> str:
 def check_file_name(name: object) -> str:
     """The file that a name stands for, with its suffix."""
     stem = name.removesuffix(".json") if isinstance(name, str) else ""
-    if not FILE_NAME.fullmatch(stem) or len(stem.encode()) > LONGEST_NAME:
+    # The file system takes it with its suffix and a temporary one beside it.
+    if not FILE_NAME.fullmatch(stem) or len(stem.encode()) > 200:
         raise WorldError(
             "A name may hold up to 64 letters, digits and . _ - (no folder) and begins with a letter or digit; got"
             f" {name!r:.80}."
@@ -147,7 +145,7 @@ def save_file(document: Mapping[str, Any], folder: Path, name: object, overwrite
     if _kind(document) == "body":
         body = design_of(document)
         world = World(body.shape[1], body.shape[0])
-        world.add_from_array(ROBOT, body, 0, 0)
+        world.add_from_array("robot", body, 0, 0)
         text = json.dumps(json.loads(world.to_json()) | {"body": body.tolist()})
     else:
         text = world_of(document).to_json()

@@ -43,16 +43,6 @@ from warpvox.view.rollout import AGENTS
 ADDRESS = "127.0.0.1"
 LARGEST = 1_000_000
 """Bytes of a request."""
-KEPT = 4
-"""Rollouts that stay to be looked at."""
-HEADERS = {
-    "Cache-Control": "no-store",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline';"
-    " img-src data:; connect-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'",
-}
 
 
 class EditorServer(ThreadingHTTPServer):
@@ -128,7 +118,8 @@ class EditorServer(ThreadingHTTPServer):
             title = rollout.title if rollout.metadata["task"] else "world"
             number = max(self.rollouts, default=0) + 1
             kept = [*self.rollouts.items(), (number, page_of(rollout, title=title).encode())]
-            self.rollouts = dict(kept[-KEPT:])  # a new one: other threads may be looking into the old
+            # Four rollouts stay to be looked at.
+            self.rollouts = dict(kept[-4:])  # a new one: other threads may be looking into the old
         finally:
             self._busy.release()
         total, steps = float(rollout.returns[-1, 0]), int(rollout.lengths[0])
@@ -230,15 +221,21 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send(self, content: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
         self.send_response(status)
-        for name, value in HEADERS.items() | {("Content-Type", kind), ("Content-Length", str(len(content)))}:
+        headers = {
+            "Cache-Control": "no-store",
+            "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+            "Cross-Origin-Resource-Policy": "same-origin",
+            "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline';"
+            " img-src data:; connect-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none';"
+            " frame-ancestors 'self'",
+        }
+        for name, value in headers.items() | {("Content-Type", kind), ("Content-Length", str(len(content)))}:
             self.send_header(name, value)
         if self.close_connection:
             self.send_header("Connection", "close")
         self.end_headers()
         self.wfile.write(content)
-
-
-SCRIPTS = ("drawing.js", "board.js", "editor.js")
 
 
 def editor_page(start: dict[str, Any] | None, folder: Path, tasks: list[str]) -> str:
@@ -259,5 +256,6 @@ def editor_page(start: dict[str, Any] | None, folder: Path, tasks: list[str]) ->
         "names": {0: "empty"} | {int(cell): material.name for cell, material in MATERIALS.items()},
     }
     part = partial(asset, package="warpvox.editor")
-    style, script = asset("player.css") + part("editor.css"), "\n".join(map(part, SCRIPTS))
+    style = asset("player.css") + part("editor.css")
+    script = "\n".join(map(part, ("drawing.js", "board.js", "editor.js")))
     return fill_template(part("editor.html"), values={"setup": setup}, style=style, script=script)

@@ -15,10 +15,6 @@ __all__ = ["EvoViewer"]
 
 _SCREEN, _IMAGE = ("screen", "human"), ("img", "rgb_array")
 _LOCKS = ("lock_x", "lock_y", "lock_width", "lock_height")
-# The camera's motion, as released: gains of its filter, decay of the integral, and dead bands of the target (voxels
-# for positions, a share for sizes).
-_GAIN, _SUM_GAIN, _SPEED_GAIN, _FADE = 0.04, 0.005, 0.08, 0.9
-_DEAD_PLACE, _DEAD_SIZE = 1.0, 0.3
 
 
 class EvoViewer:
@@ -121,13 +117,15 @@ class EvoViewer:
         if self._target is None:
             self.pos, self.view_size = tuple(target[:2].tolist()), tuple(target[2:].tolist())
             self._target, self._aims = target, [target, target]
+        # Dead bands, as released: voxels of positions, a share of sizes
         moved, grown = np.abs(self._target[:2] - target[:2]), np.abs(1 - self._target[2:] / target[2:])
-        still = np.concatenate([moved < _DEAD_PLACE, grown < _DEAD_SIZE])
+        still = np.concatenate([moved < 1.0, grown < 0.3])
         target = self._target = np.where(still, self._target, target)
+        # The gains of the filter and the decay of its integral, as released
         before, last = self._aims
-        self._sum = (self._sum + target - last) * _FADE
+        self._sum = (self._sum + target - last) * 0.9
         aim = np.array([*self.pos, *self.view_size])
-        aim = aim + _GAIN * (target - last) + _SPEED_GAIN * (last - before) + _SUM_GAIN * self._sum
+        aim = aim + 0.04 * (target - last) + 0.08 * (last - before) + 0.005 * self._sum
         for entry, name in enumerate(_LOCKS):
             aim[entry] = self._locks.get(name, aim[entry])
         self._aims = [last, aim]

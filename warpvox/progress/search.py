@@ -14,10 +14,11 @@ from rich.text import Text
 
 from warpvox.algos.archive import Record
 from warpvox.algos.candidate import FINALIST, Candidate
-from warpvox.algos.codesign.listener import Listener, SearchRun
 from warpvox.algos.codesign.results import evaluated_text, fresh_text
+from warpvox.algos.codesign.run import SearchRun
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.find import find_run
+from warpvox.algos.listener import Listener
 from warpvox.algos.report import FILE as REPORT
 from warpvox.code import words_of_code
 from warpvox.errors import RunError, counted
@@ -30,7 +31,7 @@ QUIET_SECONDS = 30.0
 
 
 def with_tracker(settings: Codesign, listeners: Sequence[Listener]) -> list[Listener]:
-    """The listeners of a search, before them the one that its ``logger`` names: films, made at the end, may fail."""
+    """The listeners of a search, before them the one that its ``logger`` names."""
     if settings.logger != "wandb":
         return list(listeners)
     return [TrackedSearch(settings), *listeners]

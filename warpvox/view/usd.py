@@ -45,7 +45,20 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     check_integer("stride", stride, 1, error=RolloutError)
     chosen = list(dict.fromkeys(rollout.check_envs(envs)))
     frames = list(range(0, rollout.num_frames, stride))
-    _check_fits(rollout, chosen, len(frames), stride)
+
+    # The stage is built in memory. At the peak, samples and what they are made from take 26 bytes a point and 10 a cell
+    # in each frame.
+    cells = sum(len(rollout.scene(env).cells) for env in chosen)
+    points = sum(rollout.scene(env).num_points for env in chosen)
+    needed = len(frames) * (26 * points + 10 * cells)
+    free = free_memory("cpu")
+    share = 0.9
+    if free is not None and needed > share * free:
+        least = math.ceil(stride * needed / int(share * free))
+        raise RolloutError(
+            f"A USD stage of {len(frames):,} frames needs about {needed / 2**30:.3g} GiB, and {free / 2**30:.3g} GiB"
+            f" are free; write every {least}th frame (every={least}) or fewer environments."
+        )
 
     # The stage and what it says of the rollout
     stage = Usd.Stage.CreateInMemory(f"rollout{suffix}")
@@ -64,9 +77,11 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
             world.GetPrim().SetCustomDataByKey(f"warpvox:{name}", value)
     world.GetPrim().SetCustomDataByKey("warpvox:meanReturn", float(rollout.returns[-1, chosen].mean()))
 
-    # Environments
+    # Environments, in rows of eight, ten voxels between the largest of them
     materials = _define_materials(stage)
-    places = _places(rollout, chosen)
+    step = _sizes(rollout, chosen).max(axis=0) + 10 * VOXEL
+    row, column = np.divmod(np.arange(len(chosen)), 8)
+    places = np.stack([column, -row], axis=1) * step  # [envs, 2]
     for env, place in zip(chosen, places, strict=True):
         # Values go straight to the layer: recomposing the stage after each of 64,000 would take minutes.
         _define_env(stage, rollout, env, place, materials)
@@ -98,22 +113,6 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
         if not written:
             raise RolloutError(f"{path} cannot be written; is its disk full? USD says: {reason}.")
     return Path(path)
-
-
-def _check_fits(rollout: Rollout, envs: list[int], frames: int, stride: int) -> None:
-    """Raise RolloutError if the stage, which USD builds in memory, is larger than what is free."""
-    cells = sum(len(rollout.scene(env).cells) for env in envs)
-    points = sum(rollout.scene(env).num_points for env in envs)
-    # At the peak, samples and what they are made from take 26 bytes a point and 10 a cell in each frame.
-    needed = frames * (26 * points + 10 * cells)
-    free = free_memory("cpu")
-    share = 0.9
-    if free is not None and needed > share * free:
-        least = math.ceil(stride * needed / int(share * free))
-        raise RolloutError(
-            f"A USD stage of {frames:,} frames needs about {needed / 2**30:.3g} GiB, and {free / 2**30:.3g} GiB are"
-            f" free; write every {least}th frame (every={least}) or fewer environments."
-        )
 
 
 def _define_materials(stage: Any) -> dict[Cell, Any]:
@@ -154,13 +153,6 @@ def _linear(colour: np.ndarray) -> np.ndarray:
 def _sizes(rollout: Rollout, envs: list[int]) -> np.ndarray:
     """Width and height of the environments' worlds, float64 ``[envs, 2]``."""
     return np.array([[rollout.scene(env).width, rollout.scene(env).height] for env in envs]) * VOXEL
-
-
-def _places(rollout: Rollout, envs: list[int]) -> np.ndarray:
-    """Places of the environments, float64 ``[envs, 2]``: in rows of eight, ten voxels between the largest of them."""
-    step = _sizes(rollout, envs).max(axis=0) + 10 * VOXEL
-    row, column = np.divmod(np.arange(len(envs)), 8)
-    return np.stack([column, -row], axis=1) * step
 
 
 def _define_env(stage: Any, rollout: Rollout, env: int, place: np.ndarray, materials: dict[Cell, Any]) -> None:

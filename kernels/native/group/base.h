@@ -1,6 +1,6 @@
-// What the body of the group kernel begins with, after the constants PARTS (threads of a group), POINTS, MOVERS and SPRINGS
-// (capacities, multiples of 16 or 32; points from MOVERS on neither move nor hang on a spring), APPROXIMATE, and `typedef ...
-// Real`. One environment is advanced by PARTS threads, of which this is number `part`. It owns the points below MOVERS and
+// What the body of the group kernel begins with, after the constants PARTS (threads of a group), POINTS, MOVERS, SPRINGS and
+// RIGIDS (capacities, multiples of 16 or 32; points from MOVERS on neither move nor hang on a spring; sides of rigid voxels),
+// APPROXIMATE, and `typedef ... Real`. One environment is advanced by PARTS threads, of which this is number `part`. It owns the points below MOVERS and
 // the springs part, part + PARTS, ... and keeps what belongs to them in registers; what others read is in `at`, shared
 // memory on CUDA.
 
@@ -30,14 +30,14 @@ auto narrow = [](Wide a) -> Value { return Value(a); };
 // Where several warps have an environment, the last of them may have nothing in the last round of points or springs.
 constexpr int WARPS = PARTS > 32 ? PARTS / 32 : 1, WHOLE = PARTS > 32 ? 32 : PARTS;
 static_assert(POINTS % WHOLE == 0 && MOVERS % WHOLE == 0 && SPRINGS % WHOLE == 0, "capacities");
-static_assert(MOVERS <= 64 * PARTS && SPRINGS < 1 << 15, "capacities");
+static_assert(MOVERS <= 64 * PARTS && MOVERS <= 1 << 14 && SPRINGS < 1 << 15, "capacities");
 constexpr int POINT_ROUNDS = (MOVERS + PARTS - 1) / PARTS, SPRING_ROUNDS = (SPRINGS + PARTS - 1) / PARTS;
 auto within = [&](int j, int capacity) -> bool { return capacity % PARTS == 0 || part + PARTS * j < capacity; };
 // Up to FEW rounds are unrolled; what a thread owns is in registers then, else in local memory.
 constexpr int POINTS_AT_ONCE = POINT_ROUNDS <= FEW ? POINT_ROUNDS : 1;
 constexpr int SPRINGS_AT_ONCE = SPRING_ROUNDS <= FEW ? SPRING_ROUNDS : 1;
 constexpr int ROUNDS_A_BIT = (SPRING_ROUNDS + 31) / 32;  // of springs, in a set of rounds
-constexpr unsigned FREE = 1u << 15;                      // of the end of a Side: the point is free
+constexpr unsigned FREE = 1u << 15, LAST = 1u << 14, POINT = LAST - 1;  // of the ends of a Side
 constexpr int QUEUE = 4 * PARTS;                         // room for contacts
 
 typedef float Single;  // Warp gives float(...) a meaning of its own
@@ -60,7 +60,7 @@ struct Hit {
 };
 struct Touch {  // what the contacts of a sub-step need
     Place velocity[MOVERS];  // displacement of the last sub-step / dt
-    Hit hit[PARTS];
+    Hit hit[WHOLE];
     int queue[QUEUE];
 };
 struct alignas(16) Shared {
@@ -69,11 +69,11 @@ struct alignas(16) Shared {
     Links links[MOVERS];
     Spring spring[SPRINGS];
     Length length[SPRINGS];  // elements of 8 bytes: half a warp reads as many words as there are banks
-    Side rigid[PARTS];       // the first of the sides of rigid voxels
+    Side rigid[RIGIDS];      // sides of rigid voxels
     union {  // one after another in a sub-step
         Touch touch;
-        Pair tension[2 * SPRINGS + 2];  // forces of a spring on its ends; at last -0
-        Pair moved[MOVERS];             // corrections of the strain limit
+        Pair tension[SPRINGS + 2];  // force of a spring on its first end; at last 0 and -0
+        Pair moved[MOVERS];         // corrections of the strain limit
     };
     unsigned short close[CLOSE];  // corners that are near another voxel
 };
@@ -81,8 +81,9 @@ static_assert(sizeof(Shared) == GROUP_BYTES, "Group.layout is another");
 
 // The groups of a warp, or the warps of a group, are a block and take the same way: where one has work, all of them come
 // along. `sync` and `some` are about the block, as is `most`, the largest of numbers that the threads of a group share.
-// `first_of` gives the first thread of a group that says yes (PARTS: none), `rank_of` how many before this one do, and
-// how many in all; both whether the block has `any`; `sum_before` the sum of the numbers below 2^16 that the threads
+// `first_of` gives the first thread of a group that says yes (PARTS: none), `first_of_warp` that of its first warp (WHOLE:
+// none), which may be alone there; `rank_of` how many before this one do, and how many in all; they tell whether there is
+// `any` in the block or the warp; `sum_before` the sum of the numbers below 2^16 that the threads
 // before this one have, and the `total` of the group. None of them stands where the block may go different ways.
 #if defined(__CUDA_ARCH__)
 constexpr int GROUPS = PARTS < 32 ? 32 / PARTS : 1;
@@ -91,6 +92,7 @@ __shared__ Shared groups[GROUPS];
 Shared& at = groups[first_thread / PARTS];
 // Where an element of `disp` or `tension` is, in 16 bits: in bytes, so that nothing is left to compute.
 char* const memory = reinterpret_cast<char*>(groups);
+constexpr unsigned ADDED = 1;  // a bit that no place has
 auto place_of = [&](const Pair* pairs, int n) -> unsigned { return reinterpret_cast<const char*>(pairs + n) - memory; };
 auto pair_at = [&](const Pair*, unsigned place) -> Pair { return *reinterpret_cast<const Pair*>(memory + place); };
 constexpr int WIDER = sizeof(Place) / sizeof(Pair);
@@ -129,6 +131,7 @@ auto most = [&](int a) -> int {
 auto lower = [](Real a, Real b) -> Real { return fmin(a, b); };
 auto higher = [](Single a, Single b) -> Single { return fmax(a, b); };
 auto count_bits = [](unsigned a) -> int { return __popc(a); };
+auto set_bits = [](int* word, int bits) { atomicOr(word, bits); };  // whichever thread comes first
 auto lowest = [](unsigned a) -> int { return __ffs(a) - 1; };
 auto sign_of = [](double a) -> int { return __double2hiint(a); };  // of a number that is a difference, never -0
 auto either = [](unsigned a, unsigned b) -> unsigned { return a | b; };
@@ -173,10 +176,14 @@ auto rank_of = [&](bool yes, int& total, bool& any) -> int {
     if (WARPS > 1) any = total != 0;
     return before;
 };
-auto first_of = [&](bool yes, bool& any) -> int {
+auto first_of_warp = [&](bool yes, bool& any) -> int {
     const unsigned bits = vote(yes, any);
-    if (WARPS == 1) return bits ? lowest(bits) : PARTS;
-    const int first = join_warps(bits ? part / 32 * 32 + lowest(bits) : PARTS, smaller);
+    return bits ? lowest(bits) : WHOLE;
+};
+auto first_of = [&](bool yes, bool& any) -> int {
+    int first = first_of_warp(yes, any);
+    if (WARPS == 1) return first;
+    first = join_warps(any ? part / 32 * 32 + first : PARTS, smaller);
     any = first < PARTS;
     return first;
 };
@@ -196,6 +203,7 @@ auto sum_before = [&](unsigned number, int& total) -> int {
 // A group is alone; with WHOLE_WARPS, those of a warp are a block and go the same way, as on CUDA.
 constexpr int GROUPS = WHOLE_WARPS && PARTS < 32 ? 32 / PARTS : 1;
 Shared& at = *reinterpret_cast<Shared*>(&wp::index(scratch, pack, 0));
+constexpr unsigned ADDED = 1u << 15;
 auto place_of = [](const Pair*, int n) -> unsigned { return n; };
 auto pair_at = [](const Pair* pairs, unsigned place) -> Pair { return pairs[place]; };
 auto pos_at = [&](unsigned place) -> Place { return at.pos[place]; };
@@ -221,10 +229,12 @@ auto larger = [](int a, int b) { return a > b ? a : b; };
 auto together = [&](unsigned a) -> unsigned { return join(a, false, either); };
 auto some = [&](bool yes) -> bool { return together(yes) != 0; };
 auto some_of_group = [&](bool yes) -> bool { return join(yes, true, either) != 0; };
+auto smaller = [](int a, int b) { return a < b ? a : b; };
 auto first_of = [&](bool yes, bool& any) -> int {
     any = some(yes);
-    return join(yes ? part : PARTS, true, [](int a, int b) { return a < b ? a : b; });
+    return join(yes ? part : PARTS, true, smaller);
 };
+auto first_of_warp = [&](bool yes, bool& any) -> int { return wp::min(first_of(yes, any), WHOLE); };
 auto sum_before = [&](unsigned number, int& total) -> int {
     int before = 0, k = 0;
     total = join(number, true, [&](int a, int b) {
@@ -242,6 +252,7 @@ auto most = [&](int a) -> int { return GROUPS > 1 ? join(a, false, larger) : a; 
 auto lower = [](Real a, Real b) -> Real { return a < b || b != b ? a : b; };
 auto higher = [](Single a, Single b) -> Single { return a > b || b != b ? a : b; };
 auto count_bits = [](unsigned a) -> int { return __builtin_popcount(a); };
+auto set_bits = [](int* word, int bits) { __atomic_fetch_or(word, bits, __ATOMIC_RELAXED); };
 auto lowest = [](unsigned a) -> int { return __builtin_ctz(a); };
 auto sign_of = [](double a) -> int { return (a > 0.0) - (a < 0.0); };
 auto largest = [&](float a) -> float {  // the bits of numbers that are not negative are in their order

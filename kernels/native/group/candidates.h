@@ -1,6 +1,6 @@
 // Candidates: pairs of voxels, then voxels with cells of the terrain, that may meet while no point has moved further than
 // half the margin; in ascending order. An entry holds i, j and which corners of i and of j are tested; the cell c of the
-// terrain stands as -1 - c. Each thread writes rows of its own of the matrix of marked pairs.
+// terrain stands as -1 - c.
 
 auto least4 = [](auto a, auto b, auto c, auto d) {
     a = b < a ? b : a;
@@ -37,7 +37,8 @@ auto collect = [&]() {
     const int* fixed_at = row_of(model.fixed_at, frame);
     double* box = &wp::index(data.box, pack, 0, 0);
     int* bits = &wp::index(data.pair_bit, pack, 0);
-    const int voxels = points ? wp::index(model.voxels, here) : 0, movables = points ? wp::index(model.movables, here) : 0;
+    const bool idle = status & (DIVERGED | STILL);
+    const int voxels = idle ? 0 : wp::index(model.voxels, here), movables = idle ? 0 : wp::index(model.movables, here);
     const int words = (voxels + 31) / 32;
     const double margin = model.margin;
 
@@ -50,7 +51,7 @@ auto collect = [&]() {
         box[4 * v + 3] = most4(a.y, b.y, d.y, e.y);
     }
     sync();
-    auto mark = [&](int i, int j) { bits[i * words + j / 32] |= 1 << (j % 32); };
+    auto mark = [&](int i, int j) { set_bits(&bits[i * words + j / 32], 1 << (j % 32)); };
     auto meet = [&](const double* a, const double* b) -> bool {
         return a[0] <= b[1] + margin && b[0] <= a[1] + margin && a[2] <= b[3] + margin && b[2] <= a[3] + margin;
     };
@@ -75,24 +76,17 @@ auto collect = [&]() {
             if (!(fixed[i] && fixed[j]) && meet(box + 4 * i, box + 4 * j)) mark(i, j);
         }
     }
-    // Fixed voxels; where they come first, their rows belong to nobody: one thread after another.
-    bool before = false;
-    ROLL for (int turn = some(movables < voxels) ? -1 : PARTS; turn < PARTS; ++turn) {
-        for (int a = part; a < movables && (turn < 0 || turn == part); a += PARTS) {
-            const int v = movable[a];
-            int range[4];
-            lattice(v, range);
-            for (int y = range[2]; y <= range[3]; ++y) {
-                for (int x = range[0]; x <= range[1]; ++x) {
-                    const int other = fixed_at[y * columns + x], w = first_other + other;
-                    if (other < 0 || fixed[v] || !meet(box + 4 * w, box + 4 * v)) continue;
-                    before |= w < v;
-                    if ((turn < 0) == (v < w)) mark(wp::min(v, w), wp::max(v, w));
-                }
+    // Fixed voxels; where they come first, several threads mark pairs in their rows.
+    for (int a = part; a < movables && movables < voxels; a += PARTS) {
+        const int v = movable[a];
+        int range[4];
+        lattice(v, range);
+        for (int y = range[2]; y <= range[3]; ++y) {
+            for (int x = range[0]; x <= range[1]; ++x) {
+                const int other = fixed_at[y * columns + x], w = first_other + other;
+                if (other >= 0 && !fixed[v] && meet(box + 4 * w, box + 4 * v)) mark(wp::min(v, w), wp::max(v, w));
             }
         }
-        sync();
-        if (turn < 0 && !some(before)) break;
     }
     sync();
 

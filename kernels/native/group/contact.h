@@ -1,6 +1,6 @@
 // Contacts of a sub-step: which corners are in another voxel or cell, and the forces of these contacts. The candidates are
-// spread over the threads; the contacts come into a queue in the order of candidates, their forces are computed side by
-// side and added in that order.
+// spread over the threads; the contacts come into a queue in the order of candidates, the first warp computes their forces
+// side by side and adds them in that order.
 
 struct Quad { double x[4], y[4]; };
 
@@ -115,10 +115,10 @@ auto force_of = [&](int code, Hit& hit) {
 auto add_queue = [&](int waiting) {
     sync();
     const int longest = most(waiting);
-    ROLL for (int base = 0; base < longest; base += PARTS) {
-        if (base + part < waiting) force_of(at.touch.queue[base + part], at.touch.hit[part]);
+    ROLL for (int base = 0; base < longest; base += WHOLE) {
+        if (part < WHOLE && base + part < waiting) force_of(at.touch.queue[base + part], at.touch.hit[part]);
         sync();
-        const int end = TIGHT && WARPS > 1 && part >= 32 ? 0 : PARTS;  // six threads of the first warp add
+        const int end = TIGHT && WARPS > 1 && part >= 32 ? 0 : WHOLE;  // six threads of the first warp add
         ROLL for (int n = 0; n < end && base + n < longest; ++n) {
             const Hit& hit = at.touch.hit[n];
             const int p = part < 6 && base + n < waiting ? hit.point[part >> 1] : -1;

@@ -14,9 +14,11 @@ Bits loose = 0;  // of the own points those that are free
 const Pair no_contact{Real(0), APPROXIMATE ? -model.weight : Real(0)};
 bool sound = true;
 
-// Number in `tension` of the force on an end. In every other round the ends change places: points side by side look for
-// springs that are apart by about half a round, whose forces would lie in the same bank.
-auto pull_of = [](int s, int end) -> int { return 2 * s + (end ^ (unsigned(s) / PARTS & 1)); };
+// The springs of a point, of which a sum has LINKS, ascend: first those whose second end it is, from the left, whose
+// tension is subtracted; then those whose first end it is, up to the right, whose tension is added. Of the former there are
+// up to four, of the latter up to five: place FOURTH may belong to either; ADDED says that it is added.
+constexpr int FOURTH = 3;
+const unsigned to_add = place_of(at.tension, SPRINGS + 1), to_subtract = place_of(at.tension, SPRINGS);  // without a spring
 
 auto load_points = [&]() {
     const int* link_start = row_of(model.link_start, mesh);
@@ -36,7 +38,7 @@ auto load_points = [&]() {
         const int p = part + PARTS * j;
         vel[j][0] = vel[j][1] = 0.0;
         if (!within(j, MOVERS)) break;
-        for (int n = 0; n < LINKS; ++n) at.links[p].place[n] = place_of(at.tension, 2 * SPRINGS);
+        for (int n = 0; n < LINKS; ++n) at.links[p].place[n] = n > FOURTH ? to_add : to_subtract;
         at.pos[p] = Place{0.0, 1.0};  // above the floor
         at.contact[p] = no_contact;
         at.touch.velocity[p] = Place{0.0, 0.0};
@@ -49,7 +51,8 @@ auto load_points = [&]() {
         if (free_lanes[p]) loose |= Bits(1) << j;
         for (int n = 0; n < count; ++n) {
             const int s = link[first + n];
-            at.links[p].place[n] = place_of(at.tension, s >= 0 ? pull_of(s, 0) : pull_of(-1 - s, 1));
+            const int to = s < 0 ? n : LINKS - count + n;
+            at.links[p].place[to] = place_of(at.tension, s < 0 ? -1 - s : s) | (s >= 0 && to == FOURTH ? ADDED : 0);
         }
     }
 };

@@ -34,10 +34,7 @@ auto load_springs = [&]() {
 };
 
 auto pull = [&](int j, Real size, Real x, Real y) {
-    const int n = 2 * (part + PARTS * j);
-    if (j & 1) size = -size;  // as pull_of has it
-    at.tension[n] = Pair{size * x, size * y};
-    at.tension[n + 1] = Pair{-(size * x), -(size * y)};
+    at.tension[part + PARTS * j] = Pair{size * x, size * y};
 };
 // On CUDA the tables have rows for all rounds of springs but some of the last, so that these need no test.
 auto has_row = [](int j) -> bool { return TIGHT && j + 1 < SPRING_ROUNDS; };
@@ -105,7 +102,10 @@ auto runge_kutta = [&]() {
     int row = pack;
     HIDE(row);
     goal = state_of(data.goal, row);
-    if (part == 0) at.tension[2 * SPRINGS] = Pair{Real(-0.0), Real(-0.0)};  // of a place without a spring; contacts were here
+    if (part < 2) {  // of places without a spring; contacts were here
+        const Real none = part ? Real(-0.0) : Real(0);
+        at.tension[SPRINGS + part] = Pair{none, none};
+    }
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
         start_vel[j] = stage_vel[j] = Pair{Real(vel[j][0]), Real(vel[j][1])};
         height[j] = within(j, MOVERS) ? Real(at.pos[part + PARTS * j].y) : Real(1);
@@ -145,10 +145,16 @@ auto runge_kutta = [&]() {
             const Pair v = stage_vel[j];
             Real fx = force[j].x, fy = force[j].y;
             const Links links = at.links[p];
+            const Real sign = links.place[FOURTH] & ADDED ? Real(1) : Real(-1);
             UNROLL for (int n = 0; n < LINKS; ++n) {
-                const Pair pulls = pair_at(at.tension, links.place[n]);
-                fx = fx + pulls.x;
-                fy = fy + pulls.y;
+                const Pair pulls = pair_at(at.tension, n == FOURTH ? links.place[n] & ~ADDED : links.place[n]);
+                if (n == FOURTH) {
+                    fx = fused(sign, pulls.x, fx);
+                    fy = fused(sign, pulls.y, fy);
+                } else {
+                    fx = n < FOURTH ? fx - pulls.x : fx + pulls.x;
+                    fy = n < FOURTH ? fy - pulls.y : fy + pulls.y;
+                }
             }
             sum_force[j] = Pair{fused(fx, early, sum_force[j].x), fused(fy, early, sum_force[j].y)};
             sum_gain[j] = Pair{fused(fx, weight, sum_gain[j].x), fused(fy, weight, sum_gain[j].y)};

@@ -37,7 +37,9 @@ auto store = [&]() {
     double* velocity = &wp::index(data.vel, pack, 0, 0);
     double* true_vel = &wp::index(data.true_vel, pack, 0, 0);
     own_points([&](int j, int p) {
-        if (!(loose >> j & 1) && at.links[p].place[0] == place_of(at.tension, 2 * SPRINGS)) return;  // not free, no spring
+        const unsigned short* place = at.links[p].place;
+        const bool hangs = place[0] != to_subtract || place[LINKS - 1] != to_add;
+        if (!(loose >> j & 1) && !hangs) return;
         pos[2 * p] = at.pos[p].x;
         pos[2 * p + 1] = at.pos[p].y;
         velocity[2 * p] = vel[j][0];

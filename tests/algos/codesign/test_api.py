@@ -19,9 +19,9 @@ from warpvox.algos.archive import FILE, Archive
 from warpvox.algos.candidate import START, Candidate, Outcome, Parents
 from warpvox.algos.checkpoints.files import load_checkpoint
 from warpvox.algos.codesign.evaluations.custom import Custom
-from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.codesign.settings import Codesign
+from warpvox.algos.listener import Listener
 from warpvox.algos.search.base import RandomSearch
 from warpvox.algos.settings import sim_of
 from warpvox.cli.config import load

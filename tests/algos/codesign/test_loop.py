@@ -18,8 +18,8 @@ from refusals import refused
 
 from warpvox.algos.archive import BACKUP, FILE, Archive
 from warpvox.algos.candidate import Candidate, Outcome, Parent
-from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
+from warpvox.algos.listener import Listener
 from warpvox.algos.report import report_page
 from warpvox.algos.search import BO, GA, CppnNeat, MapElites, RandomDesigns, make_search
 from warpvox.errors import DivergenceError, RunError, StorageError, WarpvoxError

@@ -15,8 +15,8 @@ from refusals import refused
 
 from warpvox.algos.archive import Archive
 from warpvox.algos.candidate import Candidate, Outcome
-from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.loop import Batch
+from warpvox.algos.listener import Listener
 from warpvox.errors import ConfigError, RunError
 
 ray = pytest.importorskip("ray", reason="Ray is not installed")

@@ -99,16 +99,11 @@ def test_settings_alone_load_no_library(tmp_path: Path) -> None:
     assert (run.stderr, run.stdout) == ("", "\n")
 
 
-@pytest.fixture(scope="module")
-def examples(repository: Path) -> list[str]:
-    text = (repository / "docs" / "own_search.md").read_text(encoding="utf-8")
-    return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-
-
 @pytest.fixture
-def mine(examples: list[str], tmp_path: Path) -> Path:
+def mine(repository: Path, tmp_path: Path) -> Path:
+    page = (repository / "docs" / "own_search.md").read_text(encoding="utf-8")
     path = tmp_path / "mine.py"
-    path.write_text(examples[-1], encoding="utf-8")
+    path.write_text(re.search(r"```python\n(.*?)```", page, re.DOTALL)[1], encoding="utf-8")
     return path
 
 

@@ -15,13 +15,6 @@ __all__ = ["world_files"]
 # As released: the four tasks about shapes share a file, Catcher-v0 uses another task's, blocks come one by one.
 _SHARED = {"AreaMaximizer-v0": "ShapeChange", "Catcher-v0": None}
 _SHARED |= dict.fromkeys(("AreaMinimizer-v0", "WingspanMaximizer-v0", "HeightMaximizer-v0"))
-_SINGLE = {
-    "package": block("peg", 3, 2, "S"),
-    "peg": block("peg", 5, 1, "F"),
-    "rigid_1x1": block("new_object_1", 1, 1, "R"),
-    "rigid_2x2": block("new_object_2", 2, 2, "R"),
-    "rigid_3x3": block("new_object_3", 3, 3, "R"),
-}
 
 
 @cache
@@ -34,7 +27,14 @@ def world_files() -> str:
         _SHARED.get(task, task): [obj for obj in get_task(task).objects if not obj.name.startswith("block_")]
         for task in task_ids()
     }
-    for name, objects in (worlds | {name: [obj] for name, obj in _SINGLE.items()}).items():
+    single = {
+        "package": block("peg", 3, 2, "S"),
+        "peg": block("peg", 5, 1, "F"),
+        "rigid_1x1": block("new_object_1", 1, 1, "R"),
+        "rigid_2x2": block("new_object_2", 2, 2, "R"),
+        "rigid_3x3": block("new_object_3", 3, 3, "R"),
+    }
+    for name, objects in (worlds | {name: [obj] for name, obj in single.items()}).items():
         if name is not None:
             world = World()
             for obj in objects:

@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import nn
 
-from warpvox.algos.population.model import tanh_layers
-from warpvox.algos.population.ppo import VectorAdam
+from warpvox.algos.ppo.networks import tanh_layers
+from warpvox.algos.ppo.population import VectorAdam
 
 SIZES = (5, 7, 6, 3)
 DESIGNS = 4
@@ -68,10 +68,11 @@ def test_each_row_of_stacked_networks_is_an_adam_of_its_own() -> None:
         torch.optim.Adam([p for group in groups for p in group], lr=float(rate), eps=EPS)
         for groups, rate in zip(parts, rates, strict=True)
     ]
-    for step in range(1, 21):
+    for _ in range(20):
+        ours.prepare(1)
         gradients = [torch.randn(p.shape, generator=random).double() * scales for p in ours.parameters]
         for rows in (slice(2), slice(2, 3)):
-            ours.descend(ours.flat([g[rows] for g in gradients]), LIMIT, rates[rows], step, rows)
+            ours.descend(ours.flat([g[rows] for g in gradients]), LIMIT, rates[rows], 0, rows)
         for d, optimizer in enumerate(theirs):
             for parameter, gradient in zip(optimizer.param_groups[0]["params"], gradients, strict=True):
                 parameter.grad = gradient[d].clone()
