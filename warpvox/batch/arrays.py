@@ -9,7 +9,7 @@ import warp as wp
 
 from warpvox.batch.packs import Batch
 from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
-from warpvox.kernels.device import from_numpy, on_cuda, put, set_fields, zeros
+from warpvox.kernels.device import from_numpy, on_cuda, put, set_fields, shared_memory, zeros
 from warpvox.kernels.group import LINKS, Group, choose
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, STALE, allocate, structs
 
@@ -68,7 +68,7 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
         links = np.diff(tables["link_start"])
         moves = ((links > 0) | (tables["free_lanes"] != 0)).any(0)
         sizes["mover"] = sizes["point"] if batch.grid else 1 + int(np.flatnonzero(moves).max(initial=0))
-        group = choose(sizes, precision, device)
+        group = choose(sizes, precision, device, shared_memory(device))
         if group is None or batch.cut or links.max(initial=0) > LINKS:
             return None
 

@@ -34,7 +34,7 @@ class SimOptions:
         physics: preset or constants; None: the preset of the rules of a task, ``evogym`` in a simulation alone.
         lanes: environments that one CPU thread advances at once (1, 8, 16 or 32); None chooses.
         threads: CPU threads; None takes all cores.
-        layout: ``lanes``, one thread an environment (on the CPU as vectors over environments), or ``group``, 16 to 128
+        layout: ``lanes``, one thread an environment (on the CPU as vectors over environments), or ``group``, 16 to 512
             threads an environment, with its state on the chip for a whole control step. None: ``group`` on CUDA in fast
             arithmetic where a world's state fits into 48 KiB, else ``lanes``. On the CPU ``group`` is slow, and meant
             for tests.
