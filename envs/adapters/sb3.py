@@ -52,7 +52,8 @@ class VoxelSB3VecEnv(BatchAdapter, VecEnv):
     ) -> None:
         check_choice("render_mode", render_mode, [None, "rgb_array"])
         self._make(task, designs, num_envs, options, {"device": "cpu"}, body=body, auto_reset=True)
-        self.normalize_actions, self.render_size = normalize_actions, render_size
+        self.normalize_actions = normalize_actions
+        self.render_size = render_size
         self.render_mode = render_mode
         self._actions: Any = None
         observations, actions = spaces_of(self.vec)

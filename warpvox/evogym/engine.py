@@ -53,7 +53,9 @@ class Engine:
         anything = (-np.inf, np.inf)
         sim = Simulation([self.world], options, loose=self._loose, action_range=anything)
         self._sim = sim
-        self.sensors, moving, statics = Sensors(sim), sim.designs[0].bodies, sim.designs[0].statics
+        self.sensors = Sensors(sim)
+        moving = sim.designs[0].bodies
+        statics = sim.designs[0].statics
         self._views = {name: sim.array(name).numpy().reshape(-1, 2) for name in ("pos", "vel", "true_vel", "rest_pos")}
         self._status = sim.array("status").numpy().reshape(-1)
         self._actions = sim.action_buffer.numpy()[0]  # of all robots
@@ -118,7 +120,9 @@ class Engine:
         self._check(name)
         if name not in self._loose and (self._bodies[name].source.grid == Cell.FIXED).any():
             # Rebuilt, the simulation can move an object of fixed cells.
-            actions, before, self._loose = self._actions.copy(), self._rows, (*self._loose, name)
+            actions = self._actions.copy()
+            before = self._rows
+            self._loose = (*self._loose, name)
             self._build()
             self._actions[:] = actions
             self._past = {time: kept[:, before[np.argsort(self._rows)]] for time, kept in self._past.items()}

@@ -88,7 +88,8 @@ class Terminal(Listener):
             self._bar.start()
 
     def iterated(self, row: Mapping[str, float]) -> None:
-        figures, done = self._figures.text(row), row["iteration"]
+        figures = self._figures.text(row)
+        done = row["iteration"]
         if self._bar is not None:
             self._bar.update(self._line, completed=done, figures=figures, spent=str(self._spent))
             return
@@ -135,7 +136,8 @@ class Notebook(Listener):
 
 
 def _announcement(job: Job) -> str:
-    config, runner = job.written, job.runner
+    config = job.written
+    runner = job.runner
     done = runner.current_learning_iteration
     verb = f"resuming after iteration {done}" if done else "training"
     where = config.device if runner.group.size == 1 else f"{runner.group.size} processes, {config.device}"
@@ -155,7 +157,10 @@ def _announcement(job: Job) -> str:
 
 
 def _conclusion(job: Job, seconds: float) -> str:
-    runner, folder, status, best = job.runner, job.folder, job.summary["status"], job.summary["best_return"]
+    runner = job.runner
+    folder = job.folder
+    status = job.summary["status"]
+    best = job.summary["best_return"]
     words = f"{status}, state saved" if status == "interrupted" else status
     if status != "done" and (folder is None or runner.saved_iteration != runner.current_learning_iteration):
         words = status if folder is None else f"{status}, the state of iteration {runner.saved_iteration} is kept,"
