@@ -63,7 +63,8 @@ def evaluate(env: VoxelVecEnv, policy: Policy, seed: int | Sequence[int] | None 
             obs, _, terminated, truncated, info = env.step(policy(obs))
             if (step + 1) % check_every == 0 and bool((terminated | truncated).all()):
                 break
-    returns, lengths = info["episode"]["return"].double().cpu(), info["episode"]["length"].long().cpu()
+    returns = info["episode"]["return"].double().cpu()
+    lengths = info["episode"]["length"].long().cpu()
     return EpisodeReturns(returns, lengths, env.design_index.cpu())
 
 

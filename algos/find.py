@@ -128,7 +128,8 @@ def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
 def _config_of(folder: Path, command: str) -> dict[str, Any]:
     if not (folder / CONFIG).is_file():
         raise RunError(f"{folder} is not a run: it has no {CONFIG}.")
-    content, (what, keys) = read_config(folder), NEEDED[command]
+    content = read_config(folder)
+    what, keys = NEEDED[command]
     if not keys <= content.keys():
         raise RunError(f"{folder} is not {what}: its {CONFIG} is that of another run.")
     if command == CODESIGN:

@@ -10,7 +10,7 @@ from torch.overrides import TorchFunctionMode
 from warpvox.algos.expected import AnyTensor, check_like
 from warpvox.errors import RunError
 
-DRAWING = frozenset({
+_DRAWING = frozenset({
     "rand", "randn", "randint", "randperm", "normal", "bernoulli", "multinomial", "poisson",
     "bernoulli_", "cauchy_", "exponential_", "geometric_", "log_normal_", "normal_", "random_", "uniform_",
     "kaiming_normal_", "kaiming_uniform_", "trunc_normal_", "xavier_normal_", "xavier_uniform_",
@@ -42,7 +42,7 @@ class Generators(TorchFunctionMode):
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         kwargs = kwargs or {}
-        if getattr(func, "__name__", "") in DRAWING and kwargs.get("generator") is None:
+        if getattr(func, "__name__", "") in _DRAWING and kwargs.get("generator") is None:
             first = args[0] if args else None
             # torch 2.7 cannot be asked for its default device once that was set to None.
             device = kwargs.get("device") or torch.empty(0).device

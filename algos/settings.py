@@ -145,19 +145,27 @@ class DesignTraining(Settings):
         return iterations * self.envs * self.ppo.steps / designs
 
 
-_fields: list[tuple[str, Any, Any]] = [
-    (
-        "preset",
-        str,
-        key("auto", "preset to start from; auto: the one that belongs to rules", choices=("auto", *Physics.presets())),
-    ),
-    *(
-        (one.name, type(one.default) | None, key(None, f"{one.metadata['help']}; null: the preset's value"))
-        for one in dataclasses.fields(Physics)
-        if one.name != "name"
-    ),
-]
-_Constants: Any = make_dataclass("PhysicsConfig", _fields, bases=(Settings,), namespace={"__module__": __name__})
+_Constants: Any = make_dataclass(
+    "PhysicsConfig",
+    [
+        (
+            "preset",
+            str,
+            key(
+                "auto",
+                "preset to start from; auto: the one that belongs to rules",
+                choices=("auto", *Physics.presets()),
+            ),
+        ),
+        *(
+            (one.name, type(one.default) | None, key(None, f"{one.metadata['help']}; null: the preset's value"))
+            for one in dataclasses.fields(Physics)
+            if one.name != "name"
+        ),
+    ],
+    bases=(Settings,),
+    namespace={"__module__": __name__},
+)
 
 
 class PhysicsConfig(_Constants):

@@ -19,18 +19,19 @@ from statistics import median, quantiles
 from typing import Any
 
 import torch
-from common import ROOT, Batch, Report, alternate, number, options, training_rates
+from common import ROOT, Batch, Report, alternate, full_body, number, options, training_rates
 from learning import learn
-from scaling import mix_bodies, scale_bodies, scale_envs
+from scaling import mix_bodies, scale_envs
 from tasks import measure_tasks
 
 import warpvox as wv
 
-FIRST_CHECKS = "tests/envs/test_device.py", "tests/kernels/test_sanitizer.py"
+FIRST_CHECKS = "tests/envs/test_device.py", "tests/algos/ppo/test_iteration.py", "tests/kernels/test_sanitizer.py"
 LARGE = {
     "envs": [16384, 65536, 4096, 1024, 256, 64],
     "num_envs": 1024,
     "sizes": [5, 15, 25, 35],
+    "body_envs": [1024, 16384],
     "designs": 25,
     "training": wv.DesignTraining(envs=512, iterations=20, eval_interval=20, ppo=wv.Ppo(steps=16)),
 }
@@ -38,10 +39,12 @@ SMALL = {
     "envs": [8, 1],
     "num_envs": 8,
     "sizes": [3],
+    "body_envs": [8, 1],
     "designs": 2,
     "training": wv.DesignTraining(envs=8, iterations=1, eval_interval=1, ppo=wv.Ppo(steps=16)),
 }
-"""How much is done on CUDA, and on the CPU: environments, sides of bodies, designs that are trained side by side."""
+"""How much is done on CUDA, and on the CPU: environments, sides of bodies and environments of each, designs that are
+trained side by side."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -54,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--parts", nargs="*", metavar="PART", help="parts to do; by default all")
     args = parser.parse_args(argv)
     size = SMALL if args.device == "cpu" else LARGE
-    args = argparse.Namespace(**vars(args) | size, bodies=1, simulated=0.4)
+    args = argparse.Namespace(**vars(args) | size)
     many = argparse.Namespace(**vars(args) | {"num_envs": size["envs"][0], "no_training": True})
     report = Report("gpu", args)
     report.end = time.perf_counter() + args.seconds
@@ -68,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "learning": lambda: learn(args, report, "parallel", args.seed, seconds=60.0),
         "different bodies": lambda: mix_bodies(args, report),
         "tasks": lambda: measure_tasks(many, report),
-        "large bodies": lambda: scale_bodies(args, report),
+        "large bodies": lambda: scale_sides(args, report),
         "all checks": lambda: check(args, report, ["tests", *(f"--ignore={path}" for path in FIRST_CHECKS)]),
     }
     if args.device == "cpu":
@@ -98,6 +101,24 @@ def check(args: argparse.Namespace, report: Report, tests: Sequence[str]) -> Non
     last = where.read_text(encoding="utf-8").strip().splitlines()[-1].strip("= ")
     assert done.returncode == 0, f"{last}; see {where}"
     report.note(f"Tests of {', '.join(tests)}: {last}.")
+
+
+def scale_sides(args: argparse.Namespace, report: Report) -> None:
+    """Rates of full bodies of each size; what does not fit into memory is left out."""
+    rows = []
+    for side in report.in_time(args.sizes):
+        for count in args.body_envs:
+            try:
+                batch = Batch(args, [full_body(side, args.seed)], count)
+            except wv.MemoryLimitError as error:
+                report.note(f"Left out: {error}")
+                continue
+            rates = alternate({"": batch.random_rate}, args.repeats)[""]
+            batch.assert_finite()
+            rows.append([f"{side} x {side} in {count:,}", rates])
+            report.row(*rows[-1])
+    title = f"{args.task}, full bodies, control steps per second, float32, {args.device}"
+    report.table(title, ["body, environments", "step only"], rows)
 
 
 def profile(args: argparse.Namespace, report: Report) -> None:

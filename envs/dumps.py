@@ -43,7 +43,8 @@ class DivergenceDump:
         self.pause = 1 if torch.device(env.sim.device).type == "cpu" else STEPS
         self._scenes, self._points = scenes_of(env.sim)
         self._room = STEPS + self.pause
-        self._open, self._count = True, 0
+        self._open = True
+        self._count = 0
         self._rings: dict[str, torch.Tensor] = {}
         self._at = torch.full((env.num_envs,), -1, dtype=torch.long, device=env.device)
         self._length, self._begun = torch.zeros_like(self._at), torch.zeros_like(self._at)

@@ -99,6 +99,8 @@ class Graph:
             self._recorded[settings] = self._capture(work, self._generators)
         except RuntimeError as error:  # of torch and of Warp
             self._failed = True
+            for generator in self._generators:  # torch leaves them as if the capture went on
+                generator.graphsafe_set_state(generator.clone_state())
             reason = " ".join(str(error).split())[:200]
             text = f"{self._name} cannot be captured as a CUDA graph and are launched one by one: {reason}"
             warnings.warn(text, RuntimeWarning, stacklevel=2)

@@ -327,7 +327,8 @@ class VoxelVecEnv:
         mask = check_mask(mask, self.design_index)
         if designs is None:
             raise DesignError("set_designs needs a body, or a list of bodies; got None.")
-        count, worlds = int(mask.sum()), load_worlds(self.spec, designs, connections)[1]
+        count = int(mask.sum())
+        worlds = load_worlds(self.spec, designs, connections)[1]
         if len(worlds) not in (1, count):
             raise ConfigError(f"{count} environments need a design each, or one for all; got {len(worlds)}.")
         self.sim.set_worlds(worlds if len(worlds) == count else worlds * count, mask)
@@ -355,7 +356,8 @@ class VoxelVecEnv:
 
     def _given(self, memory: Mapping[str, Any] | None) -> dict[str, torch.Tensor]:
         """Values for memories from outside, padded with 0 to the shapes of those that would be drawn."""
-        drawn, given = self.episodes.memory, dict[str, torch.Tensor]()
+        drawn = self.episodes.memory
+        given = dict[str, torch.Tensor]()
         if not is_mapping(memory or {}):
             raise ConfigError(f"memory must be values by name, got {memory!r:.60}.")
         for name, values in (memory or {}).items():

@@ -47,6 +47,11 @@ def on_cuda(device: str) -> bool:
     return device != "cpu"
 
 
+def shared_memory(device: str) -> int:
+    """Bytes of shared memory that a block of a CUDA device may ask for: 227 KiB of an H200; 0 on the CPU."""
+    return wp.get_device(device).max_shared_memory_per_block
+
+
 def current_stream(device: str) -> wp.Stream:
     """Torch's current stream of a CUDA device, as Warp's; made once for each stream."""
     import torch

@@ -28,12 +28,15 @@ from warpvox.types import VOXEL
 WARP = 32
 """Threads of a CUDA block, or those of a larger group: the groups of a warp go the same way; more would only wait."""
 SHARED_BYTES = 47 * 1024
-"""Shared memory of the groups of a CUDA block, at most. A block has 48 KiB without asking, some of them Warp's."""
-FEW = 9
-"""Rounds of a loop over points or springs up to which it is unrolled (``native/group/base.h``). Where 32 threads need
-more, 64 or 128 take an environment."""
+"""Shared memory of the groups of a CUDA block that there is without asking: 48 KiB, some of them Warp's."""
+FEW = {WARP: 9, 64: 9, 128: 9, 256: 10, 512: 10}
+"""Threads that take an environment, and the rounds of a loop over points or springs up to which so many do."""
+UNROLLED = 10
+"""Rounds of such a loop up to which it is unrolled (``native/group/base.h``)."""
 LINKS = 8
 """Springs of a point, at most: in a lattice four sides and four diagonals of voxels meet in it."""
+STATIC_BYTES = 5
+"""Shared memory of a block that is not the groups', a thread, at most: Warp's, and what warps vote with."""
 ROUNDS = 64
 """Turns of a loop over points, at most: a bit for each."""
 CODED = 1 << 13
@@ -48,7 +51,7 @@ class Group:
 
     Attributes:
         precision: of the springs, 'float32' or 'float64'.
-        parts: threads of a group: 16, 32, 64 or 128.
+        parts: threads of a group: 16 to 512.
         points, movers, springs, rigids: capacities, multiples of 16 or 32; no other points than the first ``movers``
             are free or hang on a spring; rigids are the sides of rigid voxels.
         approximate: roots, quotients and the contact law in fast float32.
@@ -69,7 +72,7 @@ class Group:
         In float32 next to nothing spills, and each quarter of a multiprocessor, which has registers of its own, has
         room for 4 warps (of 144 for 3). float64 takes all that there are.
         """
-        if self.precision == "float64":
+        if self.precision == "float64" and self.parts <= 256:
             return 255
         return 144 if self.parts == 64 else 128
 
@@ -93,17 +96,23 @@ class Group:
         return sum(count * size for count, size in self.layout.values())
 
     @property
+    def large(self) -> bool:
+        """Whether its block has to ask CUDA for the shared memory."""
+        return self.approximate and self.bytes * max(WARP // self.parts, 1) > SHARED_BYTES
+
+    @property
     def row(self) -> int:
         """Numbers of 8 bytes that a group has on the CPU: this memory and that of votes."""
         return (self.bytes + 4 * max(WARP, self.parts)) // 8
 
 
-def choose(sizes: Mapping[str, int], precision: str, device: str) -> Group | None:
+def choose(sizes: Mapping[str, int], precision: str, device: str, room: int = SHARED_BYTES) -> Group | None:
     """The group for worlds of such sizes; None where they exceed the shared memory.
 
     Args:
         sizes: the most points ('point'), springs ('spring') and sides of rigid voxels ('rigid'); no other points than
             the first 'mover' are free or hang on a spring.
+        room: bytes of shared memory that a block of the device may ask for. It counts in float32 alone.
     """
     counts = [sizes[name] for name in ("point", "mover", "spring", "rigid")]
     points, movers, springs, _ = counts
@@ -112,8 +121,8 @@ def choose(sizes: Mapping[str, int], precision: str, device: str) -> Group | Non
         if movers <= 48 and springs <= 144:
             tried = [16, WARP]
         else:
-            rounds = math.ceil(max(movers, springs) / FEW)
-            tried = [next((parts for parts in (WARP, 2 * WARP) if rounds <= parts), 4 * WARP), WARP]
+            enough = [parts for parts, rounds in FEW.items() if max(movers, springs) <= rounds * parts]
+            tried = [min(enough, default=max(FEW)), WARP]
     else:
         # One kernel for most worlds, as memory is no limit there
         points = max(points, 512)
@@ -122,10 +131,14 @@ def choose(sizes: Mapping[str, int], precision: str, device: str) -> Group | Non
 
     for parts in tried:
         unit = min(parts, WARP)
-        room = [math.ceil(max(count, 1) / unit) * unit for count in counts]
-        group = Group(precision, parts, *room, on_cuda(device) and precision == "float32")
+        capacities = [math.ceil(max(count, 1) / unit) * unit for count in counts]
+        group = Group(precision, parts, *capacities, on_cuda(device) and precision == "float32")
         fits = group.movers <= ROUNDS * parts and group.springs < 1 << 15  # point and place numbers have 16 bits
-        if fits and (not on_cuda(device) or group.bytes * max(WARP // parts, 1) <= SHARED_BYTES):
+        if group.large:
+            fits &= group.bytes + STATIC_BYTES * parts <= room
+        elif on_cuda(device):
+            fits &= group.bytes * max(WARP // parts, 1) <= SHARED_BYTES
+        if fits:
             return group
     return None
 
@@ -133,17 +146,19 @@ def choose(sizes: Mapping[str, int], precision: str, device: str) -> Group | Non
 def source(group: Group, whole_warps: bool = False) -> str:
     """The C++ of a group kernel; with ``whole_warps`` the groups of a warp are one block on the CPU, too."""
     sizes = dict(PARTS=group.parts, POINTS=group.points, MOVERS=group.movers, SPRINGS=group.springs, LINKS=LINKS)
-    sizes |= dict(RIGIDS=group.rigids, GROUP_BYTES=group.bytes, FEW=FEW, CODED=CODED, CLOSE=group.layout["close"][0])
+    sizes |= dict(
+        RIGIDS=group.rigids, GROUP_BYTES=group.bytes, FEW=UNROLLED, CODED=CODED, CLOSE=group.layout["close"][0]
+    )
     sizes |= CPP_CONSTANTS | dict(VOXEL=VOXEL, PARALLEL=PARALLEL, DEGENERATE=DEGENERATE, CLOSE_MARGIN=CLOSE_MARGIN)
-    sizes |= dict(SHARED_BYTES=SHARED_BYTES, WHOLE_WARPS=int(whole_warps))
+    sizes |= dict(FEW=UNROLLED, SHARED_BYTES=SHARED_BYTES, WHOLE_WARPS=int(whole_warps))
     lines = [f"typedef {'float' if group.precision == 'float32' else 'double'} Real;"]
     lines += [f"typedef unsigned {'long long' if group.movers > 32 * group.parts else 'int'} Bits;"]
-    lines += [f"#define APPROXIMATE {int(group.approximate)}"]
+    lines += [f"#define APPROXIMATE {int(group.approximate)}", f"#define LARGE {int(group.large)}"]
     lines += [constants(**sizes)]
     shared = [f"native/{name}.h" for name in ("tanh", "triangles", "crossing", "forces", "contact_law")]
     own = [f"native/group/{name}.h" for name in ("load", "candidates", "contact", "move", "limit", "step")]
     lines += [text("native/pairs.h", "native/group/base.h", *shared, *own)]
-    lines += ["#undef APPROXIMATE\n"]
+    lines += ["#undef APPROXIMATE\n#undef LARGE\n"]
     return "\n".join(lines)
 
 
@@ -154,14 +169,38 @@ def group_kernel(group: Group, whole_warps: bool = False) -> wp.Kernel:
     ``order`` permutes the threads, which on the CPU must change nothing.
     """
     kit = kit_of(group.precision, 1)
+    limited = register_limited(group.registers, max(WARP, group.parts))
+    cpp = source(group, whole_warps)
+    if group.large and not whole_warps:
+        # Warp asks for the memory of tiles; the body finds the address of this one in `room`
+        numbers = group.bytes // 8
 
-    @wp.func_native(source(group, whole_warps))
+        @wp.func_native(cpp)
+        def large_step(
+            model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), mesh: int, pack: int, part: int,
+            live: int, substeps: int, dt: wp.float64, room: wp.tile(dtype=wp.float64, shape=(numbers,)),
+        ): ...  # fmt: skip
+
+        @limited
+        def group_step(
+            model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), first_pack: int, packs: int,
+            order: int, substeps: int, dt: wp.float64,
+        ):  # fmt: skip
+            row, thread = wp.tid()
+            pack = first_pack + wp.min(row, packs - 1)
+            live = wp.where(row < packs, 1, 0)
+            room = wp.tile_zeros(shape=numbers, dtype=wp.float64, storage="shared")
+            large_step(model, data, scratch, model.pack_mesh[pack], pack, thread ^ order, live, substeps, dt, room)
+
+        return group_step
+
+    @wp.func_native(cpp)
     def control_step(
         model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), mesh: int, pack: int, part: int,
         live: int, substeps: int, dt: wp.float64,
     ): ...  # fmt: skip
 
-    @register_limited(group.registers, max(WARP, group.parts))
+    @limited
     def group_step(
         model: kit.Model, data: kit.Data, scratch: wp.array2d(dtype=wp.float64), first_pack: int, packs: int,
         order: int, substeps: int, dt: wp.float64,

@@ -191,7 +191,7 @@ DATA: Table = {
     "near_count": (int, "unit", ""),
     "near_box": (STATE, "pack 4*voxel lane", "bounds of the terrain cells that a near voxel may touch, as box"),
     "overflow": (int, "unit", "1: more candidates than capacity"),
-    "hull": (STATE, "unit 4*movable", "boxes of movable voxels around all lanes"),
+    "hull": (STATE, "unit 4*movable", "boxes of movable voxels around all lanes; in groups in float32"),
     "pair_bit": (int, "unit word", "candidate matrix, a bit per pair"),
     "grid_head": (int, "unit slot", "first entry of a hash slot, or -1"),
     "grid_next": (int, "unit entry", "next entry of the same slot, or -1"),

@@ -39,9 +39,9 @@ Design: TypeAlias = np.ndarray
 SAMPLING_WEIGHTS = (0.6, 0.2, 0.2, 0.2, 0.2)
 """EvoGym's relative weights of empty, rigid, soft, horizontal and vertical actuator cells (sum 1.4)."""
 
-LARGEST_BODY = 1 << 16
+_LARGEST_BODY = 1 << 16
 """Cells that a body may have, empty ones included (256 x 256)."""
-LARGEST_FILE = 4_000_000
+_LARGEST_FILE = 4_000_000
 """Bytes that a file of a design, its arrays together, or the text of one may have."""
 
 ZOO_FOLDER = Path(__file__).parent / "data"
@@ -62,10 +62,10 @@ def check_design(body: object) -> Design:
     Accepts an array or nested lists; floating-point entries are fine as long as they are integers.
 
     Raises:
-        DesignError: not two-dimensional, empty, too large (:data:`LARGEST_BODY`), an unknown cell type (with its
+        DesignError: not two-dimensional, empty, too large (:data:`_LARGEST_BODY`), an unknown cell type (with its
             place), a fixed cell, more than one piece, or no actuator.
     """
-    grid = as_grid(body, limit=LARGEST_BODY)
+    grid = as_grid(body, limit=_LARGEST_BODY)
     if not grid.any():
         raise DesignError(f"The body ({_size(grid)}) is empty: it needs at least one cell that is not 0.")
     fixed = np.argwhere(grid == Cell.FIXED)
@@ -156,7 +156,8 @@ def _pieces(grid: np.ndarray) -> np.ndarray:
     first, second = full_connections(grid).T
     root = np.arange(grid.size)
     while True:  # cells point to a cell of their piece with a smaller index: join ends of connections, then shorten
-        a, b = root[first], root[second]
+        a = root[first]
+        b = root[second]
         if np.array_equal(a, b):
             return root
         np.minimum.at(root, np.maximum(a, b), np.minimum(a, b))
@@ -174,10 +175,11 @@ def repair_design(body: object) -> Design:
     Raises:
         DesignError: not a grid of the cells that robots are made of.
     """
-    grid = np.ascontiguousarray(as_grid(body, limit=LARGEST_BODY))
+    grid = np.ascontiguousarray(as_grid(body, limit=_LARGEST_BODY))
     if not grid.any():
         grid[grid.shape[0] // 2, grid.shape[1] // 2] = Cell.H_ACT
-    cells, piece = grid.reshape(-1), _pieces(grid)
+    cells = grid.reshape(-1)
+    piece = _pieces(grid)
     sizes = np.bincount(piece[cells != Cell.EMPTY], minlength=cells.size)
     driven = np.zeros_like(sizes)
     driven[piece[np.isin(cells, ACTUATORS)]] = 1
@@ -206,7 +208,8 @@ def full_connections(grid: np.ndarray) -> np.ndarray:
     number = np.arange(solid.size, dtype=np.int32).reshape(solid.shape)
     right = number[:, :-1][solid[:, :-1] & solid[:, 1:]]
     below = number[:-1][solid[:-1] & solid[1:]]
-    first, second = np.concatenate([right, below]), np.concatenate([right + 1, below + solid.shape[1]])
+    first = np.concatenate([right, below])
+    second = np.concatenate([right + 1, below + solid.shape[1]])
     order = np.argsort(first, kind="stable")  # stable: keeps "right before below" for pairs of one cell
     return np.stack([first[order], second[order]], axis=1)
 
@@ -232,8 +235,8 @@ def sample_design(
         DesignError: a bad shape, seed or weights, or weights under which hardly any body has an actuator.
     """
     rows, columns = check_shape("shape", shape, DesignError)
-    if rows * columns > LARGEST_BODY:
-        raise DesignError(f"The shape {rows}x{columns} is too large: a body has at most {LARGEST_BODY:,} cells.")
+    if rows * columns > _LARGEST_BODY:
+        raise DesignError(f"The shape {rows}x{columns} is too large: a body has at most {_LARGEST_BODY:,} cells.")
     weights = _check_weights(SAMPLING_WEIGHTS if probabilities is None else probabilities)
     try:
         rng = np.random.default_rng(seed)
@@ -446,8 +449,8 @@ def _read_folder(folder: Path) -> tuple[object, np.ndarray | None]:
     """Read the cells, and their connections if there are any, of a folder with one design."""
     if (folder / "body.npy").is_file():
         pairs = folder / "connections.npy"
-        connections = read_npy(pairs, LARGEST_FILE) if pairs.is_file() else None
-        return read_npy(folder / "body.npy", LARGEST_FILE), connections
+        connections = read_npy(pairs, _LARGEST_FILE) if pairs.is_file() else None
+        return read_npy(folder / "body.npy", _LARGEST_FILE), connections
     found = design_paths(folder)
     if not found:
         entries = sorted(entry.name for entry in folder.iterdir())
@@ -463,7 +466,7 @@ def _read_file(path: Path) -> tuple[object, np.ndarray | None]:
     suffix = path.suffix.lower()
     if suffix not in DESIGN_SUFFIXES:
         # How the file begins says what it is.
-        data = read_bytes(path, LARGEST_FILE)
+        data = read_bytes(path, _LARGEST_FILE)
         signatures = {b"{": ".json", b"[": ".json", b"PK\x03\x04": ".npz", b"\x93NUMPY": ".npy"}
         for start, kind in signatures.items():
             if data.lstrip().startswith(start):
@@ -472,10 +475,10 @@ def _read_file(path: Path) -> tuple[object, np.ndarray | None]:
         else:
             return _parse_grid(data), None
     if suffix == ".json":
-        return _parse_list(read_text(path, LARGEST_FILE), source=f"The design file '{path}'"), None
+        return _parse_list(read_text(path, _LARGEST_FILE), source=f"The design file '{path}'"), None
     if suffix == ".npy":
-        return read_npy(path, LARGEST_FILE), None
-    with ArrayFile(path, LARGEST_FILE) as archive:
+        return read_npy(path, _LARGEST_FILE), None
+    with ArrayFile(path, _LARGEST_FILE) as archive:
         name = next((key for key in ("arr_0", "body", "structure") if key in archive.names), None)
         if name is None:
             raise DesignError(
@@ -509,8 +512,8 @@ def _parse_grid(data: bytes) -> list[list[float]]:
 
 def _parse_list(text: str, source: str) -> object:
     try:
-        if len(text) > LARGEST_FILE:
-            raise Unreadable(f"it has {len(text):,} characters, and {LARGEST_FILE:,} are the limit")
+        if len(text) > _LARGEST_FILE:
+            raise Unreadable(f"it has {len(text):,} characters, and {_LARGEST_FILE:,} are the limit")
         value = parse_json(text, allow_nan=True)
     except Unreadable as error:
         raise DesignError(f"{source} is not a nested list of cell types such as [[3,3],[4,4]]: {error}.") from None
@@ -532,7 +535,8 @@ def _robot_of(world: dict, source: str) -> np.ndarray:
     robots = [one for one in objects if has_actuator(one.grid)]
     if len(robots) != 1:
         raise DesignError(f"{source} is a world with {len(robots)} robots; a design is a world with one.")
-    grid, connections = robots[0].grid, robots[0].connections
+    grid = robots[0].grid
+    connections = robots[0].connections
     cuts = len(full_connections(grid)) - len(np.unique(np.sort(connections, axis=0), axis=1).T)
     if cuts:
         raise DesignError(

@@ -44,7 +44,8 @@ class Gradients:
         self.check(sim)
         if not is_number(smoothing) or not 1e-9 <= smoothing <= 1e9:  # its cube must be a number, too
             raise SimulationError(f"smoothing must be from 1e-9 to 1e9 simulator units, got {smoothing!r:.80}.")
-        self.sim, self.smoothing = sim, float(smoothing)
+        self.sim = sim
+        self.smoothing = float(smoothing)
         buffers = sim.buffers
         sizes = buffers.sizes | {"trail": (sim.physics.substeps + 1) * buffers.sizes["point"]}
         precision = sim.options.dtype

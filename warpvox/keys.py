@@ -8,6 +8,7 @@ import inspect
 import operator
 import os
 import sys
+from abc import ABCMeta
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import field
 from numbers import Integral, Real
@@ -151,13 +152,14 @@ def _hint(name: str, names: Collection[str]) -> str:
 def _places(name: str, whole: Any) -> Iterator[str]:
     """How a setting of a part of the settings ``whole`` is given, for instance ``ppo=wv.Ppo(steps=...)``."""
     for item in dataclasses.fields(whole) if dataclasses.is_dataclass(whole) else ():
-        usual: Any = type(item.default_factory()) if callable(item.default_factory) else None
-        if not dataclasses.is_dataclass(usual):
+        usual = type(item.default_factory()) if callable(item.default_factory) else None
+        if usual is None or not issubclass(usual, Settings):
             continue
         # Beside a search or an evaluation the others of its kind
         base: Any = usual.__bases__[0]
         for kind in dict.fromkeys([usual, *(_kinds(base) if base.prefix else ())]):
-            inner = f"{name}=..." if name in kind.__dataclass_fields__ else next(_places(name, kind), None)
+            fields = getattr(kind, "__dataclass_fields__", ())
+            inner = f"{name}=..." if name in fields else next(_places(name, kind), None)
             if inner and _is_public(kind):
                 yield f"{item.name}=wv.{kind.__name__}({inner})"
             elif inner:
@@ -190,7 +192,7 @@ class _OfInit:
         return inspect.signature(functools.partial(kind.__init__, None))
 
 
-class _Checked(type):
+class _Checked(ABCMeta):  # so that evaluations of a user's own may be abstract
     """The class of :class:`Settings`, which checks the names of arguments."""
 
     def __call__(cls: type[Kind], *args: Any, **given: Any) -> Kind:
@@ -207,10 +209,12 @@ class Settings(metaclass=_Checked):
         ConfigError: an unknown argument, or a value of the wrong type or out of range.
     """
 
-    __signature__, prefix = _OfInit(), ""
+    __signature__ = _OfInit()
+    prefix = ""
 
     def __init_subclass__(cls) -> None:
-        cls.__repr__ = Settings.__repr__  # in place of the dataclass's own, which would show all
+        if "__repr__" not in cls.__dict__:
+            cls.__repr__ = Settings.__repr__  # in place of the dataclass's own, which would show all
 
     def __repr__(self) -> str:
         """The settings that are not the default."""
@@ -243,10 +247,10 @@ class Settings(metaclass=_Checked):
 def check_values(config: Any, prefix: str = "") -> None:
     """Check choices and ranges of a dataclass, but for its parts. ConfigError: the first value that is not valid."""
     for item in dataclasses.fields(config):
-        check_value(prefix + item.name, getattr(config, item.name), item.metadata)
+        _check_value(prefix + item.name, getattr(config, item.name), item.metadata)
 
 
-def check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
+def _check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
     """Check choices and range of a value, and of all entries of a list; None is valid."""
     form = limits.get("form")
     if form and value is not None and len(value) != form.count(",") + 1:
@@ -277,7 +281,8 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
     hints = _hints(type(config))
     for item in dataclasses.fields(config):
         if item.name not in without:
-            value, usual = getattr(config, item.name), item.default_factory
+            value = getattr(config, item.name)
+            usual = item.default_factory
             if isinstance(value, Mapping) and callable(usual) and dataclasses.is_dataclass(hints[item.name]):
                 value = changed(usual(), value, prefix + item.name)
             # also of a frozen dataclass

@@ -59,7 +59,8 @@ def safe_start(move: bool = True) -> Iterator[None]:
         move: False: the block stays in the current folder. Nothing then protects children of Python 3.10.
     """
     with _starting:
-        here, before = os.getcwd(), os.environ.get(SAFE_PATH)
+        here = os.getcwd()
+        before = os.environ.get(SAFE_PATH)
         if any(os.path.realpath(entry) == os.path.realpath(here) for entry in sys.path):
             yield
             return
@@ -194,9 +195,11 @@ def _control_groups(root: Path, controller: str, new: list[str], old: list[str])
     for line in lines:
         _, controllers, path = line.split(":", 2)
         if controllers == "":
-            names, top = new, root / "sys/fs/cgroup"
+            names = new
+            top = root / "sys/fs/cgroup"
         elif controller in controllers.split(","):
-            names, top = old, root / "sys/fs/cgroup" / controller
+            names = old
+            top = root / "sys/fs/cgroup" / controller
         else:
             continue
         # inside a container the path is that of the host, and the group itself is mounted at the top
@@ -207,7 +210,8 @@ def _control_groups(root: Path, controller: str, new: list[str], old: list[str])
 
 def _left_of_group(folder: Path, limit: str, used: str, cache: str) -> list[int]:
     try:
-        most, now = ((folder / name).read_text().strip() for name in (limit, used))
+        most = (folder / limit).read_text().strip()
+        now = (folder / used).read_text().strip()
         if not most.isdigit() or int(most) >= 1 << 60:  # "max", or version 1's way to say so
             return []
         statistics = (folder / "memory.stat").read_text()

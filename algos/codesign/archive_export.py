@@ -61,7 +61,7 @@ def write_parquet(archive: Archive, path: Path) -> Path:
     return path
 
 
-def write_designs(archive: Archive, folder: Path, suffix: str) -> Path:
+def _write_designs(archive: Archive, folder: Path, suffix: str) -> Path:
     """Write every evaluated body to a file of its own, in the folders that EvoGym's own searches leave.
 
     ``generation_<n>/structure/<id>.npz`` (or ``.json``) and, per generation, ``output.txt`` with a line
@@ -92,7 +92,7 @@ def _row(record: Record) -> dict[str, Any]:
 FORMATS = {
     "csv": lambda archive, folder: write_csv(archive, folder / "designs.csv"),
     "parquet": lambda archive, folder: write_parquet(archive, folder / "designs.parquet"),
-    "npz": lambda archive, folder: write_designs(archive, folder / "structures", ".npz"),
-    "json": lambda archive, folder: write_designs(archive, folder / "structures", ".json"),
+    "npz": lambda archive, folder: _write_designs(archive, folder / "structures", ".npz"),
+    "json": lambda archive, folder: _write_designs(archive, folder / "structures", ".json"),
 }
 """Functions that write an archive into a folder, by format; each returns the path of the file."""

@@ -72,7 +72,8 @@ def actions_of_gaits(
         first, last: control steps of the episode; ``last`` is not among them, None: the episode's last one is.
     """
     last = env.max_episode_steps if last is None else last
-    count, stages = len(gaits[0]), max(len(gait.begin) for tried in gaits for gait in tried)
+    count = len(gaits[0])
+    stages = max(len(gait.begin) for tried in gaits for gait in tried)
     values = np.zeros((3, stages, len(bodies), count, episodes, env.num_actions))
     timing = np.ones((2, stages, len(bodies), count, episodes, 1))
     timing[0] = np.inf  # stages that a gait does not have never begin

@@ -11,7 +11,7 @@ from warpvox.algos.codesign.gaits import Gait, Motion, draw_motion, gait_of, mot
 from warpvox.algos.disturbance import Draws
 from warpvox.envs.vec_env import VoxelVecEnv
 
-Begun = tuple[tuple[int, Motion], ...]
+_Begun = tuple[tuple[int, Motion], ...]
 """Motions with the control steps in which they begin."""
 
 
@@ -43,7 +43,8 @@ def beam_search(
     Returns:
         The best mean return and its gait, of each design, and the control steps ``[designs]`` that it took.
     """
-    limit, count = env.max_episode_steps, env.num_envs // (len(bodies) * episodes)
+    limit = env.max_episode_steps
+    count = env.num_envs // (len(bodies) * episodes)
     searches = [_Search(body, count, gaits, rng) for body, gaits, rng in zip(bodies, known, random, strict=True)]
     spent = np.zeros(len(searches), np.int64)
     env.reset(seed=[seed] * len(searches))
@@ -74,7 +75,7 @@ class _Beginning:
     """
 
     place: int = 0
-    begun: Begun = ()
+    begun: _Begun = ()
     is_known: bool = False
 
 
@@ -88,7 +89,9 @@ class _Search:
     """
 
     def __init__(self, body: np.ndarray, count: int, known: Sequence[Gait], rng: np.random.Generator) -> None:
-        self.body, self.count, self.rng = body, count, rng
+        self.body = body
+        self.count = count
+        self.rng = rng
         self.plan = motions_of(known[0]) if known else ()
         self.motions = [motion for gait in known for _, motion in motions_of(gait)]
         # One beginning of an episode in eight is continued after each stage.
@@ -105,7 +108,9 @@ class _Search:
             self.sources = list(range(self.count))
             return self._gaits
         each, more = divmod(self.count, len(self.beginnings))
-        self.sources, self._tried, self._gaits = [], [], []
+        self.sources = []
+        self._tried = []
+        self._gaits = []
         for rank, beginning in enumerate(self.beginnings):
             for number in range(each + (rank < more)):
                 is_known = beginning.is_known and number == 0
@@ -140,9 +145,10 @@ class _Search:
                 chosen.append(tried)
         self.beginnings = chosen
 
-    def _motions(self, begun: Begun, number: int, first: int, last: int) -> Begun:
+    def _motions(self, begun: _Begun, number: int, first: int, last: int) -> _Begun:
         """The ``number``-th continuation of a beginning."""
-        rng, body = self.rng, self.body
+        rng = self.rng
+        body = self.body
         if begun and number == 0:
             return ((first, begun[-1][1]),)
         kind = rng.random()
@@ -162,7 +168,7 @@ class _Search:
             motion = draw_motion(rng, body)
         return ((first, motion),)
 
-    def _plan(self, first: int, last: int) -> Begun:
+    def _plan(self, first: int, last: int) -> _Begun:
         """The motions of the best known gait."""
         present = max(place for place, (begin, _) in enumerate(self.plan) if begin <= first)
         later = tuple((begin, motion) for begin, motion in self.plan[present + 1 :] if begin < last)

@@ -23,9 +23,6 @@ from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.types import ACTION_SCALE, Cell
 
-STAGE_FACTORS = (1.0, 3.0, 0.6, 2.0, 4.0, 1.4, 0.8)
-"""Stage length of each pass, as a factor on ``stage_steps``, cycled. Long stages leave time for a throw or a turn."""
-
 
 class GaitSearch(Protocol):
     """How many gaits are tried, and which: see the fields of the evaluation ``gaits``."""
@@ -80,6 +77,8 @@ class GaitEvaluator:
         if self.factory.fitness != NOMINAL:  # on the actions, the same for all gaits
             noise = Draws(self.seed, SEARCHED, self.episodes, env.device)
 
+        # Stage length of each pass, as a factor on `stage_steps`, cycled. Long stages leave time for a throw or a turn.
+        stage_factors = (1.0, 3.0, 0.6, 2.0, 4.0, 1.4, 0.8)
         best: list[tuple[float, Gait]] = []
         curves: list[list[tuple[int, float]]] = [[] for _ in candidates]
         spent = [0] * len(candidates)
@@ -102,7 +101,7 @@ class GaitEvaluator:
             # The best of the gaits that are tried in a round
             if number < settings.passes:
                 known = [[gait] for _, gait in best] if best else inherited
-                steps = max(1, round(settings.stage_steps * STAGE_FACTORS[number % len(STAGE_FACTORS)]))
+                steps = max(1, round(settings.stage_steps * stage_factors[number % len(stage_factors)]))
                 found, taken = beam_search(env, bodies, known, rngs, self.seed, steps, self.episodes, noise)
             else:
                 if env.num_envs != len(bodies) * settings.gaits * self.episodes:

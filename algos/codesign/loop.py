@@ -279,7 +279,8 @@ class LocalExecutor(Executor):
     """
 
     def __init__(self, evaluator: DesignEvaluator, alone: bool = True) -> None:
-        self.evaluator, self.alone = evaluator, alone
+        self.evaluator = evaluator
+        self.alone = alone
 
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
         for place, batch in enumerate(work):

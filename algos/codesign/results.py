@@ -69,8 +69,10 @@ class Results(Listener):
 
     def write(self, status: str) -> dict[str, Any]:
         """Write report and summary; returns the summary."""
-        rows, best = self.archive.generations(), next(iter(self.archive.best()), None)
-        steps, elapsed = sum(row["steps"] or 0 for row in rows), time.monotonic() - self._began
+        rows = self.archive.generations()
+        best = next(iter(self.archive.best()), None)
+        steps = sum(row["steps"] or 0 for row in rows)
+        elapsed = time.monotonic() - self._began
         summary = {
             "command": "codesign",
             "task": self.settings.task,

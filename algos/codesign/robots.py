@@ -16,7 +16,7 @@ from warpvox.design import check_design, full_connections
 from warpvox.errors import ConfigError, RunError
 from warpvox.runs import ZOO
 
-COPIES = Path("training") / "start"
+_COPIES = Path("training") / "start"
 """In a search's folder: a search that is resumed does not depend on a zoo or on other files."""
 
 
@@ -28,7 +28,7 @@ def read_start(settings: Codesign, folder: Path | None = None) -> list[Robot]:
     """
     if folder is not None:
         # Files of another kind of name are not of the search.
-        copies = [path for path in (folder / COPIES).glob("*.npz") if path.stem.isdecimal()]
+        copies = [path for path in (folder / _COPIES).glob("*.npz") if path.stem.isdecimal()]
         return [read_robot(path) for path in sorted(copies, key=lambda path: int(path.stem))]
 
     found = []
@@ -51,9 +51,9 @@ def read_start(settings: Codesign, folder: Path | None = None) -> list[Robot]:
 
 def keep_start(robots: Sequence[Robot], folder: Path) -> None:
     """Copy the robots into the folder of a new search, in place of those of one that could not begin there."""
-    shutil.rmtree(folder / COPIES, ignore_errors=True)
+    shutil.rmtree(folder / _COPIES, ignore_errors=True)
     for number, robot in enumerate(robots):
-        save_robot(folder / COPIES / f"{number}.npz", robot)
+        save_robot(folder / _COPIES / f"{number}.npz", robot)
 
 
 def robots_of(source: str | Path, top: int = 1) -> list[Robot]:

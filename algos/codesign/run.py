@@ -5,7 +5,7 @@ import dataclasses
 import functools
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from pathlib import Path
 from typing import Any, cast
@@ -167,11 +167,17 @@ class SearchRun:
     resumed: bool
 
 
-def run_codesign(plan: Plan, listeners: Sequence[Listener] = (), executor: Executor | None = None) -> Found:
+def run_codesign(
+    plan: Plan,
+    listeners: Sequence[Listener] = (),
+    executor: Executor | None = None,
+    finish: Callable[[Found], object] = lambda _: None,
+) -> Found:
     """Make a search, or go on with one.
 
     Args:
         executor: where designs are evaluated; None: where the settings say.
+        finish: called with the result when the search is done, before another process may write to its folder.
 
     Raises:
         WarpvoxError: an evaluation has failed, the search in the folder is another one, or nothing can be written; what
@@ -242,7 +248,9 @@ def run_codesign(plan: Plan, listeners: Sequence[Listener] = (), executor: Execu
         opened.enter_context(ambient(settings.torch_threads))
         torch.manual_seed(settings.seed)  # of code of the user's
         summary = _run_to_end(run, loop, results, settings, listeners)
-    return Found(folder, written, summary)
+        found = Found(folder, written, summary)
+        finish(found)
+    return found
 
 
 def _run_to_end(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+from contextlib import suppress
 from typing import Any
 
 import torch
@@ -36,11 +36,11 @@ class Iteration:
         if capture is not None:
             self._graph = Graph(capture, "Iterations of PPO", algorithm.streams.generators)
         self._names: list[str] = []
-        self._marks: list[Any] = [0.0] * 3
-        self._is_on_cuda = algorithm.rates.device.type == "cuda"
-        if self._is_on_cuda:
-            # external: within a graph they are recorded again by each replay
-            self._marks = [torch.cuda.Event(enable_timing=True, external=True) for _ in range(3)]
+        self._marks: list[torch.cuda.Event] = []
+        if algorithm.rates.device.type == "cuda":
+            with suppress(TypeError):  # torch 2.7 and 2.8 have no such events
+                # external: within a graph they are recorded again by each replay
+                self._marks = [torch.cuda.Event(enable_timing=True, external=True) for _ in range(3)]
 
     def __call__(self) -> None:
         """Make one iteration."""
@@ -67,11 +67,14 @@ class Iteration:
         return dict(zip(self._names, self._figures.tolist(), strict=True))
 
     def seconds(self) -> tuple[float, float]:
-        """How long the device has taken for the rollout and for learning in the last iteration, once that is read."""
+        """How long a GPU has taken for the rollout and for learning in the last iteration, once that is read.
+
+        0 where that is not known: on the CPU, and with a torch that cannot measure it.
+        """
+        if not self._marks:
+            return 0.0, 0.0
         began, collected, learned = self._marks
-        if self._is_on_cuda:
-            return began.elapsed_time(collected) / 1000, collected.elapsed_time(learned) / 1000
-        return collected - began, learned - collected
+        return began.elapsed_time(collected) / 1000, collected.elapsed_time(learned) / 1000
 
     def _on_device(self) -> tuple[torch.Tensor, ...]:
         """The part of an iteration that a CUDA graph records."""
@@ -105,10 +108,8 @@ class Iteration:
 
     def _mark(self, place: int) -> None:
         """Have the device note the time: 0: an iteration begins, 1: learning begins, 2: it is done."""
-        if self._is_on_cuda:
+        if self._marks:
             self._marks[place].record()
-        else:
-            self._marks[place] = time.perf_counter()
 
     @torch.no_grad()
     def _collect(self) -> list[dict[str, Any]]:

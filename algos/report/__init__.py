@@ -85,7 +85,9 @@ def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
 def _progress(search: SearchResult, archive: Archive) -> str:
     """Fitness over evaluations: every design, finalists by themselves, the best so far, the mean of each generation."""
     trained = [record for record in search.records if record.reused is None and record.fitness is not None]
-    dots, notes, finals = [], [], []
+    dots = []
+    notes = []
+    finals = []
     ends: dict[int, int] = {}
     for number, record in enumerate(trained, start=1):
         if record.candidate.origin == FINALIST:
@@ -167,64 +169,76 @@ def _row(record: Record) -> str:
     return f"<tr>{''.join(parts)}</tr>\n"
 
 
-CELL, MARGIN = 8, 12
-
-
 def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
     """Column and row of each node: generations from left to right, parents about where their children are."""
+    # Columns. A parent may, in a search that evaluates one design at a time, be of the same generation as its child.
     order = sorted({record.candidate.generation for record in line})
-    # A parent may, in a search that evaluates one design at a time, be of the same generation as its child.
     column = {record.id: order.index(record.candidate.generation) for record in line}
+
+    # Children
     children: dict[int, list[int]] = {record.id: [] for record in line}
     for record in line:
         for parent in record.candidate.parents:
             if parent in children:
                 children[parent].append(record.id)
+
+    # Rows, from the last column on: nodes in the order of the mean rows of their children
     row: dict[int, int] = {}
     for number in reversed(range(len(order))):
-        nodes = [record.id for record in line if column[record.id] == number]
-        known = {node: [row[child] for child in children[node] if child in row] for node in nodes}
-        wish = {node: sum(rows) / max(1, len(rows)) for node, rows in known.items()}
-        for place, node in enumerate(sorted(nodes, key=lambda node: (wish[node], node))):
+        wish = {}
+        for record in line:
+            if column[record.id] == number:
+                known = [row[child] for child in children[record.id] if child in row]
+                wish[record.id] = sum(known) / max(1, len(known))
+        for place, node in enumerate(sorted(wish, key=lambda node: (wish[node], node))):
             row[node] = place
     return {record.id: (column[record.id], row[record.id]) for record in line}
 
 
 def family_tree(line: Sequence[Record]) -> str:
     """The tree as an ``<svg>`` element, with a sentence if it had to be cut."""
-    # The nearest ancestors
+    # The nearest ancestors, and where they stand in pixels
     shown = list(line)[-60:]
-    where = places(shown)
-    rows, columns = (max(record.candidate.body.shape[axis] for record in shown) for axis in (0, 1))
-    column, row = max(98, columns * CELL + 60), max(92, rows * CELL + 48)
+    cell = 8
+    margin = 12
+    wide = cell * max(record.candidate.body.shape[1] for record in shown)
+    high = cell * max(record.candidate.body.shape[0] for record in shown)
+    column_width = max(98, wide + 60)
+    row_height = max(92, high + 48)
+    corner = {}
+    for node, (column, row) in places(shown).items():
+        corner[node] = margin + column * column_width, margin + row * row_height
+
+    # Edges
     parts = []
     for record in shown:
         for parent in record.candidate.parents:
-            if parent in where:
-                (x0, y0), (x1, y1) = (_corner(where[node], column, row) for node in (parent, record.id))
-                x0, y0, y1 = x0 + columns * CELL + 4, y0 + rows * CELL / 2, y1 + rows * CELL / 2
+            if parent in corner:
+                x0 = corner[parent][0] + wide + 4
+                y0 = corner[parent][1] + high / 2
+                x1 = corner[record.id][0]
+                y1 = corner[record.id][1] + high / 2
                 handle = max(20.0, (x1 - x0) / 2)
                 curve = f"M{x0:g} {y0:g}C{x0 + handle:g} {y0:g} {x1 - handle - 4:g} {y1:g} {x1 - 4:g} {y1:g}"
                 parts.append(f'<path class="edge" d="{curve}"/>')
+
+    # Nodes
     for record in shown:
-        x, y = _corner(where[record.id], column, row)
+        x, y = corner[record.id]
         item = record.candidate
         note = f"design {record.id}, generation {item.generation}, {in_html(item.origin)}, fitness {record.fitness:.3f}"
         last = " winner" if record is shown[-1] else ""
         parts.append(
             f'<g class="node{last}" transform="translate({x} {y})"><title>{note}</title>'
-            f'<rect x="-5" y="-5" width="{columns * CELL + 10}" height="{rows * CELL + 10}" rx="6"/>'
-            f"{body_svg(item.body, CELL)}"
-            f'<text y="{rows * CELL + 20}">#{record.id}</text>'
-            f'<text y="{rows * CELL + 34}" class="value">{record.fitness:.2f}</text></g>'
+            f'<rect x="-5" y="-5" width="{wide + 10}" height="{high + 10}" rx="6"/>'
+            f"{body_svg(item.body, cell)}"
+            f'<text y="{high + 20}">#{record.id}</text>'
+            f'<text y="{high + 34}" class="value">{record.fitness:.2f}</text></g>'
         )
-    wide = MARGIN * 2 + (1 + max(x for x, _ in where.values())) * column
-    high = MARGIN + (1 + max(y for _, y in where.values())) * row
+
+    width = max(x for x, _ in corner.values()) + column_width + margin
+    height = max(y for _, y in corner.values()) + row_height
     cut = len(line) - len(shown)
     note = f'<p class="faint">{cut} earlier ancestors are not shown.</p>' if cut else ""
-    size = f'viewBox="0 0 {wide} {high}" width="{wide}" height="{high}"'
+    size = f'viewBox="0 0 {width} {height}" width="{width}" height="{height}"'
     return f'{note}<div class="scroll"><svg class="tree" {size}>{"".join(parts)}</svg></div>'
-
-
-def _corner(place: tuple[int, int], column: int, row: int) -> tuple[int, int]:
-    return MARGIN + place[0] * column, MARGIN + place[1] * row

@@ -51,8 +51,11 @@ class BaseSearch(ABC):
     """Whether the first generation may contain bodies that :meth:`propose` has not made."""
 
     def __init__(self, settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
-        self.settings, self.shape, self.seed = settings, check_shape("shape", shape), check_integer("seed", seed, 0)
-        (rows, columns), most = self.shape, settings.max_evaluations
+        self.settings = settings
+        self.shape = check_shape("shape", shape)
+        self.seed = check_integer("seed", seed, 0)
+        rows, columns = self.shape
+        most = settings.max_evaluations
         # a search that has to find nearly every body there is would spend its time on drawing known ones
         # Up to six voxels all bodies can be counted to see whether there are enough.
         if rows * columns <= 6 and (bodies := count_valid(self.shape)) < 2 * most:
@@ -234,7 +237,8 @@ class BaseSearch(ABC):
         Raises:
             SearchError: they cannot have been the next generation of this search.
         """
-        first, left = len(self.bodies), self.settings.max_evaluations - len(self.bodies)
+        first = len(self.bodies)
+        left = self.settings.max_evaluations - len(self.bodies)
         fits = 0 < len(candidates) <= min(left, self.settings.population)
         for place, candidate in enumerate(candidates):
             in_order = candidate.id == first + place and candidate.generation == self.generation

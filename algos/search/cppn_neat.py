@@ -106,7 +106,8 @@ class CppnNeatSearch(BaseSearch):
                 raise SearchError("neat_config keeps the whole population as its elite: nothing new is ever tried.")
             proposals = self._new_bodies(children, count)
             self.population = elites | {key: genome for key, (genome, _) in proposals.items()}
-        ancestors, origins = self.reproduction.ancestors, ("random", "mutation", "crossover")
+        ancestors = self.reproduction.ancestors
+        origins = ("random", "mutation", "crossover")
         parents = {key: tuple(sorted({self.ids[parent] for parent in ancestors[key]})) for key in proposals}
         return [Proposal(body, parents[key], origins[len(parents[key])]) for key, (_, body) in proposals.items()]
 

@@ -97,6 +97,7 @@ class Job:
         *,
         write: bool = True,
         place: Path | None = None,
+        finish: Callable[[], object] = lambda: None,
     ) -> None:
         """Make the run. Nothing is written before everything has been checked.
 
@@ -105,6 +106,7 @@ class Job:
             callbacks: functions that are called with the row of each iteration, after the listeners.
             write: whether there is a folder.
             place: of a new run; None: it lies in ``output_dir`` and is named by the time.
+            finish: called by the first process when the training is done, before another one may write to the folder.
 
         Raises:
             WarpvoxError: something asked for does not exist or is not valid, or learning has diverged.
@@ -121,6 +123,8 @@ class Job:
             self.runner.evaluator = partial(self._keep_best, self.judge)
         with self._folder(place) if write else nullcontext():
             self._learn(listeners, callbacks)
+            if self.group.is_main_process:
+                finish()
 
     def _prepare(self, listeners: Sequence[Listener]) -> None:
         """Make the environments, the evaluator and the runner; nothing is written."""

@@ -101,14 +101,11 @@ class TimeSpent:
     launching: float = 0.0
     waiting: float = 0.0
 
-    def __bool__(self) -> bool:
-        return self.simulation + self.learning > 0
-
     @property
     def shares(self) -> dict[str, float]:
-        """The parts of simulation and learning, which add up to 1."""
+        """The parts of simulation and learning, which add up to 1; none where nothing is known."""
         whole = self.simulation + self.learning
-        return {"simulation": self.simulation / whole, "learning": self.learning / whole}
+        return {"simulation": self.simulation / whole, "learning": self.learning / whole} if whole else {}
 
     @property
     def is_host_bound(self) -> bool:
@@ -116,8 +113,10 @@ class TimeSpent:
         return self.launching > 0 and self.waiting < HOST_BOUND * (self.launching + self.waiting)
 
     def __str__(self) -> str:
-        text = ", ".join(f"{name} {share:.0%}".replace("%", " %") for name, share in self.shares.items())
-        return text + ("; host-bound: more environments cost nothing" if self.is_host_bound else "")
+        parts = [", ".join(f"{name} {100 * share:.0f} %" for name, share in self.shares.items())]
+        if self.is_host_bound:
+            parts.append("host-bound: more environments cost nothing")
+        return "; ".join(part for part in parts if part)
 
 
 class _Rollout(Logger):
@@ -505,7 +504,6 @@ class Runner(OnPolicyRunner):
             policy = self.policy.double()
             content = self._policy_content()
             state = None if self.schedule.stop_return is None else self.state()
-            # from here on the networks of `alg` belong to the thread
             self._evaluation = _Evaluation(self._thread.submit(self.evaluator, policy), content, state)
             return math.nan
         value = math.nan
@@ -609,9 +607,8 @@ class Runner(OnPolicyRunner):
 
     def _time_spent(self) -> dict[str, Any]:
         """Where time has gone in this process; nothing before its first iteration."""
-        if not self.spent:
-            return {}
-        found: dict[str, Any] = {"time": {name: round(share, 3) for name, share in self.spent.shares.items()}}
+        shares = {name: round(share, 3) for name, share in self.spent.shares.items()}
+        found: dict[str, Any] = {"time": shares} if shares else {}
         return found | ({"host_bound": self.spent.is_host_bound} if self.spent.launching else {})
 
     def _policy_content(self) -> dict[str, Any]:

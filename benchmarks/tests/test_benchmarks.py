@@ -165,7 +165,7 @@ def test_gpu_does_every_part(run: Callable) -> None:
     code, tables, rows = run("gpu", *words)
     assert code == 0, tables
     assert "Tests of tests/envs/test_device.py" in tables
-    assert {"8", "1", "learners, 8", "designs", "ppo=parallel, seed 0", "Walker-v0", "3 x 3 sampled"} <= rows.keys()
+    assert {"8", "1", "learners, 8", "designs", "ppo=parallel, seed 0", "Walker-v0", "3 x 3 in 8"} <= rows.keys()
 
 
 def test_short_lives_have_a_table_of_their_own() -> None:

@@ -18,7 +18,6 @@ from warpvox.envs.registry import task_ids
 ROOT = Path(__file__).resolve().parents[2]
 BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.DOTALL | re.MULTILINE)
 PAGES = sorted(path.name for path in (ROOT / "docs").glob("*.md") if BLOCK.search(path.read_text(encoding="utf-8")))
-COMPILING = {"gradients.md"}  # a reverse pass that no other test compiles
 # Commands are run with these besides: the page is about what they do, not about how long.
 SMALL = {
     "train": "num_envs=8 max_iterations=1 eval_interval=1 ppo.steps=4 ppo.epochs=1 ppo.hidden=[8] threads=1 device=cpu",
@@ -51,12 +50,12 @@ def test_names_of_python_on_a_page_exist(page: str) -> None:
 @pytest.fixture
 def episodes(page: str) -> Iterator[None]:
     """Short ones, but on the page that repeats recorded episodes."""
-    with short_episodes(*([] if page == "zoo.md" else task_ids())):
+    with short_episodes(*([] if page == "results.md" else task_ids())):
         yield
 
 
 @pytest.mark.usefixtures("episodes", "narrow_packs")
-@pytest.mark.parametrize("page", [pytest.param(p, marks=pytest.mark.slow) if p in COMPILING else p for p in PAGES])
+@pytest.mark.parametrize("page", PAGES)
 def test_the_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))

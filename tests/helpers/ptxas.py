@@ -5,6 +5,7 @@ The program ``ptxas`` is in build/ptxas, where ``make ptxas`` (and ``make test``
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -16,25 +17,26 @@ import warp as wp
 from warpvox.errors import WarpvoxError
 from warpvox.kernels.group import WARP
 
-ARCHITECTURES = {80: "A100", 89: "RTX 40", 90: "H100, H200", 100: "B200"}
+ARCHITECTURES = {80: "A100", 89: "RTX 40", 90: "H100, H200", 100: "B200", 120: "RTX 50"}
 """Compute capabilities for which limits are held, and what has them."""
 FETCHED = Path(__file__).resolve().parents[2] / "build" / "ptxas" / "nvidia"
 REGISTERS = 65536
 """Registers of a multiprocessor."""
-SHARED = {80: 164, 89: 100, 90: 228, 100: 228}
-"""Shared memory of a multiprocessor by compute capability, KiB."""
+SHARED = {80: 164, 89: 100, 90: 228, 100: 228, 120: 100}
+"""Shared memory of a multiprocessor by compute capability, KiB; a block may ask for one less."""
 RESERVED = 1024
 """Bytes of it that CUDA takes for every block."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Resources of a kernel, per thread but for ``shared``; bytes but for ``registers``."""
+    """Resources of a kernel, of a thread; of a block ``shared`` and what it asks for. Bytes but for ``registers``."""
 
     registers: int
     stack: int
     spilled: int
     shared: int
+    asked: int = 0
 
 
 def find_program() -> Path:
@@ -62,8 +64,13 @@ def assemble(kernel: wp.Kernel, architecture: int, folder: Path) -> Limits:
         raise WarpvoxError(f"ptxas said something else than expected: {said[-500:]}")
     stack, shared = (re.search(rf"(\d+) bytes {what}", used[0]) for what in ("cumulative stack", "smem"))
     own, stored, loaded = zip(*frames, strict=True)
+    asked = json.loads(next(folder.glob("*.meta")).read_text(encoding="utf-8"))  # what Warp reads when it launches
     return Limits(
-        int(used[1]), int(stack[1]) if stack else max(own), sum(stored + loaded), int(shared[1]) if shared else 0
+        int(used[1]),
+        int(stack[1]) if stack else max(own),
+        sum(stored + loaded),
+        int(shared[1]) if shared else 0,
+        next(value for name, value in asked.items() if name.endswith("forward_smem_bytes")),
     )
 
 

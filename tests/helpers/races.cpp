@@ -12,15 +12,14 @@
 namespace {
 enum Kind { WRITE_WRITE, WRITE_READ, READ_WRITE, APART };
 struct Range { uintptr_t begin, size, period, kept; size_t first; };
-typedef unsigned __int128 Threads;
 struct Trace {
     unsigned written = 0, read = 0;  // since which barrier, which meeting
-    Threads readers = 0;             // a bit for each
-    int writer = -1;
-    bool atomic = false;  // the last write
+    int writer = -1, reader = -1;
+    bool atomic = false;   // the last write
+    bool several = false;  // others have read, too
     void *write_at = nullptr, *read_at = nullptr;
 };
-constexpr int MOST = 128, GRAIN = 2;  // threads; bytes that are told apart
+constexpr int MOST = 512, GRAIN = 2;  // threads; bytes that are told apart
 std::vector<Range> ranges;
 std::vector<Trace> traces;
 std::map<std::tuple<int, uintptr_t, uintptr_t>, long> found;
@@ -46,19 +45,19 @@ void touch(void* address, size_t size, bool write, void* at, bool atomic = false
         ++accesses;
         for (size_t k = offset / GRAIN; k <= (offset + size - 1) / GRAIN; ++k) {
             Trace& trace = traces[range.first + k];
-            const Threads me = Threads(1) << current;
             if (trace.written == barrier && trace.writer != current && !(atomic && trace.atomic)) {
                 note(write ? WRITE_WRITE : WRITE_READ, trace.write_at, at);
             }
             if (write) {
                 // A vote is no barrier, but what is written after it depends on what was read before.
-                if (trace.read == meeting && trace.readers & ~me) note(READ_WRITE, trace.read_at, at);
+                if (trace.read == meeting && (trace.several || trace.reader != current)) note(READ_WRITE, trace.read_at, at);
                 trace.written = barrier;
                 trace.writer = current;
                 trace.atomic = atomic;
                 trace.write_at = at;
             } else {
-                trace.readers = (trace.read == meeting ? trace.readers : 0) | me;
+                trace.several = trace.read == meeting && (trace.several || trace.reader != current);
+                trace.reader = current;
                 trace.read = meeting;
                 trace.read_at = at;
             }

@@ -27,7 +27,7 @@ __all__ = ["races"]
 KINDS = "write, write", "write, read", "read, write", "threads at different barriers"
 OPTIONS = "-std=c++17 -O1 -g -fPIC -shared -w -fpermissive -fno-strict-aliasing -fno-math-errno".split()
 SHARED_ARRAYS = (
-    "box pairs pair_bit folds pos vel true_vel goal status time drift pair_count near_count overflow".split()
+    "box hull pairs pair_bit folds pos vel true_vel goal status time drift pair_count near_count overflow".split()
 )  # arrays of the Data that the kernel writes
 
 

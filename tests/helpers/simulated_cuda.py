@@ -45,6 +45,8 @@ WAITING = {
 FROM_HOST = {"tensor", "as_tensor", "asarray", "new_tensor", "from_numpy"}
 INDEXING = {"__getitem__", "__setitem__", "index_put_", "index_put"}
 PROPERTIES = {"device": (CUDA, CPU), "is_cuda": (True, False), "is_cpu": (False, True)}
+SHARED_MEMORY = 227 * 1024
+"""What a block may ask for, as on an H200."""
 TOGETHER, LANES = "group_step", "control_step"
 """Kernels: that whose threads wait for each other, and the control step of the lanes layout."""
 
@@ -92,7 +94,13 @@ class _Generator(torch.Generator):
         return made
 
     def __init__(self, device: Any = "cpu") -> None:
-        pass
+        self.is_stuck = False  # in a capture that has failed
+
+    def clone_state(self) -> _Generator:
+        return self
+
+    def graphsafe_set_state(self, state: _Generator) -> None:
+        self.is_stuck = False
 
     @property
     def device(self) -> torch.device:
@@ -212,8 +220,9 @@ class SimulatedCuda(TorchFunctionMode):
         yield torch.accelerator, "current_accelerator", lambda check_available=False: None
         yield kernel_device, "_streams", {}
         yield arrays, "on_cuda", lambda name: False  # what a block shares on CUDA is memory of its own on the CPU
+        yield arrays, "shared_memory", lambda name: SHARED_MEMORY
         if not self._own_capacities:
-            yield arrays, "choose", lambda sizes, precision, device: choose(sizes, precision, "cpu")
+            yield arrays, "choose", lambda sizes, precision, *more: choose(sizes, precision, "cpu")
 
     # ------------------------------------------------------------------------------------------------ memory
 
@@ -273,6 +282,8 @@ class SimulatedCuda(TorchFunctionMode):
         generator = kwargs.get("generator")
         if generator is not None and (generator.device.type == "cuda") != on_cuda:
             raise RuntimeError(f"{name}: the generator is on {generator.device}, not where the numbers shall be")
+        if isinstance(generator, _Generator) and generator.is_stuck:
+            raise RuntimeError("Offset increment outside graph capture encountered unexpectedly.")
         if generator is not None and self._capturing is not None and generator not in self.captured[-1].generators:
             raise RuntimeError(f"{name}: the generator is not registered with the graph")
         self.operations[name] += on_cuda

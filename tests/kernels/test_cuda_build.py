@@ -12,7 +12,7 @@ from warpvox.kernels.reset import reset_kernel, save, settle
 from warpvox.kernels.reverse import reverse_kernel
 from warpvox.kernels.step import STAGES, action_kernel, stage_kernel, step_kernel
 
-AMPERE, ADA, HOPPER, BLACKWELL = 80, 89, 90, 100
+AMPERE, ADA, HOPPER, BLACKWELL, RTX_50 = 80, 89, 90, 100, 120
 
 
 FAST, EXACT = ("fast", "float32"), ("exact", "float64")
@@ -66,7 +66,7 @@ def check(kernels, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("architecture", [AMPERE, ADA, BLACKWELL])
+@pytest.mark.parametrize("architecture", [AMPERE, ADA, BLACKWELL, RTX_50])
 @CASES
 def test_other_generations_too(arithmetic, precision, architecture, tmp_path):
     for number, kernel in enumerate(kernels_of_cuda(arithmetic, precision)):

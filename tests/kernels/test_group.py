@@ -211,21 +211,54 @@ def test_the_layout_is_chosen_by_device_arithmetic_and_size(monkeypatch):
     assert pair_of_task("Walker-v0", count=1)[1].layout == "lanes"  # too large for a group
 
 
-def chosen(points, springs, rigids, precision="float32", device="cuda:0"):
+def chosen(points, springs, rigids, precision="float32", device="cuda:0", **room):
     sizes = dict(point=points, mover=points, spring=springs, rigid=rigids)
-    return group.choose(sizes, precision, device)
+    return group.choose(sizes, precision, device, **room)
 
 
-def test_all_tasks_fit_into_shared_memory_and_35x35_bodies_do_not():
+def test_all_tasks_fit_into_shared_memory():
     for precision in ("float32", "float64"):
         assert chosen(36, 104, 150, precision).parts == 16
         assert chosen(48, 133, 32, precision).parts == 16
         assert chosen(72, 133, 88, precision).parts == 32
-        assert chosen(36 * 36, 5000, 1220, precision) is None
-        assert chosen(36 * 36, 5000, 1220, precision, "cpu").points >= 36 * 36
-        assert chosen(61 * 61, 14000, 1220, precision, "cpu") is None
     for points, springs, rigids, parts in [(356, 560, 40, 64), (370, 362, 8, 64), (344, 850, 628, 128)]:
         assert chosen(points, springs, rigids).parts == parts  # the largest worlds of the tasks
+    assert chosen(36 * 36, 5000, 1220, device="cpu").points >= 36 * 36
+    assert chosen(61 * 61, 14000, 1220, device="cpu") is None
+
+
+@pytest.mark.parametrize(
+    ("kilobytes", "parts"),
+    [(227, [256, 512, None]), (163, [256, None, None]), (99, [32, None, None]), (48, [None, None, None])],
+)
+def test_large_bodies_take_the_shared_memory_that_the_device_has(kilobytes, parts):
+    """H200, A100, RTX 40, and what there is without asking; in float64 that is all."""
+    bodies = [(26 * 26, 2550, 580), (36 * 36, 4970, 1220), (41 * 41, 6480, 1600)]  # 25, 35 and 40 voxels a side
+    room = dict(room=kilobytes * 1024)
+    groups = [chosen(*sizes, **room) for sizes in bodies]
+    assert [None if one is None else one.parts for one in groups] == parts
+    assert all(chosen(*sizes, "float64", **room) is None for sizes in bodies)
+
+
+def test_the_simulation_asks_the_device_for_its_shared_memory(monkeypatch):
+    asked = []
+    monkeypatch.setattr(arrays, "shared_memory", lambda device: 4711)
+    monkeypatch.setattr(arrays, "choose", lambda *options: asked.append(options[-1]))
+    assert pair_of_task("Walker-v0", count=1)[1].layout == "lanes"
+    assert asked == [4711]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("side", [15, 25, 35])
+def test_full_bodies_in_the_memory_of_cuda(side):
+    cells = np.random.default_rng(side).choice(np.array([1, 2, 3, 4], np.int8), (side, side))
+    sim = make_vec("Walker-v0", [cells], num_envs=1, device="cpu", dtype="float32", lanes=1, threads=1).sim
+    sims = pair_of([sim.worlds[0]], loose=sim.loose, physics=sim.physics)
+    take_memory_of_cuda(sims[1])
+    assert sims[1]._state.group.parts == {15: 128, 25: 256, 35: 512}[side]
+    for step in range(6):
+        sims[1]._state.scratch.fill_(float("nan"))
+        run(sims, 1, seed=step)
 
 
 @pytest.mark.parametrize(
@@ -242,7 +275,7 @@ def test_a_layout_that_there_is_not_is_refused(options, says):
 
 
 def take_memory_of_cuda(sim):
-    on_cuda = group.choose(sim._state.sizes, "float32", "cuda:0")
+    on_cuda = group.choose(sim._state.sizes, "float32", "cuda:0", 227 * 1024)
     sim._state.group = replace(on_cuda, approximate=False)
     take_parts(sim, on_cuda.parts)
 
@@ -282,6 +315,7 @@ def test_bodies_with_cut_connections_are_left_to_lanes():
         run(sims, 3)
 
 
+@pytest.mark.slow  # in a kernel of its own: there must be no room beyond the points that move
 def test_points_that_never_move_have_no_contacts():
     """Corners of a fixed cell lie in a wall; on CUDA there is memory for the points that move alone."""
     blocks = {"ground": ground(20), "wall": (np.full((3, 1), 5), 11, 1), "shelf": ([[2, 2, 2, 2, 2, 5]], 5, 3)}

@@ -12,9 +12,10 @@ pytestmark = pytest.mark.slow
 ENVS = 8
 
 
-@pytest.fixture(
-    params=["crowd", "Walker-v0", "BeamToppler-v0", "BridgeWalker-v0", "Catcher-v0", "Climber-v1", "Traverser-v0"]
-)
+TASKS = ["Walker-v0", "BeamToppler-v0", "BridgeWalker-v0", "Catcher-v0", "Climber-v1", "Traverser-v0"]
+
+
+@pytest.fixture(params=["crowd", *TASKS])
 def sim(request):
     """Environments of a task, or different bodies on top of each other; one of them is frozen."""
     if request.param == "crowd":
@@ -34,7 +35,7 @@ def test_what_another_thread_writes_is_read_behind_a_barrier(sim, tmp_path):
     assert watched > 1e6
 
 
-@pytest.mark.parametrize("parts", [16, 64, 128])
+@pytest.mark.parametrize("parts", [16, 64, 128, 512])
 def test_groups_of_different_bodies_too(parts, tmp_path):
     worlds = [crowded_world(seed) for seed in range(ENVS)]
     sim = Simulation(worlds, device="cpu", dtype="float32", arithmetic="fast", threads=1, layout="group")

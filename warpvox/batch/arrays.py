@@ -9,10 +9,9 @@ import warp as wp
 
 from warpvox.batch.packs import Batch
 from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
-from warpvox.kernels.device import from_numpy, on_cuda, put, set_fields, zeros
+from warpvox.kernels.device import from_numpy, on_cuda, put, set_fields, shared_memory, zeros
 from warpvox.kernels.group import LINKS, Group, choose
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, STALE, allocate, structs
-from warpvox.types import Physics
 
 
 @dataclass
@@ -69,7 +68,7 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
         links = np.diff(tables["link_start"])
         moves = ((links > 0) | (tables["free_lanes"] != 0)).any(0)
         sizes["mover"] = sizes["point"] if batch.grid else 1 + int(np.flatnonzero(moves).max(initial=0))
-        group = choose(sizes, precision, device)
+        group = choose(sizes, precision, device, shared_memory(device))
         if group is None or batch.cut or links.max(initial=0) > LINKS:
             return None
 
@@ -100,7 +99,15 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
     )
     set_fields(state.model, arrays, MODEL)
     set_fields(state.data, arrays, DATA)
-    _set_constants(state, batch.physics)
+
+    # Constants. The margin is added to boxes when candidates are collected: two fifths of a voxel.
+    physics = batch.physics
+    for name in CONSTANTS:
+        setattr(state.model, name, 0.04 if name == "margin" else getattr(physics, name))
+    contact = types.Contact()
+    for name in CONTACT:
+        setattr(contact, name, getattr(physics, name if name.startswith("friction") else f"contact_{name}"))
+    state.model.contact = contact
 
     # Values
     put_tables(state, tables | {"pack_mesh": which.astype(np.int32)})
@@ -174,16 +181,6 @@ def put_tables(state: Buffers, tables: dict[str, np.ndarray], rows: np.ndarray |
         values = tables[name]
         place = (slice(len(values)) if rows is None else rows, *map(slice, values.shape[1:]))
         put(state.arrays, name, place, values)
-
-
-def _set_constants(state: Buffers, physics: Physics) -> None:
-    for name in CONSTANTS:
-        # The margin is added to boxes when candidates are collected: two fifths of a voxel.
-        setattr(state.model, name, 0.04 if name == "margin" else getattr(physics, name))
-    contact = structs(state.precision).Contact()
-    for name in CONTACT:
-        setattr(contact, name, getattr(physics, name if name.startswith("friction") else f"contact_{name}"))
-    state.model.contact = contact
 
 
 def _capacities(voxels: int, movables: int, width: int, grouped: bool) -> dict[str, int]:

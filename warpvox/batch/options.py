@@ -18,7 +18,7 @@ from warpvox.keys import Settings, check_known
 from warpvox.system import usable_cores
 from warpvox.types import Physics
 
-WIDTHS = (1, 8, 16, 32)
+_WIDTHS = (1, 8, 16, 32)
 """Lane widths offered on the CPU."""
 
 
@@ -35,7 +35,7 @@ class SimOptions:
         physics: preset or constants; None: the preset of the rules of a task, ``evogym`` in a simulation alone.
         lanes: environments that one CPU thread advances at once (1, 8, 16 or 32); None chooses.
         threads: CPU threads; None takes all cores.
-        layout: ``lanes``, one thread an environment (on the CPU as vectors over environments), or ``group``, 16 to 128
+        layout: ``lanes``, one thread an environment (on the CPU as vectors over environments), or ``group``, 16 to 512
             threads an environment, with its state on the chip for a whole control step. None: ``group`` on CUDA in fast
             arithmetic where a world's state fits into 48 KiB, else ``lanes``. On the CPU ``group`` is slow, and meant
             for tests.
@@ -160,7 +160,7 @@ def resolve_layout(layout: str | None, arithmetic: str, device: str, lanes: int 
 
 def lanes_for(environments: int) -> int:
     """The lanes that are chosen on the CPU for environments that can share packs: the fewest that hold them."""
-    return next(width for width in WIDTHS if width >= min(environments, most_lanes()))
+    return next(width for width in _WIDTHS if width >= min(environments, most_lanes()))
 
 
 def most_lanes() -> int:
@@ -178,5 +178,5 @@ def choose_lanes(index: np.ndarray, lanes: int | None, device: str) -> int:
         return MAX_WIDTH
     if lanes is None:
         return lanes_for(int(np.bincount(index).max()))
-    check_choice("lanes", lanes, WIDTHS, SimulationError)
+    check_choice("lanes", lanes, _WIDTHS, SimulationError)
     return lanes

@@ -56,7 +56,15 @@ def main(argv: Sequence[str] | None = None) -> int:
             with terminable(), enough_memory("Ask for less at once, such as a smaller num_envs."):
                 code = 0
                 if name in ("", "-h", "--help", "help"):
-                    print(_help(), file=sys.stdout if name else sys.stderr)
+                    commands = "\n".join(f"  {command:<8} {meaning}" for command, meaning in COMMANDS.items())
+                    text = (
+                        f"usage: warpvox COMMAND [KEY=VALUE ...]\n\n{commands}\n\n"
+                        "`warpvox COMMAND --help` lists the keys of a command; `warpvox -sc install=bash` prints code"
+                        " that completes\nthem in bash (zsh, fish). For instance:\n"
+                        "  warpvox train task=Walker-v0 design=walker num_envs=512\n"
+                        "  warpvox play run=latest 'export=[usd,gif,html]'"
+                    )
+                    print(text, file=sys.stdout if name else sys.stderr)
                     code = 0 if name else 2
                 elif name in ("-V", "--version", "version"):
                     print(f"warpvox {warpvox.__version__}")
@@ -69,7 +77,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                     raise ConfigError(f"Unknown command '{name}'; there are {', '.join(COMMANDS)}.{hint}")
                 else:
                     if name == "demo":
-                        name, words = "train", ["preset=demo", *words]
+                        name = "train"
+                        words = ["preset=demo", *words]
                     from warpvox.cli.application import read_command
                     from warpvox.io.console import make_console
 
@@ -104,17 +113,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             where = str(error.filename or "The output")
             hint = " WARP_CACHE_PATH=FOLDER is where Warp keeps kernels." if "cache" in where.lower() else ""
             return _complain(f"{where} cannot be written: {complaint(error)}.{hint}")
-
-
-def _help() -> str:
-    commands = "\n".join(f"  {name:<8} {meaning}" for name, meaning in COMMANDS.items())
-    return (
-        f"usage: warpvox COMMAND [KEY=VALUE ...]\n\n{commands}\n\n"
-        "`warpvox COMMAND --help` lists the keys of a command; `warpvox -sc install=bash` prints code that completes\n"
-        "them in bash (zsh, fish). For instance:\n"
-        "  warpvox train task=Walker-v0 design=walker num_envs=512\n"
-        "  warpvox play run=latest 'export=[usd,gif,html]'"
-    )
 
 
 def _complain(error: WarpvoxError | str) -> int:

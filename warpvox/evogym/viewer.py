@@ -103,9 +103,12 @@ class EvoViewer:
 
     def _box(self) -> np.ndarray:
         """x, y, width and height of the tracked objects' box, with padding and scale."""
-        sim, padding, scale = self._viewer.sim, self._tracking["padding"], np.array(self._tracking["scale"])
+        sim = self._viewer.sim
+        padding = self._tracking["padding"]
+        scale = np.array(self._tracking["scale"])
         points = np.concatenate([sim.object_pos_at_time(sim.get_time(), name) for name in self._tracked], axis=1)
-        low, high = points.min(axis=1) - padding, points.max(axis=1) + padding
+        low = points.min(axis=1) - padding
+        high = points.max(axis=1) + padding
         # As released, the right and upper sides get a share of what the left and lower ones have added already.
         low = low - scale * (high - low) / 2
         high = high + scale * (high - low) / 2
@@ -115,10 +118,13 @@ class EvoViewer:
         """Move the camera by one step of its filter."""
         target = self._box()
         if self._target is None:
-            self.pos, self.view_size = tuple(target[:2].tolist()), tuple(target[2:].tolist())
-            self._target, self._aims = target, [target, target]
+            self.pos = tuple(target[:2].tolist())
+            self.view_size = tuple(target[2:].tolist())
+            self._target = target
+            self._aims = [target, target]
         # Dead bands, as released: voxels of positions, a share of sizes
-        moved, grown = np.abs(self._target[:2] - target[:2]), np.abs(1 - self._target[2:] / target[2:])
+        moved = np.abs(self._target[:2] - target[:2])
+        grown = np.abs(1 - self._target[2:] / target[2:])
         still = np.concatenate([moved < 1.0, grown < 0.3])
         target = self._target = np.where(still, self._target, target)
         # The gains of the filter and the decay of its integral, as released
@@ -131,7 +137,8 @@ class EvoViewer:
         self._aims = [last, aim]
         x, y, width, height = aim.tolist()
         aspect = self.resolution[0] / self.resolution[1]
-        self.pos, self.view_size = (x, y), (max(width, height * aspect), max(height, width / aspect))
+        self.pos = (x, y)
+        self.view_size = (max(width, height * aspect), max(height, width / aspect))
 
     def render(
         self,
@@ -158,7 +165,8 @@ class EvoViewer:
         if mode in _SCREEN and not self._viewer.shown:
             self.show_debug_window()
         self._catch_up()
-        camera, (width, height) = Camera(mode in _IMAGE), self.resolution
+        camera = Camera(mode in _IMAGE)
+        width, height = self.resolution
         camera.set_pos(*(VOXEL * value for value in self.pos))
         camera.set_size(*(VOXEL * value for value in self.view_size))
         camera.set_resolution(width, height)

@@ -26,7 +26,8 @@ class Tracker:
     def __init__(self, folder: Path, *tags: str) -> None:
         self._wandb: Any = import_module("wandb")
         # The id of the run there, for a run that is resumed
-        self._folder, file = folder, folder / "wandb_id.txt"
+        self._folder = folder
+        file = folder / "wandb_id.txt"
         config: Any = parse_yaml((folder / CONFIG).read_text(encoding="utf-8"))
         options: dict[str, Any] = {
             "project": "warpvox",

@@ -88,7 +88,8 @@ class Terminal(Listener):
             self._bar.start()
 
     def iterated(self, row: Mapping[str, float]) -> None:
-        figures, done = self._figures.text(row), row["iteration"]
+        figures = self._figures.text(row)
+        done = row["iteration"]
         if self._bar is not None:
             self._bar.update(self._line, completed=done, figures=figures, spent=str(self._spent))
             return
@@ -96,7 +97,7 @@ class Terminal(Listener):
         if math.isfinite(row["eval_return"]) or now - self._printed >= QUIET_SECONDS or done == self._total:
             self._printed = now
             left = duration((now - self._began) / max(done - self._start, 1) * (self._total - done))
-            echo(self.console, f"iteration {done}/{self._total}  {figures}  left {left}  ({self._spent})")
+            echo(self.console, f"iteration {done}/{self._total}  {figures}  left {left}  {self._spent}".rstrip())
 
     def ended(self, summary: Mapping[str, Any]) -> None:
         if self._bar is not None:
@@ -135,7 +136,8 @@ class Notebook(Listener):
 
 
 def _announcement(job: Job) -> str:
-    config, runner = job.written, job.runner
+    config = job.written
+    runner = job.runner
     done = runner.current_learning_iteration
     verb = f"resuming after iteration {done}" if done else "training"
     where = config.device if runner.group.size == 1 else f"{runner.group.size} processes, {config.device}"
@@ -155,14 +157,17 @@ def _announcement(job: Job) -> str:
 
 
 def _conclusion(job: Job, seconds: float) -> str:
-    runner, folder, status, best = job.runner, job.folder, job.summary["status"], job.summary["best_return"]
+    runner = job.runner
+    folder = job.folder
+    status = job.summary["status"]
+    best = job.summary["best_return"]
     words = f"{status}, state saved" if status == "interrupted" else status
     if status != "done" and (folder is None or runner.saved_iteration != runner.current_learning_iteration):
         words = status if folder is None else f"{status}, the state of iteration {runner.saved_iteration} is kept,"
     text = f"{words} after {runner.steps:,} control steps in {seconds:.0f} s"
     if best is not None:
         text += f"; best evaluation {best:.2f} (iteration {runner.best_iteration})"
-    if runner.spent:
+    if str(runner.spent):
         text += f"\nwhere time went: {runner.spent}"
     if folder is None:
         return text

@@ -23,9 +23,9 @@ from warpvox.types import ACTUATORS, FRAME_SECONDS, MATERIALS, VOXEL, Cell
 from warpvox.view.painter import camera_path
 from warpvox.view.rollout import Rollout
 
-APERTURE = (20.955, 11.787)
+_APERTURE = (20.955, 11.787)
 """Width and height of the cameras' film, mm: 35 mm film cut to 16:9."""
-FOCAL = 50.0
+_FOCAL = 50.0
 """Focal length of the cameras, mm."""
 
 
@@ -109,7 +109,8 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
             written = layer.Export(str(temporary))
             reason = "no reason is given"
         except Tf.ErrorException as error:
-            written, reason = False, str(error).rpartition("file: ")[2].split("'")[0]
+            written = False
+            reason = str(error).rpartition("file: ")[2].split("'")[0]
         if not written:
             raise RolloutError(f"{path} cannot be written; is its disk full? USD says: {reason}.")
     return Path(path)
@@ -232,17 +233,17 @@ def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.nd
     """One camera that follows the first environment's robot, one that sees everything."""
     # The one that follows sees 14 voxels from bottom to top.
     height = 14 * VOXEL
-    view = np.array([height * APERTURE[0] / APERTURE[1], height])
+    view = np.array([height * _APERTURE[0] / _APERTURE[1], height])
     corner = camera_path(rollout.scene(envs[0]), rollout.positions[:, envs[0]], tuple((view / VOXEL).tolist())) * VOXEL
     follow = _define_camera(stage, "/World/camera")
-    distance = height * FOCAL / APERTURE[1]
+    distance = height * _FOCAL / _APERTURE[1]
     for frame in frames:
         x, y = (corner[frame] + view / 2 + places[0]).tolist()
         follow.Set(Gf.Vec3d(x, y, distance), float(frame))
 
     low = places.min(axis=0)
     high = (places + _sizes(rollout, envs)).max(axis=0)
-    away = 1.1 * max((high[0] - low[0]) / APERTURE[0], (high[1] - low[1]) / APERTURE[1]) * FOCAL
+    away = 1.1 * max((high[0] - low[0]) / _APERTURE[0], (high[1] - low[1]) / _APERTURE[1]) * _FOCAL
     middle = ((low + high) / 2).tolist()
     _define_camera(stage, "/World/overview").Set(Gf.Vec3d(*middle, away))
 
@@ -250,9 +251,9 @@ def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.nd
 def _define_camera(stage: Any, path: str) -> Any:
     """A camera that looks along -Z; its translation."""
     camera = UsdGeom.Camera.Define(stage, path)
-    camera.CreateHorizontalApertureAttr(APERTURE[0])
-    camera.CreateVerticalApertureAttr(APERTURE[1])
-    camera.CreateFocalLengthAttr(FOCAL)
+    camera.CreateHorizontalApertureAttr(_APERTURE[0])
+    camera.CreateVerticalApertureAttr(_APERTURE[1])
+    camera.CreateFocalLengthAttr(_FOCAL)
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.1, 10000.0))
     return camera.AddTranslateOp()
 

@@ -81,21 +81,28 @@ static_assert(sizeof(Shared) == GROUP_BYTES, "Group.layout is another");
 
 // The groups of a warp, or the warps of a group, are a block and take the same way: where one has work, all of them come
 // along. `sync` and `some` are about the block, as is `most`, the largest of numbers that the threads of a group share.
-// `first_of` gives the first thread of a group that says yes (PARTS: none), `first_of_warp` that of its first warp (WHOLE:
-// none), which may be alone there; `rank_of` how many before this one do, and how many in all; they tell whether there is
-// `any` in the block or the warp; `sum_before` the sum of the numbers below 2^16 that the threads
-// before this one have, and the `total` of the group. None of them stands where the block may go different ways.
+// `first_of` gives the first thread of a group that says yes (PARTS: none), `rank_of` how many before this one do, and
+// how many in all; both whether the block has `any`; `sum_before` the sum of the numbers below 2^16 that the threads
+// before this one have, and the `total` of the group. None of them stands where the block may go different ways. The first
+// warp may be alone at `sync_first_warp`, `some_of_warp` and `first_of_warp` (WHOLE: none).
 #if defined(__CUDA_ARCH__)
 constexpr int GROUPS = PARTS < 32 ? 32 / PARTS : 1;
+#if LARGE
+Shared* const groups = reinterpret_cast<Shared*>(room.data.ptr);
+#else
 static_assert(GROUPS * GROUP_BYTES <= SHARED_BYTES, "no room in shared memory");
 __shared__ Shared groups[GROUPS];
+#endif
 Shared& at = groups[first_thread / PARTS];
-// Where an element of `disp` or `tension` is, in 16 bits: in bytes, so that nothing is left to compute.
+// Where an element of `disp` or `tension` is, in 16 bits: in bytes, so that nothing is left to compute, or where these are
+// too many in units of 8. ADDED is a bit that no place has.
+constexpr unsigned UNIT = GROUPS * GROUP_BYTES < 1 << 16 ? 1 : 8, ADDED = UNIT == 1 ? 1 : 1u << 15;
 char* const memory = reinterpret_cast<char*>(groups);
-constexpr unsigned ADDED = 1;  // a bit that no place has
-auto place_of = [&](const Pair* pairs, int n) -> unsigned { return reinterpret_cast<const char*>(pairs + n) - memory; };
-auto pair_at = [&](const Pair*, unsigned place) -> Pair { return *reinterpret_cast<const Pair*>(memory + place); };
-constexpr int WIDER = sizeof(Place) / sizeof(Pair);
+auto place_of = [&](const Pair* pairs, int n) -> unsigned {
+    return unsigned(reinterpret_cast<const char*>(pairs + n) - memory) / UNIT;
+};
+auto pair_at = [&](const Pair*, unsigned place) -> Pair { return *reinterpret_cast<const Pair*>(memory + UNIT * place); };
+constexpr int WIDER = UNIT * sizeof(Place) / sizeof(Pair);
 const int before_pos = reinterpret_cast<char*>(at.pos) - memory - WIDER * place_of(at.disp, 0);
 auto pos_at = [&](unsigned place) -> Place {  // of the point whose displacement is there
     const int begin = WIDER * place + before_pos;
@@ -176,14 +183,16 @@ auto rank_of = [&](bool yes, int& total, bool& any) -> int {
     if (WARPS > 1) any = total != 0;
     return before;
 };
-auto first_of_warp = [&](bool yes, bool& any) -> int {
+auto some_of_warp = [&](bool yes) -> bool { return __any_sync(everyone, yes); };
+auto first_of_warp = [&](bool yes) -> int {
+    bool any;
     const unsigned bits = vote(yes, any);
     return bits ? lowest(bits) : WHOLE;
 };
 auto first_of = [&](bool yes, bool& any) -> int {
-    int first = first_of_warp(yes, any);
-    if (WARPS == 1) return first;
-    first = join_warps(any ? part / 32 * 32 + first : PARTS, smaller);
+    const unsigned bits = vote(yes, any);
+    if (WARPS == 1) return bits ? lowest(bits) : PARTS;
+    const int first = join_warps(bits ? part / 32 * 32 + lowest(bits) : PARTS, smaller);
     any = first < PARTS;
     return first;
 };
@@ -234,7 +243,8 @@ auto first_of = [&](bool yes, bool& any) -> int {
     any = some(yes);
     return join(yes ? part : PARTS, true, smaller);
 };
-auto first_of_warp = [&](bool yes, bool& any) -> int { return wp::min(first_of(yes, any), WHOLE); };
+auto some_of_warp = some;
+auto first_of_warp = [&](bool yes) -> int { return join(yes && part < WHOLE ? part : WHOLE, true, smaller); };
 auto sum_before = [&](unsigned number, int& total) -> int {
     int before = 0, k = 0;
     total = join(number, true, [&](int a, int b) {

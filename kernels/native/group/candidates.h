@@ -12,6 +12,7 @@ auto most4 = [](auto a, auto b, auto c, auto d) {
     c = d > c ? d : c;
     return c > a ? c : a;
 };
+struct alignas(16) Bounds { Single left, right, bottom, top; };  // of a voxel, the margin added on the right and on top
 int here = mesh, frame = 0;
 const wp::vec_t<4, int>* corner = nullptr;
 wp::vec_t<4, int>* candidates = nullptr;
@@ -42,7 +43,7 @@ auto collect = [&]() {
     const int words = (voxels + 31) / 32;
     const double margin = model.margin;
 
-    for (int v = part; v < voxels; v += PARTS) {
+    ROLL for (int v = part; v < voxels; v += PARTS) {
         const wp::vec_t<4, int> c = corner[v];
         const Place a = at.pos[c[0]], b = at.pos[c[1]], d = at.pos[c[2]], e = at.pos[c[3]];
         box[4 * v] = least4(a.x, b.x, d.x, e.x);
@@ -69,12 +70,26 @@ auto collect = [&]() {
         range[3] = wp::min(static_cast<int>(wp::floor(y1 * scale + slack)), lattice_rows - 1);
     };
 
-    for (int a = part; a < movables; a += PARTS) {
-        const int i = movable[a];
-        for (int b = a + 1; b < movables; ++b) {
-            const int j = movable[b];
-            if (!(fixed[i] && fixed[j]) && meet(box + 4 * i, box + 4 * j)) mark(i, j);
-        }
+    // Pairs of voxels that move: each with those up to half a circle of them ahead, so that all threads have as many. Most do
+    // not meet, which bounds in float32 tell.
+    Bounds* bounds = reinterpret_cast<Bounds*>(&wp::index(data.hull, pack, 0));
+    ROLL for (int a = part; a < movables; a += PARTS) {
+        const double* own = box + 4 * movable[a];
+        auto reach = [](double x) -> Single { return 1e-6f + 1e-6f * wp::abs(Single(x)); };  // more than rounding
+        bounds[a] = Bounds{
+            Single(own[0]) - reach(own[0]), Single(own[1] + margin) + reach(own[1]),
+            Single(own[2]) - reach(own[2]), Single(own[3] + margin) + reach(own[3])
+        };
+    }
+    sync();
+    int a = part, ahead = 1;
+    for (int n = part; n < movables * (movables - 1) / 2; n += PARTS, a += PARTS) {
+        for (; a >= movables; a -= movables) ++ahead;
+        const int b = a + ahead < movables ? a + ahead : a + ahead - movables;
+        const Bounds mine = bounds[a], other = bounds[b];
+        if (mine.left > other.right || other.left > mine.right || mine.bottom > other.top || other.bottom > mine.top) continue;
+        const int i = movable[wp::min(a, b)], j = movable[wp::max(a, b)];
+        if (!(fixed[i] && fixed[j]) && meet(box + 4 * i, box + 4 * j)) mark(i, j);
     }
     // Fixed voxels; where they come first, several threads mark pairs in their rows.
     for (int a = part; a < movables && movables < voxels; a += PARTS) {

@@ -34,8 +34,9 @@ auto correction = [&](const Side& side, Real bound, Real share, Pair& by) -> boo
 // Moves the ends of a side that are free.
 auto shift = [](Pair* pairs, const Side& side, Pair by) {
     const int p = side.ends & POINT, q = side.ends >> 16 & POINT;
-    if (side.ends & FREE) pairs[p] = Pair{pairs[p].x + by.x, pairs[p].y + by.y};
-    if (side.ends >> 16 & FREE) pairs[q] = Pair{pairs[q].x - by.x, pairs[q].y - by.y};
+    const Pair a = pairs[p], b = pairs[q];
+    if (side.ends & FREE) pairs[p] = Pair{a.x + by.x, a.y + by.y};
+    if (side.ends >> 16 & FREE) pairs[q] = Pair{b.x - by.x, b.y - by.y};
 };
 auto clear_moved = [&]() {
     own_points([&](int, int p) { at.moved[p] = Pair{Real(0), Real(0)}; });
@@ -82,19 +83,19 @@ auto correct_springs = [&](unsigned rounds) {
 auto correct_rigids = [&]() {
     if (!some(at.rigid[0].ends)) return;
     clear_moved();
-    int first = 0;
     bool any = false;
-    ROLL for (bool more = !TIGHT || part < 32; more;) {
+    ROLL for (int first = 0; !TIGHT || part < 32;) {
         const int n = first + part;
-        const Side side = part < WHOLE && n < RIGIDS ? at.rigid[n] : Side{0, Real(0)};
-        const int end = first_of_warp(side.ends & LAST || (side.ends && part == WHOLE - 1), more);
+        const Side side = (TIGHT || part < WHOLE) && n < RIGIDS ? at.rigid[n] : Side{0, Real(0)};
+        if (!some_of_warp(side.ends)) break;
+        const int end = first_of_warp(side.ends & LAST);
         Pair by;
         if (side.ends && part <= end && correction(side, model.rigid_strain_limit, model.rigid_strain_share, by)) {
-            shift(at.moved, side, by);
             shift(at.disp, side, by);
+            shift(at.moved, side, by);
             any = true;
         }
-        first += end + 1;
+        first += wp::min(end + 1, WHOLE);
         sync_first_warp();
     }
     if (!some(any)) return;

@@ -30,6 +30,14 @@ def test_the_page_is_up_to_date_and_readme_says_what_it_says() -> None:
     )
 
 
+def test_the_page_of_evaluation_shows_what_is_recorded() -> None:
+    page = (DOCS / "evaluation.md").read_text(encoding="utf-8")
+    rows = [row for row in results.read_table(results.DISTURBED) if row["task"] == "UpStepper-v0"]
+    for row in rows:
+        assert "| {episodes} | {mean} | {low} to {high} | {quantile_10} |".format(**row) in page
+    assert f"| nominal | {zoo('UpStepper-v0').mean_return:.3f} |" in page
+
+
 def test_the_table_of_protocols_is_about_the_robots_of_the_zoo() -> None:
     rows = results.read_table(results.DISTURBED)
     means = {row["task"]: float(row["mean"]) for row in rows if row["episodes"] == "noise"}

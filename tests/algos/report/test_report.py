@@ -15,7 +15,7 @@ from hypothesis import given, settings, strategies as st
 from warpvox.algos.archive import FILE, Archive, Finished, Record, archives_in
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.report import family_tree, places, report_page
-from warpvox.algos.report.charts import Series, chart, ticks
+from warpvox.algos.report.charts import Series, chart, sparkline, ticks
 from warpvox.algos.report.members import progress, read_members
 from warpvox.design import sample_design
 from warpvox.envs.registry import known_returns, task_ids
@@ -99,6 +99,13 @@ def test_charts_put_points_where_they_belong() -> None:
     for height in (0.0, 2.0, -1e18):  # where all values are the same, they lie in the middle
         (circle,) = re.findall(r'<circle [^>]*cy="([0-9.]+)"', chart([Series("one", [(1.0, height)])], "x", "y"))
         assert float(circle) == (28 + 300) / 2
+
+
+def test_a_small_line_fills_its_element() -> None:
+    root = ET.fromstring(sparkline([1.0, 3.0, 2.0], 72, 20))
+    assert (root.get("viewBox"), root.get("width"), root.get("height")) == ("0 0 72 20", "72", "20")
+    places = [tuple(map(float, place.split(","))) for place in root.find("polyline").get("points").split()]
+    assert places == [(2, 18), (36, 2), (70, 10)]
 
 
 @settings(max_examples=40)

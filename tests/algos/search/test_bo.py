@@ -209,8 +209,8 @@ def test_each_start_leads_to_a_body_and_says_whether_it_is_another(acquisition: 
         return chosen
 
     monkeypatch.setattr(bo, "thompson_starts", watched)
-    generations = searched(hasty(acquisition=acquisition, population=6, max_evaluations=30))
-    assert len(starts) == len(generations) - 1 == 4
+    generations = searched(hasty(acquisition=acquisition, population=6, max_evaluations=18))
+    assert len(starts) == len(generations) - 1 == 2
     for begun, generation in zip(starts, generations[1:], strict=True):
         for start, candidate in zip(begun, generation, strict=True):
             assert candidate.origin == ("thompson" if np.array_equal(candidate.body, start) else "improvement")

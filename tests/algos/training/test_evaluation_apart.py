@@ -33,7 +33,7 @@ def cuda() -> Iterator[SimulatedCuda]:
 
 
 class Slow:
-    """An evaluator that ends two iterations later than it could, where it is in a thread of its own."""
+    """An evaluator that ends an iteration later than it could, where it is in a thread of its own."""
 
     def __init__(self, runner: Runner) -> None:
         self.runner = runner
@@ -42,9 +42,11 @@ class Slow:
         """Evaluations during which learning went on."""
 
     def __call__(self, policy: Any) -> EpisodeReturns:
-        began, iteration = time.monotonic(), self.runner.current_learning_iteration
-        while threading.current_thread() is not MAIN and time.monotonic() < began + 0.5:
-            if self.runner.current_learning_iteration >= iteration + 2:
+        iteration = self.runner.current_learning_iteration
+        is_apart = threading.current_thread() is not MAIN and iteration < ITERATIONS  # after the last it is waited for
+        began = time.monotonic()
+        while is_apart and time.monotonic() < began + 30:
+            if self.runner.current_learning_iteration > iteration:
                 self.apart += 1
                 break
             time.sleep(0.001)

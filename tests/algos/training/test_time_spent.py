@@ -1,16 +1,15 @@
 """Where the time of a training goes: shares of simulation and learning, and a GPU that waits for its host."""
 
-import io
+import re
 from collections.abc import Iterator
-from types import SimpleNamespace
 
 import pytest
+import torch
 from learning import ppo_settings, small_env
-from rich.console import Console
 from simulated_cuda import SimulatedCuda
+from tiny import tiny
 
 from warpvox.algos.training.runner import Runner, Schedule, TimeSpent, adapt
-from warpvox.progress.training import Terminal
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -52,13 +51,24 @@ def test_a_gpu_that_waits_for_its_host_is_told_from_one_that_keeps_it_waiting(
     assert "host" not in str(runner.spent)
 
 
-def test_lines_say_where_time_goes() -> None:
+def test_a_torch_that_cannot_measure_parts_of_a_graph_says_nothing_of_them(cuda, monkeypatch) -> None:
+    """Before version 2.9 its events had no argument ``external``."""
+
+    class Event:
+        def __init__(self, enable_timing: bool = False) -> None:
+            raise AssertionError("made without being external")
+
+    monkeypatch.setattr(torch.cuda, "Event", Event)
+    runner = make_runner(device="cuda", layout="group", lanes=None)
+    runner.run()
+    assert runner._iteration.is_replayed
+    assert "time" not in runner.summary()
+
+
+def test_lines_say_where_time_goes(warpvox) -> None:
     spent = TimeSpent(simulation=3.0, learning=1.0, launching=1.0, waiting=0.01)
-    text = "simulation 75 %, learning 25 %; host-bound: more environments cost nothing"
-    assert str(spent) == text
-    console = Console(file=io.StringIO(), width=200)
-    shown = Terminal(console)
-    shown._figures = SimpleNamespace(text=lambda row: "figures")
-    shown._spent, shown._total, shown._start, shown._began, shown._printed = spent, 2, 0, 0.0, 0.0
-    shown({"iteration": 2, "eval_return": 1.0})
-    assert f"({text})" in console.file.getvalue()
+    assert str(spent) == "simulation 75 %, learning 25 %; host-bound: more environments cost nothing"
+    assert str(TimeSpent()) == ""
+    said = " ".join(warpvox(*tiny("train", "num_envs=4", "max_iterations=2", "ppo.minibatches=1")).out.split())
+    assert len(re.findall(r"simulation \d+ %, learning \d+ %", said)) == 2  # at the last iteration, and at the end
+    assert "host-bound" not in said

@@ -16,7 +16,7 @@ from warpvox.configs.codesign import CodesignConfig
 from warpvox.errors import ConfigError, listing
 from warpvox.io.console import echo
 from warpvox.io.text import shown
-from warpvox.io.writing import check_links, check_writable, claimed
+from warpvox.io.writing import check_links, check_writable
 from warpvox.runs import CONFIG, check_unchanged, read_summary
 
 
@@ -39,22 +39,21 @@ def run(config: CodesignConfig, given: Collection[str], console: Console) -> Pat
     folder = _resumed(config)
     config = dataclasses.replace(config, resume=None)
     with console.status("loading"):
-        from warpvox.algos.codesign.results import Results
+        from warpvox.algos.codesign.results import Found, Results
         from warpvox.algos.codesign.run import plan_codesign, run_codesign
         from warpvox.progress.search import SearchProgress, with_tracker
 
-    # Search
-    plan = plan_codesign(config, folder)
-    found = run_codesign(plan, with_tracker(config, [SearchProgress(console)]))
+    def show(found: Found) -> None:
+        """Film the best designs, and write the report with the films and what is to be exported."""
+        with Archive.read(found.folder / FILE) as archive:
+            results = Results(found.folder, archive, found.settings)
+            with console.status("filming the best"):
+                results.film(config)
+                results.report(found.summary)
+            _export(archive, found.folder, config.export, console)
 
-    # Show what was found
-    with claimed(found.folder), Archive.read(found.folder / FILE) as archive:
-        results = Results(found.folder, archive, found.settings)
-        with console.status("filming the best"):
-            results.film(config)
-            results.report(found.summary)
-        _export(archive, found.folder, config.export, console)
-    return found.folder
+    plan = plan_codesign(config, folder)
+    return run_codesign(plan, with_tracker(config, [SearchProgress(console)]), finish=show).folder
 
 
 def _resumed(config: CodesignConfig) -> Path | None:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
 
 
-OF_AGENTS = ("task", "design", "rules")
+_OF_AGENTS = ("task", "design", "rules")
 """Keys that a trained run answers itself."""
 
 
@@ -50,7 +50,7 @@ def run(config: PlayConfig, given: Collection[str], console: Console) -> Path:
     formats = ([] if in_window else ["html"]) if config.export is None else config.export
     check_exports(formats, config.size)
     if config.rollout is not None:
-        others = [name for name in ("agent", "zoo", *OF_AGENTS) if getattr(config, name) is not None]
+        others = [name for name in ("agent", "zoo", *_OF_AGENTS) if getattr(config, name) is not None]
         if others:
             raise ConfigError(f"rollout shows what was recorded: {listing(others)} cannot be given with it.")
         from warpvox.view.rollout import Rollout
@@ -93,7 +93,7 @@ def check_source(config: Any) -> None:
 
 def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
     """The rollout of a trained run's policy, and the folder of the run."""
-    given = [name for name in OF_AGENTS if getattr(config, name, None) is not None]
+    given = [name for name in _OF_AGENTS if getattr(config, name, None) is not None]
     if "task" in given and isinstance(config.task, Code):
         given.remove("task")  # who names a task's code, trusts it
     _refuse(name for name in given if name != "design")

@@ -10,7 +10,6 @@ from rich.console import Console
 
 from warpvox.algos.find import find_run
 from warpvox.configs.train import TrainConfig
-from warpvox.io.writing import claimed
 from warpvox.runs import TRAINING
 
 if TYPE_CHECKING:
@@ -36,23 +35,23 @@ def run(config: TrainConfig, given: Collection[str], console: Console) -> Path:
     from warpvox.devices.startup import prepare
     from warpvox.progress.training import Terminal, with_tracker
 
-    # Learn
     job = make_job(config, given)
-    prepare(config.torch_threads, config.seed)
-    job.train(with_tracker(config.logger, [Terminal(console)]))
-    folder = cast(Path, job.folder)
-    if not config.export or not job.group.is_main_process:
-        return folder
 
-    # Show what was learned
-    from warpvox.algos.training.playing import load_result
-    from warpvox.cli.exports import ROLLOUT, print_returns, record_run, write_exports
+    def show() -> None:
+        """Play what was learned, and write it in the formats that are asked for."""
+        if not config.export:
+            return
+        from warpvox.algos.training.playing import load_result
+        from warpvox.cli.exports import ROLLOUT, print_returns, record_run, write_exports
 
-    with claimed(folder):
+        folder = cast(Path, job.folder)
         trained = find_run(str(folder), config.output_dir)
         with console.status("simulating"):
             rollout = record_run(trained, *load_result(trained, config, config.device), None)
         print_returns(rollout, console)
         rollout.save(folder / ROLLOUT)
         write_exports(rollout, folder, config.export, console)
-    return folder
+
+    prepare(config.torch_threads, config.seed)
+    job.train(with_tracker(config.logger, [Terminal(console)]), finish=show)
+    return cast(Path, job.folder)
