@@ -22,8 +22,8 @@ from warpvox.errors import ConfigError, UnknownArgumentError, did_you_mean, list
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-Function = TypeVar("Function", bound=Callable[..., Any])
-Kind = TypeVar("Kind")
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_Kind = TypeVar("_Kind")
 
 SYNONYMS = {
     "body": ("design", "designs"),
@@ -175,14 +175,14 @@ def _is_public(kind: type) -> bool:
     return kind.__name__ in sys.modules["warpvox"].__all__
 
 
-def in_words(function: Function) -> Function:
+def in_words(function: _Function) -> _Function:
     """A public function whose arguments have :data:`SYNONYMS`, and which refuses others by :func:`check_known`."""
 
     @functools.wraps(function)
     def call(*args: Any, **given: Any) -> Any:
         return function(*args, **check_known(given, function))
 
-    return cast(Function, call)
+    return cast(_Function, call)
 
 
 class _OfInit:
@@ -195,7 +195,7 @@ class _OfInit:
 class _Checked(ABCMeta):  # so that evaluations of a user's own may be abstract
     """The class of :class:`Settings`, which checks the names of arguments."""
 
-    def __call__(cls: type[Kind], *args: Any, **given: Any) -> Kind:
+    def __call__(cls: type[_Kind], *args: Any, **given: Any) -> _Kind:
         if args and cast(Any, cls).prefix:
             example = [f"{name}=..." for name in _arguments(cls)[0][1:2]]
             raise ConfigError(f"{cls.__name__} takes settings by name, {cls.__name__}({''.join(example)}); got {args}.")

@@ -23,7 +23,7 @@ def make_search(
         start: different bodies, int8 ``[rows, columns]``, that the first generation begins with.
     """
     if not isinstance(settings, SearchSettings):  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise ConfigError(f"There is no search for settings of type {type(settings).__name__}.")
+        raise ConfigError(f"There is no search for the settings {settings!r:.80}: GA(), BO(), ... are known.")
     module, name = settings.implementation.split(":")
     search = getattr(import_module(f"warpvox.algos.search.{module}"), name)(settings, shape, seed)
     start_with(search, start)

@@ -14,7 +14,7 @@ from warpvox.evogym.switch import install_everywhere
 
 __all__ = ["main"]
 
-OLD_GYM = (
+_OLD_GYM = (
     "warpvox.evogym: EvoGym 2.0 uses gymnasium. Write import gymnasium as gym and import evogym.envs; reset() returns"
     " two values, obs and info, step() five: obs, reward, terminated, truncated, info."
 )
@@ -44,7 +44,7 @@ def main() -> None:
         is_unpacked = isinstance(error, ValueError) and "values to unpack (expected 4" in str(error)
         if getattr(error, "name", None) == "gym" or type(error).__name__ == "NameNotFound" or is_unpacked:
             traceback.print_exc()
-            sys.exit(OLD_GYM)
+            sys.exit(_OLD_GYM)
         raise
 
 

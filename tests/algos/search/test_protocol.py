@@ -301,7 +301,7 @@ def test_a_source_of_bodies_can_run_dry() -> None:
 def test_few_bodies_are_left_only_where_some_have_been_proposed(known: int) -> None:
     search = fresh("random", shape=(1, 7))
     search.claim(np.full((1, 7), 3, np.int8)) if known else None
-    search.new_body = lambda draw: None
+    search.new_body = lambda *_: None
     with refused(SearchError, f"after {known} have been proposed:") as caught:
         search.ask()
     assert [words in str(caught.value) for words in ("too few are left", "fewer evaluations")] == [known, known]
