@@ -16,7 +16,7 @@
 #   make ptxas       fetch NVIDIA's assembler into build/ptxas, for tests of CUDA kernels (Linux, x86-64; 52 MB)
 #   make tables      write the keys of all commands into docs/commands.md
 #   make notebooks   run the notebooks of examples/ and keep what they show
-#   make charts      draw the charts of docs/performance.md from docs/figures.md
+#   make charts      draw the charts of docs/performance.md and docs/results.md from their tables
 #   make results     renew the page of results from the zoo and the tables of lab/zoo
 #   make release     build both distributions, check them, and say what an upload would send
 #   make docs        build the documentation into site/ and test it
@@ -181,7 +181,7 @@ tables: $(STAMP)
 notebooks: $(STAMP)
 	$(BIN)/python docs/notebooks.py
 
-# Draws the charts of the page of performance from the tables of docs/figures.md.
+# Draws the charts of the pages of performance and results from their tables.
 charts: $(STAMP)
 	$(BIN)/python docs/charts.py
 

@@ -1,7 +1,7 @@
 """The archive of a design search: one SQLite file with all candidates and their results.
 
 Every change is a transaction, so that a process killed at any moment leaves a consistent file, and other programs
-can read it while the search is running. The tables are described in ``docs/archive.md``.
+can read it while the search is running. The tables are described in ``docs/formats.md``.
 
 The journal is SQLite's default, not WAL: an experiment then is a single file between two transactions, may be copied,
 and may lie on the shared disk of a cluster, where WAL does not work. Writing happens once an evaluation, so that its
@@ -33,22 +33,17 @@ from warpvox.errors import RunError, StorageError
 from warpvox.io.reading import parse_json
 from warpvox.io.writing import atomic_path
 
-FILE, BACKUP = "archive.sqlite", "archive.backup.sqlite"
-"""Names in a run's folder: of the archive, and of what it was after the last whole generation."""
+FILE = "archive.sqlite"
+"""Name of the archive in a run's folder."""
+BACKUP = "archive.backup.sqlite"
+"""Name of what it was after the last whole generation."""
 
 APPLICATION = 0x77766F78
 """SQLite's application id of our files: "wvox"."""
 VERSION = 1
 """Version of the tables in archive.sql; a file of a later version is refused."""
-STEPS_BETWEEN_SIGNALS = 1_000_000
-"""Instructions of SQLite's virtual machine, of which it makes as many in some milliseconds."""
-WAIT_SECONDS = 30.0
-"""How long to wait for a reader to finish."""
 
-TABLES = Path(__file__).with_suffix(".sql").read_text(encoding="utf-8")
-JOURNAL = bytes.fromhex("d9d505f920a163d7")
-"""SQLite's mark of a journal; at its end, that it belongs to a transaction of several files."""
-KINDS = {
+_KINDS = {
     "id": int, "generation": int, "body": str, "origin": str, "seed": int, "fitness": float, "steps": int,
     "stopped": int, "reused": int, "policy": str, "policy_sha256": str, "seconds": float,
 }  # fmt: skip
@@ -127,7 +122,8 @@ class Archive(AbstractContextManager["Archive"]):
 
     def __init__(self, path: Path, db: sqlite3.Connection, lock: sqlite3.Connection | None) -> None:
         self.path = path
-        self._db, self._lock = db, lock
+        self._db = db
+        self._lock = lock
 
     @classmethod
     def create(cls, path: Path, settings: Mapping[str, Any]) -> Archive:
@@ -155,12 +151,11 @@ class Archive(AbstractContextManager["Archive"]):
     @staticmethod
     def _fill(path: Path, settings: Mapping[str, Any]) -> None:
         with closing(_connect(path, "rwc")) as db, _transaction(db):
-            for statement in TABLES.split(";\n"):
-                if statement.strip():
-                    db.execute(statement)
-            rows = {"settings": dict(settings), "created_at": _now()}
-            db.executemany("INSERT INTO experiment VALUES (?, ?)", [(k, json.dumps(v)) for k, v in rows.items()])
-            # inside the transaction: a file with our mark has all tables
+            for statement in _statements():
+                db.execute(statement)
+            for key, value in {"settings": dict(settings), "created_at": _now()}.items():
+                db.execute("INSERT INTO experiment VALUES (?, ?)", (key, json.dumps(value)))
+            # Inside the transaction: a file with our mark has all tables.
             db.execute(f"PRAGMA application_id = {APPLICATION}")
             db.execute(f"PRAGMA user_version = {VERSION}")
 
@@ -218,11 +213,18 @@ class Archive(AbstractContextManager["Archive"]):
                 raise RunError(f"Candidate {candidate.id} must descend from earlier ones, got {candidate.parents}.")
         with self._writing() as db:
             for item in candidates:
-                row = (item.id, item.generation, body_text(item.body), item.origin, candidate_seed(seed, item.id))
-                columns = "id, generation, body, origin, seed, proposed_at"
-                db.execute(f"INSERT INTO candidates ({columns}) VALUES (?,?,?,?,?,?)", (*row, _now()))
-                pairs = [(item.id, position, parent) for position, parent in enumerate(item.parents)]
-                db.executemany("INSERT INTO parents VALUES (?,?,?)", pairs)
+                values = {
+                    "id": item.id,
+                    "generation": item.generation,
+                    "body": body_text(item.body),
+                    "origin": item.origin,
+                    "seed": candidate_seed(seed, item.id),
+                    "proposed_at": _now(),
+                }
+                query = f"INSERT INTO candidates ({', '.join(values)}) VALUES (?,?,?,?,?,?)"
+                db.execute(query, tuple(values.values()))
+                for position, parent in enumerate(item.parents):
+                    db.execute("INSERT INTO parents VALUES (?,?,?)", (item.id, position, parent))
 
     def finish(self, results: Iterable[Finished], seconds: float = 0.0) -> None:
         """Store results, all or none.
@@ -233,27 +235,33 @@ class Archive(AbstractContextManager["Archive"]):
         """
         with self._writing() as db:
             for result in results:
-                self._finish(db, result, seconds)
+                outcome = result.outcome
+                numbers = [value for _, value in outcome.curve]
+                if not outcome.diverged:
+                    numbers.append(outcome.fitness)
+                if not all(map(math.isfinite, numbers)):
+                    raise RunError(f"The evaluation of candidate {result.id} gave no finite number: {outcome.fitness}.")
 
-    def _finish(self, db: sqlite3.Connection, result: Finished, seconds: float) -> None:
-        outcome = result.outcome
-        known = [] if outcome.diverged else [outcome.fitness]
-        if not all(math.isfinite(value) for value in (*known, *(value for _, value in outcome.curve))):
-            raise RunError(f"The evaluation of candidate {result.id} gave no finite number: {outcome.fitness}.")
-        values = {
-            "fitness": None if outcome.diverged else float(outcome.fitness),
-            "steps": int(outcome.steps),
-            "stopped": DIVERGED if outcome.diverged else int(outcome.stopped),
-            **{name: getattr(result, name) for name in ("reused", "policy", "policy_sha256")},
-            "finished_at": _now(),
-            "seconds": seconds,
-        }
-        query = f"UPDATE candidates SET {'=?, '.join(values)}=? WHERE id=? AND stopped IS NULL"
-        changed = db.execute(query, (*values.values(), result.id)).rowcount
-        if changed != 1:
-            raise RunError(f"There is no candidate {result.id} that waits for its evaluation.")
-        rows = [(result.id, k, int(steps), float(value)) for k, (steps, value) in enumerate(outcome.curve)]
-        db.executemany("INSERT INTO curves VALUES (?,?,?,?)", rows)
+                # The row of the candidate
+                values = {
+                    "fitness": None if outcome.diverged else float(outcome.fitness),
+                    "steps": int(outcome.steps),
+                    "stopped": DIVERGED if outcome.diverged else int(outcome.stopped),
+                    "reused": result.reused,
+                    "policy": result.policy,
+                    "policy_sha256": result.policy_sha256,
+                    "finished_at": _now(),
+                    "seconds": seconds,
+                }
+                query = f"UPDATE candidates SET {'=?, '.join(values)}=? WHERE id=? AND stopped IS NULL"
+                changed = db.execute(query, (*values.values(), result.id)).rowcount
+                if changed != 1:
+                    raise RunError(f"There is no candidate {result.id} that waits for its evaluation.")
+
+                # Its learning curve
+                for position, (steps, value) in enumerate(outcome.curve):
+                    row = (result.id, position, int(steps), float(value))
+                    db.execute("INSERT INTO curves VALUES (?,?,?,?)", row)
 
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
@@ -365,7 +373,11 @@ class Archive(AbstractContextManager["Archive"]):
         """
         order = "fitness DESC, last DESC, id"
         group = "body, last" if with_parents else "body"
-        where, values = ("AND generation <= ?", (until,)) if until is not None else ("", ())
+        where = ""
+        values: list[object] = []
+        if until is not None:
+            where = "AND generation <= ?"
+            values.append(until)
         query = f"""WHERE id IN (
             SELECT id FROM (
                 SELECT id, fitness, last, ROW_NUMBER() OVER (PARTITION BY {group} ORDER BY {order}) AS place
@@ -384,20 +396,26 @@ class Archive(AbstractContextManager["Archive"]):
         return self._records(query, number)
 
     def _records(self, where: str, *values: object) -> list[Record]:
-        parents, curves = defaultdict(list), defaultdict(list)
-        # one transaction, so that a writer cannot change the tables between the queries
+        """The candidates that a condition of SQL chooses, by id."""
+        parents = defaultdict(list)
+        curves = defaultdict(list)
+        # One transaction, so that a writer cannot change the tables between the queries
         with self._reading(), _transaction(self._db, "DEFERRED"):
-            last = f"IN (SELECT id FROM candidates {where}) ORDER BY position"
-            for child, parent in self._db.execute(f"SELECT child, parent FROM parents WHERE child {last}", values):
+            chosen = f"IN (SELECT id FROM candidates {where}) ORDER BY position"
+            for child, parent in self._db.execute(f"SELECT child, parent FROM parents WHERE child {chosen}", values):
                 parents[child].append(parent)
-            query = f"SELECT candidate, steps, value FROM curves WHERE candidate {last}"
+            query = f"SELECT candidate, steps, value FROM curves WHERE candidate {chosen}"
             for number, *point in self._db.execute(query, values):
                 curves[number].append(tuple(point))
-            query = f"SELECT {', '.join(KINDS)} FROM candidates {where} ORDER BY id"
+            query = f"SELECT {', '.join(_KINDS)} FROM candidates {where} ORDER BY id"
             rows = self._db.execute(query, values).fetchall()
+
+        records = []
         with self._reading():
-            found = [_record(dict(row), parents[row["id"]], curves[row["id"]]) for row in rows]
-        return [replace(record, folder=self.path.parent) for record in found]
+            for row in rows:
+                record = _record(dict(row), parents[row["id"]], curves[row["id"]])
+                records.append(replace(record, folder=self.path.parent))
+        return records
 
     def digest(self) -> str:
         """SHA-256 of everything but dates and durations: equal for equal experiments."""
@@ -405,22 +423,31 @@ class Archive(AbstractContextManager["Archive"]):
         for record in self.records():
             item = record.candidate
             row = [item.id, item.generation, body_text(item.body), item.parents, item.origin, record.seed]
-            row += [record.fitness, record.steps, record.stopped, record.reused, record.policy]
-            total.update(json.dumps([*row, record.policy_sha256, record.curve]).encode())
+            row += [record.fitness, record.steps, record.stopped, record.reused]
+            row += [record.policy, record.policy_sha256, record.curve]
+            total.update(json.dumps(row).encode())
         return total.hexdigest()
 
 
 def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, float]]) -> Record:
-    """The record of a row of :data:`KINDS`; ValueError where values are not of the kinds that are written.
+    """The record of a row of :data:`_KINDS`; ValueError where values are not of the kinds that are written.
 
     SQLite's columns take values of any kind, whatever their declaration says.
     """
-    number, body, origin, generation, stopped = (row[k] for k in ("id", "body", "origin", "generation", "stopped"))
-    for place, (name, kind) in enumerate(KINDS.items()):
-        value, may_be_missing = row[name], place > (5 if stopped in (0, 1) else 4)  # the result of one that has ended
+    # Values. Those of a result may be missing, but for the fitness of one that has ended.
+    number = row["id"]
+    stopped = row["stopped"]
+    names = list(_KINDS)
+    first_missing = names.index("fitness")
+    if stopped in (0, 1):
+        first_missing += 1
+    for place, (name, kind) in enumerate(_KINDS.items()):
+        value = row[name]
         known = isinstance(value, kind) and (kind is not float or math.isfinite(value))
-        if not known and not (value is None and may_be_missing):
+        if not known and not (value is None and place >= first_missing):
             raise ValueError(f"the {name} of candidate {number!r:.40} is {value!r:.40}")
+
+    # Parents, curve and policy
     if not all(isinstance(parent, int) and 0 <= parent < number for parent in parents):
         raise ValueError(f"candidate {number} descends from {parents!r:.80}")
     if not all(isinstance(steps, int) and isinstance(value, float) and math.isfinite(value) for steps, value in curve):
@@ -428,9 +455,12 @@ def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, 
     policy = PurePath(row["policy"] or "")
     if policy.is_absolute() or ".." in policy.parts:
         raise ValueError(f"the policy of candidate {number} lies outside of the experiment: {row['policy']!r:.80}")
-    candidate = Candidate(number, as_grid(parse_json(body)), tuple(parents), origin, generation)
-    known = {name: row[name] for name in KINDS if name in Record.__dataclass_fields__}
-    known |= {"stopped": None if stopped is None else bool(stopped), "diverged": stopped == DIVERGED}
+
+    body = as_grid(parse_json(row["body"]))
+    candidate = Candidate(number, body, tuple(parents), row["origin"], row["generation"])
+    known = {name: row[name] for name in _KINDS if name in Record.__dataclass_fields__}
+    known["stopped"] = None if stopped is None else bool(stopped)
+    known["diverged"] = stopped == DIVERGED
     return Record(candidate, **known, curve=curve)
 
 
@@ -471,29 +501,31 @@ def _transaction(db: sqlite3.Connection, kind: str = "IMMEDIATE") -> Iterator[No
     db.execute("COMMIT")
 
 
-def _connect(path: Path, mode: str, wait: float = WAIT_SECONDS) -> sqlite3.Connection:
-    _check_journal(Path(f"{path.resolve()}-journal"))
+def _connect(path: Path, mode: str, wait: float = 30.0) -> sqlite3.Connection:
+    """Open a file.
+
+    Raises:
+        sqlite3.Error: it cannot be opened, or a journal beside it says that it belongs to another one, as ours never
+            does. SQLite deletes the file of that name, whatever it is, when it undoes what the journal is about.
+    """
+    journal = Path(f"{path.resolve()}-journal")
+    if journal.is_file():
+        with suppress(OSError), journal.open("rb") as file:  # what cannot be read SQLite cannot read either
+            # SQLite's mark at the end of a journal that belongs to a transaction of several files
+            mark = bytes.fromhex("d9d505f920a163d7")
+            file.seek(0, os.SEEK_END)
+            file.seek(max(0, file.tell() - len(mark)))
+            if file.read() == mark:
+                raise sqlite3.DatabaseError(f"{journal.name} is not of this archive alone; remove it")
+
     # transactions are opened by hand: isolation_level=None turns the module's own off
     options = {"uri": True, "timeout": wait, "isolation_level": None, "check_same_thread": False}
     db = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", **options)
     db.row_factory = sqlite3.Row
-    # called in the middle of a query, it gives Python the chance to handle a signal, which ends the query
-    db.set_progress_handler(lambda: 0, STEPS_BETWEEN_SIGNALS)
+    # Called in the middle of a query, after some milliseconds of instructions, it gives Python the chance to handle a
+    # signal, which ends the query.
+    db.set_progress_handler(lambda: 0, 1_000_000)
     return db
-
-
-def _check_journal(journal: Path) -> None:
-    """Raise sqlite3.DatabaseError if a journal says that it belongs to another one, as ours never does.
-
-    SQLite deletes the file of that name, whatever it is, when it undoes what the journal is about.
-    """
-    if not journal.is_file():
-        return
-    with suppress(OSError), journal.open("rb") as file:  # what cannot be read SQLite cannot read either
-        file.seek(0, os.SEEK_END)
-        file.seek(max(0, file.tell() - len(JOURNAL)))
-        if file.read() == JOURNAL:
-            raise sqlite3.DatabaseError(f"{journal.name} is not of this archive alone; remove it")
 
 
 def _check_interrupt(error: Exception) -> None:
@@ -524,7 +556,8 @@ def _lock_for_writing(path: Path) -> sqlite3.Connection:
 
 def _write_error(path: Path, error: Exception) -> StorageError:
     """Error for an archive, or its lock, that cannot be written; its content is unchanged."""
-    reason, cause = str(error).rstrip("."), error if isinstance(error, OSError) else None
+    reason = str(error).rstrip(".")
+    cause = error if isinstance(error, OSError) else None
     if not path.parent.is_dir():
         reason = "its folder has vanished; was it removed or renamed, or its disk detached?"
     elif "readonly" in reason and not path.is_file():
@@ -568,8 +601,9 @@ def _unreadable(path: Path, reason: str) -> RunError:
 
 def _access_problem(error: Exception) -> str | None:
     """Why an intact archive cannot be read: an unfinished transaction cannot be rolled back at present."""
-    text, words = str(error), ("full", "I/O", "locked", "readonly")
-    if isinstance(error, sqlite3.OperationalError) and any(word in text for word in words):
+    text = str(error)
+    unfinished = any(word in text for word in ("full", "I/O", "locked", "readonly"))
+    if isinstance(error, sqlite3.OperationalError) and unfinished:
         return f"cannot be read ({text}): its disk must have some room and be writable, then it is as it was"
     return None
 
@@ -579,22 +613,34 @@ def _without_comments(statement: str) -> str:
     return " ".join(re.sub("--[^\n]*", "", statement).split())
 
 
+def _statements() -> list[str]:
+    """The statements that make the tables."""
+    text = Path(__file__).with_suffix(".sql").read_text(encoding="utf-8")
+    return [statement for statement in text.split(";\n") if statement.strip()]
+
+
 def _format_problem(db: sqlite3.Connection, application: int, version: int) -> str | None:
+    """Why a file that can be opened is no whole archive, in words; None: it is one."""
+    # Whose it is
     if application != APPLICATION:
         return "is no archive of warpvox: an empty file, another program's, or a damaged one"
     if version > VERSION:
         return f"is an archive of version {version}; this warpvox reads up to {VERSION}: install a newer one"
-    # what is missing at the end SQLite takes for zeros, which may pass for an empty page
-    pages, size = (db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "page_size"))
+
+    # What is missing at the end SQLite takes for zeros, which may pass for an empty page.
+    pages = db.execute("PRAGMA page_count").fetchone()[0]
+    size = db.execute("PRAGMA page_size").fetchone()[0]
     held = os.stat(db.execute("PRAGMA database_list").fetchone()[2]).st_size
     if held < pages * size:
         return f"is damaged (cut short: {held} of {pages * size} bytes)"
-    # a view or a trigger in the place of a table, or beside it, is a program that may not end
-    wanted = {_without_comments(statement) for statement in TABLES.split(";\n") if statement.strip()}
+
+    # A view or a trigger in the place of a table, or beside it, is a program that may not end.
+    wanted = set(map(_without_comments, _statements()))
     made = {_without_comments(str(text)) for (text,) in db.execute("SELECT sql FROM sqlite_master")}
     if missing := sorted(wanted - made):
         return f"is damaged: it lacks the table or view '{missing[0]:.60}...'"
     if others := sorted(made - wanted):
         return f"is no archive of warpvox: it has a table or view of somebody else's, '{others[0]:.60}...'"
+
     state = db.execute("PRAGMA quick_check").fetchone()[0]
     return None if state == "ok" else f"is damaged ({' '.join(state.split())})"

@@ -107,7 +107,8 @@ def checked_outcomes(found: Any, count: int) -> list[Outcome]:
         curve = []
         for point in one.curve:
             pair = tuple(point) if isinstance(point, list | tuple) and len(point) == 2 else (None, None)
-            steps, value = _steps(pair[0]), _number(pair[1])
+            steps = _steps(pair[0])
+            value = _number(pair[1])
             if steps is None or value is None or not math.isfinite(value):
                 raise RunError(f"{where} a point of its curve that is not (steps, return): {point!r:.60}.")
             curve.append((steps, value))

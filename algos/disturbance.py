@@ -16,14 +16,8 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 JUDGED, SEARCHED = 0xFA1F, 0x5EED
 """Streams of random numbers: no seed makes the disturbances of a search those of a judgement."""
-GRID = 2.0**20
-"""Normal numbers are multiples of its inverse, so that machines whose logarithms differ in a last bit agree."""
-BITS = 1 << 53
-"""Numbers that are drawn for one in [0, 1)."""
 NOISE, STICKY, START, SENSORS, LENGTH = range(5)
 """Purposes of random numbers, a stream each."""
-STEPS = 1 << 20
-"""More control steps than an episode has."""
 
 
 class Draws:
@@ -40,14 +34,16 @@ class Draws:
 
     def uniform(self, purpose: int, step: int, count: int) -> torch.Tensor:
         """float64 ``[copies, count]`` in [0, 1)."""
-        self.stream.episode.fill_(purpose * STEPS + step)
-        return self.stream.rewind().integers(0, BITS, count).double() / BITS
+        # An episode has fewer than 2**20 control steps.
+        self.stream.episode.fill_(purpose * 2**20 + step)
+        return self.stream.rewind().integers(0, 2**53, count).double() / 2**53
 
     def normal(self, purpose: int, step: int, count: int) -> torch.Tensor:
         """float64 ``[copies, count]``, standard normal (Box and Muller)."""
         first, second = self.uniform(purpose, step, 2 * count).unflatten(1, (count, 2)).unbind(2)
         values = torch.sqrt(-2.0 * torch.log(1.0 - first)) * torch.cos(2.0 * math.pi * second)
-        return torch.round(values * GRID) / GRID
+        # Multiples of 2**-20: machines whose logarithms differ in the last bit agree.
+        return torch.round(values * 2.0**20) / 2.0**20
 
 
 def with_noise(actions: torch.Tensor, draws: Draws, step: int, deviation: Any) -> torch.Tensor:
@@ -77,27 +73,42 @@ class Disturbed:
         self, policy: Callable[[Any], Any], env: VoxelVecEnv, parts: Sequence[str], seed: int, stream: int = JUDGED
     ) -> None:
         copies = env.num_envs // (env.num_designs * len(parts))
-        self.policy, self.draws = policy, Draws(seed, stream, copies, env.device)
-        self.shape = env.num_envs, env.num_actions
-        self.parts, self.names = tuple(parts), [name for name in parts for _ in range(copies)] * env.num_designs
+        self.policy = policy
+        self.draws = Draws(seed, stream, copies, env.device)
+        self.shape = (env.num_envs, env.num_actions)
+        self.parts = tuple(parts)
+        self.names = [name for name in parts for _ in range(copies)] * env.num_designs
         self.kinds = [DISTURBANCES[name] for name in self.names]
-        column = lambda name: torch.tensor([[getattr(kind, name)] for kind in self.kinds], device=env.device)  # noqa: E731
-        self.noise, self.sticky, self.sensors = (column(name).double() for name in ("noise", "sticky", "sensors"))
-        sensed = env.obs_mask[env.design_index].double()  # padding is not measured
-        for grid in env.voxels.values():  # which cells a body has is known
+
+        # How strong each disturbance is in each environment, [num_envs, 1]
+        def strength(name: str) -> torch.Tensor:
+            return torch.tensor([[getattr(kind, name)] for kind in self.kinds], device=env.device)
+
+        self.noise = strength("noise").double()
+        self.sticky = strength("sticky").double()
+
+        # Noise on observations, but for padding and what is known: which cells a body has
+        sensed = env.obs_mask[env.design_index].double()
+        for grid in env.voxels.values():
             grid.cells(sensed)[..., FEATURES["type"].start :] = 0.0
-        self.sensors = self.sensors * sensed
-        most = column("start")
+        self.sensors = strength("sensors").double() * sensed
+
+        # Control steps with random actions at the beginning
+        most = strength("start")
         lengths = self._each(self.draws.uniform(LENGTH, 0, 1))
         self.random_steps = torch.where(most > 0, 1 + (lengths * most).long(), 0)
+
         # The highest action of policies is that of float32, which lies above 1.6: it is disturbed as it is.
         self.highest = float(np.float32(ACTION_HIGH))
-        # known beforehand: a step does not wait for the device
-        self.most = {name: max(getattr(kind, name) for kind in self.kinds) for name in vars(self.kinds[0])}
+        # Known beforehand: a step does not wait for the device.
+        self.most = {}
+        for name in vars(self.kinds[0]):
+            self.most[name] = max(getattr(kind, name) for kind in self.kinds)
         self.reset()
 
     def reset(self) -> None:
-        self.step, self.before = 0, None
+        self.step = 0
+        self.before = None
         if hasattr(self.policy, "reset"):
             self.policy.reset()
 
@@ -107,12 +118,19 @@ class Disturbed:
 
     def __call__(self, obs: torch.Tensor) -> torch.Tensor:
         """Actions ``[num_envs, num_actions]`` for observations ``[num_envs, num_obs]``."""
-        draws, step = self.draws, self.step
+        draws = self.draws
+        step = self.step
+
+        # Observations
         if self.most["sensors"]:
             noise = self._each(draws.normal(SENSORS, step, obs.shape[1]))
             obs = obs + (self.sensors * noise).to(obs.dtype)
+
+        # The policy's actions
         actions = checked_actions(self.policy(obs), self.shape, str(obs.device))
         actions = actions.clamp(ACTION_LOW, self.highest)  # beyond the range noise would be lost
+
+        # Random actions, those of the step before, and noise
         if step < self.most["start"]:
             uniform = self._each(draws.uniform(START, step, actions.shape[1]))
             uniform = (ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * uniform).to(actions.dtype)
@@ -122,7 +140,8 @@ class Disturbed:
             actions = torch.where(repeats, self.before, actions)
         if self.most["noise"]:
             actions = torch.where(self.noise > 0, with_noise(actions, draws, step, self.noise), actions)
-        self.step, self.before = step + 1, actions
+        self.step = step + 1
+        self.before = actions
         return actions
 
 

@@ -13,9 +13,6 @@ from warpvox.errors import ConfigError
 Policy = Callable[[torch.Tensor], torch.Tensor]
 """Observations ``[num_envs, num_obs]`` to actions ``[num_envs, num_actions]`` in [0.6, 1.6]."""
 
-CHECK_EVERY = 25
-"""Steps between checks whether all episodes have ended, where a check waits for the device."""
-
 
 @dataclass(frozen=True)
 class EpisodeReturns:
@@ -56,7 +53,8 @@ def evaluate(env: VoxelVecEnv, policy: Policy, seed: int | Sequence[int] | None 
     """
     if env.auto_reset:
         raise ConfigError("An evaluation needs environments that wait at the end: make_vec(auto_reset=False).")
-    check_every = 1 if torch.device(env.device).type == "cpu" else CHECK_EVERY
+    # A check waits for the device.
+    check_every = 1 if torch.device(env.device).type == "cpu" else 25
     if hasattr(policy, "reset"):  # it remembers episodes
         policy.reset()
     with torch.no_grad():
@@ -65,7 +63,8 @@ def evaluate(env: VoxelVecEnv, policy: Policy, seed: int | Sequence[int] | None 
             obs, _, terminated, truncated, info = env.step(policy(obs))
             if (step + 1) % check_every == 0 and bool((terminated | truncated).all()):
                 break
-    returns, lengths = info["episode"]["return"].double().cpu(), info["episode"]["length"].long().cpu()
+    returns = info["episode"]["return"].double().cpu()
+    lengths = info["episode"]["length"].long().cpu()
     return EpisodeReturns(returns, lengths, env.design_index.cpu())
 
 

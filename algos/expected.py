@@ -47,25 +47,21 @@ def check_like(found: Any, like: Any, name: str = "") -> None:
         for place, (one, value) in enumerate(zip(found, like, strict=True)):
             check_like(one, value, f"{name}[{place}]")
     elif isinstance(like, torch.Tensor | AnyTensor):
-        _check_tensor(found, like, name)
+        lengths = tuple(like.shape)
+        kind = str(like.dtype).removeprefix("torch.")
+        wanted = f"{kind} [{', '.join('n' if length is None else str(length) for length in lengths)}]"
+        if not isinstance(found, torch.Tensor) or found.dtype != like.dtype or found.ndim != len(lengths):
+            raise _misfit(name, wanted, found)
+        if any(length not in (None, size) for length, size in zip(lengths, found.shape, strict=True)):
+            raise _misfit(name, wanted, found)
+        may_be_infinite = isinstance(like, AnyTensor) and not like.is_finite
+        if not may_be_infinite and not bool(torch.isfinite(found).all()):
+            raise RunError(f"Its {name!r:.100} has numbers that are not finite.")
     elif like is None:
         if found is not None:
             raise _misfit(name, "None", found)
     elif type(found) is not like or (like is int and found < 0):
         raise _misfit(name, {int: "an integer from 0", float: "a number", dict: "a dictionary"}.get(like, like), found)
-
-
-def _check_tensor(found: Any, like: torch.Tensor | AnyTensor, name: str) -> None:
-    lengths = tuple(like.shape)
-    kind = str(like.dtype).removeprefix("torch.")
-    wanted = f"{kind} [{', '.join('n' if length is None else str(length) for length in lengths)}]"
-    if not isinstance(found, torch.Tensor) or found.dtype != like.dtype or found.ndim != len(lengths):
-        raise _misfit(name, wanted, found)
-    if any(length not in (None, size) for length, size in zip(lengths, found.shape, strict=True)):
-        raise _misfit(name, wanted, found)
-    may_be_infinite = isinstance(like, AnyTensor) and not like.is_finite
-    if not may_be_infinite and not bool(torch.isfinite(found).all()):
-        raise RunError(f"Its {name!r:.100} has numbers that are not finite.")
 
 
 def _misfit(name: str, wanted: object, found: object) -> RunError:
@@ -89,23 +85,31 @@ def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> 
     if len(found["param_groups"]) != len(groups):
         raise _misfit(f"{name}.param_groups", f"a list of {len(groups)}", found["param_groups"])
 
-    # learning rates
+    # Learning rates
     for group, given in zip(groups, found["param_groups"], strict=True):
         rate = given.get("lr") if isinstance(given, Mapping) else None
         if not isinstance(rate, float) or not 0 <= rate < float("inf"):
             raise _misfit(f"{name}.lr", "a number from 0", rate)
         group["lr"] = rate
 
-    # moments, of all parameters that had a gradient
+    # The state of a parameter with two numbers after a step of such an optimiser
+    tried = nn.Parameter(torch.zeros(2))
+    tried.grad = torch.zeros(2)
+    known = inspect.signature(type(optimizer)).parameters.keys() - {"params"}
+    settings = {name: value for name, value in optimizer.param_groups[0].items() if name in known}
+    trial = type(optimizer)([tried], **settings)
+    trial.step()
+    moments = dict(trial.state[tried])
+
+    # Moments, of all parameters that had a gradient
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
-    moments = _moments(optimizer)
     for number, entry in found["state"].items():
         place = f"{name}.state.{number!s:.20}"
         if type(number) is not int or not 0 <= number < len(parameters):
             raise RunError(f"Its {place!r} belongs to none of the {len(parameters)} parameters.")
         check_like(entry, {key: _of(entry, key, value, parameters[number]) for key, value in moments.items()}, place)
 
-    # copies
+    # Copies
     state: dict[int, dict[str, Any]] = {}
     for number, entry in found["state"].items():
         state[number] = {}
@@ -113,17 +117,6 @@ def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> 
             is_tensor = isinstance(value, torch.Tensor)
             state[number][key] = value.clone(memory_format=torch.contiguous_format) if is_tensor else value
     return {"state": state, "param_groups": groups}
-
-
-def _moments(optimizer: torch.optim.Optimizer) -> dict[str, Any]:
-    """The state of a parameter with two numbers after a step of such an optimiser."""
-    tried = nn.Parameter(torch.zeros(2))
-    tried.grad = torch.zeros(2)
-    known = inspect.signature(type(optimizer)).parameters.keys() - {"params"}
-    settings = {name: value for name, value in optimizer.param_groups[0].items() if name in known}
-    trial = type(optimizer)([tried], **settings)
-    trial.step()
-    return dict(trial.state[tried])
 
 
 def _of(entry: Any, key: str, moment: Any, parameter: torch.Tensor) -> Any:

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from warpvox.algos.archive import BACKUP, FILE as ARCHIVE, Archive, archives_in, repair_hint
+from warpvox.algos.robots.entry import Robot, zoo
 from warpvox.errors import RunError, listing
 from warpvox.io.reading import CONFIG, read_config
-from warpvox.robots.entry import Robot, zoo
-from warpvox.robots.gait import Gait
 from warpvox.runs import CODESIGN, STAMP_LENGTH, STATE, TRAINING, ZOO, Run, search_as_now, without_services
 
 NEEDED = {
@@ -47,7 +46,7 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
 
 def run_of_robot(robot: Robot) -> Run:
     """The run that stands for a stored robot."""
-    policy = "gait" if isinstance(robot.policy, Gait) else "mlp"
+    policy = "mlp" if robot.has_feedback else "gait"
     known = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "obs": robot.obs}
     return Run(Path(robot.source or f"{ZOO}{robot.task}"), known | {"policy": policy}, robot=robot)
 
@@ -129,7 +128,8 @@ def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
 def _config_of(folder: Path, command: str) -> dict[str, Any]:
     if not (folder / CONFIG).is_file():
         raise RunError(f"{folder} is not a run: it has no {CONFIG}.")
-    content, (what, keys) = read_config(folder), NEEDED[command]
+    content = read_config(folder)
+    what, keys = NEEDED[command]
     if not keys <= content.keys():
         raise RunError(f"{folder} is not {what}: its {CONFIG} is that of another run.")
     if command == CODESIGN:

@@ -10,14 +10,12 @@ from torch.overrides import TorchFunctionMode
 from warpvox.algos.expected import AnyTensor, check_like
 from warpvox.errors import RunError
 
-DRAWING = frozenset({
+_DRAWING = frozenset({
     "rand", "randn", "randint", "randperm", "normal", "bernoulli", "multinomial", "poisson",
     "bernoulli_", "cauchy_", "exponential_", "geometric_", "log_normal_", "normal_", "random_", "uniform_",
     "kaiming_normal_", "kaiming_uniform_", "trunc_normal_", "xavier_normal_", "xavier_uniform_",
 })  # fmt: skip
 """Functions of torch, methods of tensors and ways to initialise weights that take a ``generator``."""
-TWISTER_SIZE = 624
-"""Numbers that torch's generator on the CPU, the Mersenne Twister MT19937, makes at once."""
 
 
 class Generators(TorchFunctionMode):
@@ -44,7 +42,7 @@ class Generators(TorchFunctionMode):
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         kwargs = kwargs or {}
-        if getattr(func, "__name__", "") in DRAWING and kwargs.get("generator") is None:
+        if getattr(func, "__name__", "") in _DRAWING and kwargs.get("generator") is None:
             first = args[0] if args else None
             # torch 2.7 cannot be asked for its default device once that was set to None.
             device = kwargs.get("device") or torch.empty(0).device
@@ -76,8 +74,9 @@ class Generators(TorchFunctionMode):
         if len(state["cpu"]) >= 24:
             left = int(state["cpu"][8:12].cpu().view(torch.int32))
             place = int(state["cpu"][16:24].cpu().view(torch.int64))
-            if left + place > TWISTER_SIZE + 1:
-                raise RunError(f"random.cpu has {left} numbers left at place {place} of {TWISTER_SIZE}.")
+            twister_size = 624  # numbers that the Mersenne Twister MT19937 makes at once
+            if left + place > twister_size + 1:
+                raise RunError(f"random.cpu has {left} numbers left at place {place} of {twister_size}.")
 
         for kind in self._generators.keys() & state.keys():
             self._generators[kind].set_state(state[kind].cpu())

@@ -56,7 +56,7 @@ def deferred_interrupts() -> Iterator[Interrupt]:
         if again:
             interrupt.stop()
 
-    with handling((signal.SIGINT, *stop_signals()), on_signal):
+    with _handling((signal.SIGINT, *stop_signals()), on_signal):
         yield interrupt
 
 
@@ -81,12 +81,12 @@ def terminable() -> Iterator[None]:
     def on_signal(number: int, frame: object) -> None:
         raise Terminated(number)
 
-    with handling(stop_signals(), on_signal):
+    with _handling(stop_signals(), on_signal):
         yield
 
 
 @contextmanager
-def handling(numbers: Sequence[int | None], handler: Callable[[int, Any], object] | signal.Handlers) -> Iterator[None]:
+def _handling(numbers: Sequence[int | None], handler: Callable[[int, Any], object] | signal.Handlers) -> Iterator[None]:
     """Within the block ``handler`` gets these signals, but those that are ignored; None: one that this system lacks.
 
     Outside the main thread, where signals do not arrive, nothing is changed.

@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -33,11 +33,7 @@ COLUMNS = {
     "elapsed": "",  # seconds of all iterations and evaluations so far
 }
 """Columns, and their tags for loggers."""
-NEEDED = ("iteration", "steps", "eval_return", "elapsed")
-"""Columns that something is made of; others may be missing from a file that an earlier version has written."""
 FILE = "metrics.csv"
-LARGEST = 1 << 30
-"""Bytes of such a file that are read; an iteration takes some 140."""
 SERVICES = ("wandb", "neptune")
 """Loggers that are packages of their own; TensorBoard's events are written besides."""
 
@@ -52,8 +48,8 @@ class Metrics:
     def __init__(self, folder: Path, iteration: int = 0, logger: str = "tensorboard") -> None:
         self.path = folder / FILE
         kept = [row for row in read_metrics(folder) if row["iteration"] <= iteration]
-        text = "".join([_line(COLUMNS), *(_line(_cells(row)) for row in kept)])
-        write_text(self.path, text, make_folders=False)
+        self._header = ",".join(COLUMNS) + "\n"
+        write_text(self.path, self._header + "".join(map(_row_line, kept)), make_folders=False)
         self._writer: Any = None
         # these imports take half a second
         if logger in ("tensorboard", "wandb"):  # :class:`warpvox.progress.tracking.Tracker` sends the rows
@@ -70,8 +66,8 @@ class Metrics:
         """Append a row (keys of :data:`COLUMNS`); ``log`` goes to the logger only, under its own tags."""
         with writing(self.path), self.path.open("a", encoding="utf-8", newline="") as file:
             if not file.tell():  # somebody has moved it away
-                file.write(_line(COLUMNS))
-            file.write(_line(_cells(row)))
+                file.write(self._header)
+            file.write(_row_line(row))
         if self._writer is not None:
             with writing(self.path.parent):
                 for tag, value in (tagged(row) | dict(log or {})).items():
@@ -105,7 +101,8 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
     path = folder / FILE
     rows = []
     try:
-        for row in read_table(path, LARGEST):
+        # A file of 1 GiB holds seven million iterations.
+        for row in read_table(path, 1 << 30):
             if None in row or None in row.values():
                 continue
             rows.append({name: float(text) if text else math.nan for name, text in row.items()})
@@ -113,25 +110,27 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
         raise RunError(
             f"{path} is damaged ({error}); move it away, and a run that is resumed will begin a new one."
         ) from None
-    if rows and not set(NEEDED) <= rows[0].keys():
-        missing = listing([name for name in NEEDED if name not in rows[0]])
+    # columns that something is made of; a file of an earlier version may lack others
+    needed = ("iteration", "steps", "eval_return", "elapsed")
+    if rows and not set(needed) <= rows[0].keys():
+        missing = listing([name for name in needed if name not in rows[0]])
         raise RunError(f"{path} has no column {missing}; move it away, and the run will begin a new one.")
     return rows
 
 
-def _cells(row: Mapping[str, float]) -> list[str]:
-    return [_text(row.get(name)) for name in COLUMNS]
-
-
-def _text(value: float | None) -> str:
-    if not _known(value):
-        return ""
-    return str(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(f"{value:.9g}"))
+def _row_line(row: Mapping[str, float]) -> str:
+    """A row as a line of ``metrics.csv``; values that are not known are empty."""
+    cells = []
+    for name in COLUMNS:
+        value = row.get(name)
+        if not _known(value):
+            cells.append("")
+        elif float(value).is_integer() and abs(value) < 1e15:
+            cells.append(str(int(value)))
+        else:
+            cells.append(repr(float(f"{value:.9g}")))
+    return ",".join(cells) + "\n"
 
 
 def _known(value: float | None) -> TypeGuard[float]:
     return value is not None and math.isfinite(value)
-
-
-def _line(cells: Iterable[str]) -> str:
-    return ",".join(cells) + "\n"

@@ -11,18 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.errors import ConfigError
 from warpvox.keys import Settings, key, plain
-from warpvox.robots.network import MAX_LAYERS, WIDEST
 from warpvox.types import Physics
 
 if TYPE_CHECKING:
     from warpvox.batch.options import SimOptions
 
 
+WIDEST = 1 << 16
+"""Most observations, actions or units of a layer: neither a file nor a typing error asks for more memory."""
+MAX_LAYERS = 256
+"""Most layers of a network."""
 MLP = "mlp"
 """The policy that is no network for voxels: fully connected layers on the whole observation."""
 REFRESH = ("none", "new", "random", "performance")
 """Ways in which bodies take the place of others while one policy learns to control them."""
-ACTIVATIONS = ("tanh", "elu", "relu", "selu", "gelu", "swish")
 LOGGERS = ("tensorboard", "wandb", "neptune", "none")
 
 
@@ -53,7 +55,9 @@ class Ppo(Settings):
     desired_kl: float = key(0.02, "schedule=adaptive: target KL divergence of an update", above=0)
     adam_eps: float = key(1e-8, "epsilon of Adam", above=0)
     hidden: list[int] = key([64, 64], "units of the hidden layers of both networks", low=1, high=WIDEST)
-    activation: str = key("tanh", "activation function of the hidden layers", choices=ACTIVATIONS)
+    activation: str = key(
+        "tanh", "activation function of the hidden layers", choices=("tanh", "elu", "relu", "selu", "gelu", "swish")
+    )
     init_std: float = key(1.0, "initial standard deviation of the policy's output a", above=0)
     action_scale: float = key(0.5, "an action is 1.1 + action_scale * a for the policy's output a", above=0, high=1e4)
     normalize_obs: bool = key(True, "normalise observations by their running mean and standard deviation")
@@ -129,17 +133,39 @@ class DesignTraining(Settings):
         # 0.28 of 25 must be 7, whatever rounding makes of it
         return max(1, math.ceil(round(self.keep * designs, 9)))
 
+    def steps_of_design(self, designs: int) -> float:
+        """Control steps that a design's training takes, the mean of ``designs`` side by side."""
+        left = designs
+        before = 0
+        iterations = 0
+        for end in [*self.halvings(), self.iterations]:
+            iterations += left * (end - before)
+            left = self.kept(left)
+            before = end
+        return iterations * self.envs * self.ppo.steps / designs
 
-_meaning = "preset to start from; auto: the one that belongs to rules"
-_fields: list[tuple[str, Any, Any]] = [
-    ("preset", str, key("auto", _meaning, choices=("auto", *Physics.presets()))),
-    *(
-        (one.name, type(one.default) | None, key(None, f"{one.metadata['help']}; null: the preset's value"))
-        for one in dataclasses.fields(Physics)
-        if one.name != "name"
-    ),
-]
-_Constants: Any = make_dataclass("PhysicsConfig", _fields, bases=(Settings,), namespace={"__module__": __name__})
+
+_Constants: Any = make_dataclass(
+    "PhysicsConfig",
+    [
+        (
+            "preset",
+            str,
+            key(
+                "auto",
+                "preset to start from; auto: the one that belongs to rules",
+                choices=("auto", *Physics.presets()),
+            ),
+        ),
+        *(
+            (one.name, type(one.default) | None, key(None, f"{one.metadata['help']}; null: the preset's value"))
+            for one in dataclasses.fields(Physics)
+            if one.name != "name"
+        ),
+    ],
+    bases=(Settings,),
+    namespace={"__module__": __name__},
+)
 
 
 class PhysicsConfig(_Constants):

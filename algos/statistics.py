@@ -55,7 +55,8 @@ def difference(first: Sequence[float], second: Sequence[float], level: float = L
     """
     from scipy import stats  # slow to import
 
-    a, b = _checked(first), _checked(second)
+    a = _checked(first)
+    b = _checked(second)
     n = min(len(a), len(b))
     mean = float(a.mean() - b.mean())
     if n < 2:

@@ -198,6 +198,8 @@ def waves(steps: int, actuators: int, seed: int) -> np.ndarray:
 
 # Rates
 
+WARM = 3
+"""Iterations of a training that do not count: they build networks and buffers, and on CUDA capture a graph."""
 COLUMNS = ("physics alone", "step only", "with training")
 """The simulation under random actions, the environments under random actions, iterations of PPO."""
 
@@ -211,10 +213,10 @@ def measure(args: argparse.Namespace, batch: Batch) -> dict[str, list[float]]:
     return {**found, "with training": trained}
 
 
-def training_rates(args: argparse.Namespace, batch: Batch) -> list[float]:
-    """Control steps per second in iterations of PPO with the default settings."""
+def training_rates(args: argparse.Namespace, batch: Batch, **ppo: Any) -> list[float]:
+    """Control steps per second in iterations of PPO; ``ppo``: settings that are not the defaults."""
     ends: list[float] = []
-    iterations = args.repeats + 2
+    iterations = WARM + args.repeats + 1
     run = wv.train(
         batch.env.spec.id,
         batch.env.designs[0],
@@ -224,13 +226,14 @@ def training_rates(args: argparse.Namespace, batch: Batch) -> list[float]:
         device=args.device,
         threads=args.threads,
         seed=args.seed,
+        ppo=wv.Ppo(**ppo),
         folder=None,
         progress=False,
         listeners=[lambda row: ends.append(batch.clock())],
     )
     steps = run.summary["steps"] / iterations
-    # The first iteration builds networks and buffers, the last is followed by an evaluation: neither counts.
-    return [steps / (end - begin) for begin, end in pairwise(ends[:-1])]
+    # The last iteration is followed by an evaluation, and does not count.
+    return [steps / (end - begin) for begin, end in pairwise(ends[WARM - 1 : -1])]
 
 
 def alternate(rates: Mapping[str, Callable[[], float]], repeats: int) -> dict[str, list[float]]:

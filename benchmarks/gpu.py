@@ -14,16 +14,19 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from functools import partial
+from statistics import median, quantiles
+from typing import Any
 
 import torch
-from common import ROOT, Batch, Report, alternate, full_body, options, training_rates
+from common import ROOT, Batch, Report, alternate, full_body, number, options, training_rates
 from learning import learn
 from scaling import mix_bodies, scale_envs
 from tasks import measure_tasks
 
 import warpvox as wv
 
-FIRST_CHECKS = "tests/envs/test_device.py", "tests/kernels/test_sanitizer.py"
+FIRST_CHECKS = "tests/envs/test_device.py", "tests/algos/ppo/test_iteration.py", "tests/kernels/test_sanitizer.py"
 LARGE = {
     "envs": [16384, 65536, 4096, 1024, 256, 64],
     "num_envs": 1024,
@@ -63,6 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "checks": lambda: check(args, report, FIRST_CHECKS),
         "environments": lambda: scale_envs(args, report),
         "profile": lambda: profile(args, report),
+        "learners": lambda: compare_learners(args, report),
         "designs": lambda: train_designs(args, report),
         "learning": lambda: learn(args, report, "parallel", args.seed, seconds=60.0),
         "different bodies": lambda: mix_bodies(args, report),
@@ -125,6 +129,35 @@ def profile(args: argparse.Namespace, report: Report) -> None:
     order = "self_cpu_time_total" if args.device == "cpu" else "self_device_time_total"
     table = found.key_averages().table(sort_by=order, row_limit=40, max_name_column_width=80)
     (report.folder / "profile.txt").write_text(table)
+
+
+def compare_learners(args: argparse.Namespace, report: Report) -> None:
+    """Iterations that one graph repeats beside those of rsl-rl as it is, in turn: medians with quartiles."""
+    rows = []
+    for count in report.in_time(sorted(n for n in args.envs if n >= args.num_envs)):
+        batch = Batch(args, [wv.load_design(args.design)], count)
+        # A setting of rsl-rl's own, with its default: rsl-rl learns then.
+        learners = {"rsl-rl": {"extra": {"normalize_advantage_per_mini_batch": False}}, "one graph": {}}
+        rates = {name: partial(trained_rate, args, batch, ppo) for name, ppo in learners.items()}
+        found = alternate(rates, args.repeats)
+        report.row(f"learners, {count}", *found.values())
+        shown = [quartiles(values) for values in found.values()]
+        rows.append([f"{count:,}", *shown, median(found["one graph"]) / median(found["rsl-rl"])])
+    title = f"{args.task}, control steps per second with PPO, medians of {args.repeats} trainings in turn (quartiles)"
+    report.table(title, ["environments", "rsl-rl as it is", "one graph an iteration", "ratio"], rows)
+
+
+def trained_rate(args: argparse.Namespace, batch: Batch, ppo: dict[str, Any]) -> float:
+    """The median rate of a few iterations of a new training."""
+    return median(training_rates(args, batch, **ppo))
+
+
+def quartiles(values: Sequence[float]) -> str:
+    """The median of rates, and the quartiles of several."""
+    if len(values) < 2:
+        return number(values)
+    low, middle, high = quantiles(values, n=4, method="inclusive")
+    return f"{number(middle)} ({number(low)} to {number(high)})"
 
 
 def train_designs(args: argparse.Namespace, report: Report) -> None:

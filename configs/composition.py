@@ -20,9 +20,6 @@ from omegaconf.errors import OmegaConfBaseException
 from warpvox.configs.schema import PRESET, nodes_of, schema_of
 from warpvox.errors import ConfigError, did_you_mean, listing
 
-SHAPE, SHAPES = (5, 5), {"Lifter-v0": (5, 7)}
-"""Rows and columns of the paper's bodies (Table 2): one task has a larger grid, for a body designed by hand."""
-
 
 def composed(command: str, overrides: Sequence[str] = (), config_dir: Path | None = None) -> DictConfig:
     """The configuration of a command as Hydra composes it.
@@ -94,19 +91,20 @@ def register(command: str) -> None:
     for group, nodes in nodes_of(command).items():
         for name, node in nodes.items():
             store.store(group=group, name=name, node=node)
-    designs = lambda task: "lifter" if task in SHAPES else "walker"  # noqa: E731  (examples of the paper's shapes)
-    for name, resolver in {"paper_shape": shape_of, "paper_design": designs}.items():
-        OmegaConf.register_new_resolver(name, resolver, replace=True)
 
-
-def shape_of(task: str) -> list[int]:
-    """Rows and columns of the bodies that a search on a task proposes: ``${paper_shape:${task}}`` in YAML files."""
-    return list(SHAPES.get(task, SHAPE))
+    # The paper's bodies are 5 x 5 (Table 2); one task has a larger grid, for a body designed by hand. The examples
+    # have these shapes. YAML files have them as ${paper_shape:${task}} and ${paper_design:${task}}.
+    is_larger = lambda task: task == "Lifter-v0"  # noqa: E731
+    shape = lambda task: [5, 7] if is_larger(task) else [5, 5]  # noqa: E731
+    design = lambda task: "lifter" if is_larger(task) else "walker"  # noqa: E731
+    OmegaConf.register_new_resolver("paper_shape", shape, replace=True)
+    OmegaConf.register_new_resolver("paper_design", design, replace=True)
 
 
 def settings_named(command: str, **names: str) -> dict[str, Any]:
     """The settings of a command that names of sets stand for, ``ppo="evogym"`` for instance: what is not default."""
     with hydras_errors():
-        words = [], [f"{key}={quoted(name)}" for key, name in names.items()]
-        usual, named = (vars(OmegaConf.to_object(composed(command, one))) for one in words)
+        words = [f"{key}={quoted(name)}" for key, name in names.items()]
+        usual = vars(OmegaConf.to_object(composed(command)))
+        named = vars(OmegaConf.to_object(composed(command, words)))
     return {key: value for key, value in named.items() if value != usual[key]}

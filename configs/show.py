@@ -13,7 +13,7 @@ from warpvox.types import RULES
 from warpvox.view.rollout import AGENTS
 
 POLICY_EXPORTS = ("onnx", "jit")
-OWN_TASK = "For a run of a task of your own: its code, file.py:NAME"
+_OWN_TASK = "For a run of a task of your own: its code, file.py:NAME"
 """Meaning of ``task`` beside ``run``."""
 
 
@@ -71,7 +71,7 @@ class PlayConfig(_PolicyConfig, _RolloutConfig):
         " (rest lengths)",
         choices=AGENTS,
     )
-    task: str | None = key(None, f"with agent: task id; null: Walker-v0. {OWN_TASK}")
+    task: str | None = key(None, f"with agent: task id; null: Walker-v0. {_OWN_TASK}")
     design: Any = key(
         None,
         "with agent: body, as for train; null: walker. With a run over many bodies: the bodies to show",
@@ -94,7 +94,7 @@ class PlayConfig(_PolicyConfig, _RolloutConfig):
 @dataclass
 class ExportConfig(_PolicyConfig, _RolloutConfig):
     rollout: str | None = key(None, "rollout file to export; null: record an episode of the run")
-    task: str | None = key(None, OWN_TASK)
+    task: str | None = key(None, _OWN_TASK)
     num_envs: int = key(1, "number of environments, a multiple of the run's number of designs", low=1)
     format: list[str] = key(
         ["usd"],
@@ -138,7 +138,7 @@ class _EvaluationConfig(Settings):
         low=0,
     )
     level: float = key(0.95, "confidence level of the intervals", above=0, high=0.9999)
-    task: str | None = key(None, OWN_TASK)
+    task: str | None = key(None, _OWN_TASK)
 
 
 @dataclass

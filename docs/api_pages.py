@@ -29,7 +29,7 @@ TITLES = {
     "gradients": "Gradients",
     "view.body_picture": "Bodies",
     "view.rollout": "Rollouts",
-    "robots.entry": "Robots of the zoo",
+    "algos.robots.entry": "Robots of the zoo",
     "code": "Code of one's own",
     "types": "Types",
     "errors": "Errors",
@@ -52,8 +52,9 @@ BESIDE = {
         "view.usd.write_usd",
     ),
     "Robots of the zoo": (
-        *("robots.entry.Robot", "robots.gait.Gait", "robots.network.Network", "robots.returns.judge"),
-        *("robots.replay.robot_env", "robots.entry.read_robot", "robots.entry.save_robot"),
+        *("algos.robots.entry.Robot", "algos.robots.policies.gait_policy", "algos.robots.policies.network_policy"),
+        *("algos.robots.episodes.judge", "algos.robots.episodes.robot_env"),
+        *("algos.robots.entry.read_robot", "algos.robots.entry.save_robot"),
         "algos.codesign.robots.robots_of",
     ),
     "Bodies": ("design.full_connections", "design.repair_design"),
@@ -87,8 +88,8 @@ def documented_names() -> set[str]:
     names = {f"warpvox.{name}" for beside in BESIDE.values() for name in beside}
     for module, public in public_modules().items():
         names |= {f"warpvox.{name}" for name in public} | {f"warpvox.{module}.{name}" for name in public}
-    for public in public_modules(PACKAGE / "robots" / "__init__.pyi").values():
-        names |= {f"warpvox.robots.{name}" for name in public}
+    for public in public_modules(PACKAGE / "algos" / "robots" / "__init__.pyi").values():
+        names |= {f"warpvox.algos.robots.{name}" for name in public}
     return names
 
 

@@ -1,4 +1,4 @@
-"""Draws the charts of ``docs/performance.md`` from the tables of ``docs/figures.md``: ``python docs/charts.py``.
+"""Draws the charts of performance and results from the tables of these pages: ``python docs/charts.py``.
 
 Not part of the library; ``make charts`` runs it, and ``tests/docs`` says when a chart is out of date. Plain SVG, the
 same on every machine.
@@ -12,7 +12,10 @@ from pathlib import Path
 
 from compare_figures import FIGURES, tables
 
+from warpvox.envs.registry import known_returns
+
 IMAGES = FIGURES.parent / "images"
+RESULTS = FIGURES.parent / "results.md"
 INK, FAINT, OURS, THEIRS = "#222", "#ddd", "#ff7043", "#5c6bc0"
 WIDTH, LEFT, RIGHT, ROW = 640, 200, 60, 18
 Row = dict[str, str]
@@ -20,7 +23,7 @@ Row = dict[str, str]
 
 def number(cell: str) -> float:
     """The first number of a cell: that of ``106,762 (101,797 to 108,963)`` is 106762."""
-    return float(re.match(r"[\d.,]+", cell)[0].replace(",", ""))
+    return float(re.match(r"-?[\d.,]*\d", cell)[0].replace(",", ""))
 
 
 def svg(width: int, height: int, parts: list[str]) -> str:
@@ -75,8 +78,35 @@ def lines(title: str, across: str, curves: dict[str, list[tuple[float, float]]])
     return svg(WIDTH, height, parts)
 
 
-def charts(page: str) -> dict[str, str]:
-    """File name -> SVG."""
+def scores(rows: list[Row]) -> str:
+    """A bar for each task: our return on the way from chance (0) to the best published return (1)."""
+    most, width = 2.0, 720
+    rows = [row for row in rows if row["published"] != "none"]
+    scale = (width - LEFT - 150) / most
+    bottom = 58 + len(rows) * ROW
+    parts = [text(12, 22, "Our return under noise and the best published return", more=' font-weight="bold"')]
+    parts += [text(LEFT, 46, "chance", "middle"), text(LEFT + scale, 46, "best published", "middle")]
+    parts.append(text(width - 12, 46, "ours / published", "end"))
+    for place, row in enumerate(rows):
+        y = 54 + place * ROW
+        ours, best = number(row["under noise"].strip("*")), number(row["published"])
+        chance = known_returns()[row["task"]].random
+        score = (ours - chance) / (best - chance)
+        colour = OURS if ours >= best else "#b0b6c3"
+        length = min(score, most) * scale
+        parts.append(text(LEFT - 8, y + 12, row["task"], "end"))
+        parts.append(f'<rect x="{LEFT}" y="{y + 2}" width="{length:.1f}" height="{ROW - 5}" fill="{colour}"/>')
+        if score > most:
+            parts.append(text(LEFT + length + 4, y + 12, "→"))
+        parts.append(text(width - 12, y + 12, f"{ours:.3f} / {best:g}", "end"))
+    parts.append(f'<path d="M{LEFT + scale:g} 50V{bottom}" stroke="{INK}" stroke-dasharray="4 3"/>')
+    words = "orange: at or above the best published return; →: more than twice as far from chance"
+    parts.append(text(12, bottom + 20, words, more=' fill="#555"'))
+    return svg(width, bottom + 32, parts)
+
+
+def charts(page: str, results: str) -> dict[str, str]:
+    """File name -> SVG, from the pages of figures and results."""
 
     def table(suite: str, index: int = 0) -> list[Row]:
         return tables(page.split(f"<!-- bench {suite} -->")[1].split("<!-- end -->")[0])[index]
@@ -101,9 +131,10 @@ def charts(page: str) -> dict[str, str]:
             "environments",
             {name: [(x, number(row[name])) for x, row in batch] for name in rates},
         ),
+        "results.svg": scores(tables(results)[0]),
     }
 
 
 if __name__ == "__main__":
-    for name, picture in charts(FIGURES.read_text(encoding="utf-8")).items():
+    for name, picture in charts(FIGURES.read_text(encoding="utf-8"), RESULTS.read_text(encoding="utf-8")).items():
         (Path(IMAGES) / name).write_text(picture, encoding="utf-8")

@@ -12,8 +12,6 @@ import threading
 from pathlib import Path
 
 from warpvox.cli import main
-from warpvox.view.render import write_gif
-from warpvox.view.rollout import Rollout
 
 IMAGES = Path(__file__).parent / "images"
 WORK = Path("outputs") / "pictures"
@@ -47,9 +45,6 @@ def draw() -> None:
     command("play", *keys, "export=[html,strip]")
     played = newest("play/Walker-v0/*")
     shutil.copy(played / "rollout_strip.png", IMAGES / "walker_strip.png")
-    # Short and low, because a camera that moves changes every pixel, which a GIF pays for.
-    small = {"size": (480, 200), "fps": 20, "stop": 220, "voxels": 10}
-    write_gif(Rollout.load(played / "rollout.npz"), IMAGES / "walker.gif", **small)
     command("tasks", f"gallery={IMAGES / 'gallery.png'}")
     agents = ("agent=sine", "task=UpStepper-v0", "design=[walker,stepper,hopper,worm,carrier,mini]", "num_envs=6")
     command("play", *agents, "steps=300", "window=off", f"output_dir={WORK}")

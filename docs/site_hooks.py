@@ -13,17 +13,8 @@ sys.path[:0] = [str(FOLDER), str(FOLDER.parent)]  # mkdocs runs with any folder 
 import api_pages  # noqa: E402
 import notebooks  # noqa: E402
 import task_pages  # noqa: E402
+from parts import PARTS  # noqa: E402
 
-PARTS = {
-    "Tutorials": ("quickstart", "custom_tasks", "own_search", "task_features"),
-    "How to": (
-        *("codesign", "gaits", "clusters", "universal"),
-        *("policies", "libraries", "evaluation", "protocols", "gradients", "see", "editor", "zoo", "evogym", "faq"),
-    ),
-    "Reference": ("commands", "observations", "search", "archive", "formats", "results", "figures"),
-    "Background": ("concepts", "physics", "paper", "performance", "trials", "reliability"),
-}
-"""Parts of the site and their pages, in order; a page that is named nowhere comes last in the second part."""
 MARK = re.compile(r"^<!-- (help .*|end of help|bench \w+|end) -->\n?", re.MULTILINE)
 FENCE = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)
 NAME = re.compile(r"(?<!\[)`(wv\.(\w+)[^`\n]*)`(?!\])")
@@ -34,16 +25,14 @@ OUTSIDE = re.compile(r"\]\(\.\./([^)\s]+)\)")
 
 def on_config(config: Any) -> Any:
     """Put the pages into parts."""
-    named = {name for names in PARTS.values() for name in names} | {"index"}
-    others = sorted(path.stem for path in FOLDER.glob("*.md") if path.stem not in named)
     nav: list[Any] = [{"warpvox": "index.md"}]
-    for part, names in PARTS.items():
-        found = [f"{name}.md" for name in [*names, *(others if part == "How to" else ())]]
+    for part, pages in PARTS.items():
+        found: list[Any] = [{title: f"{name}.md"} for name, title in pages.items()]
         if part == "Tutorials":
-            found[1:1] = [{"Notebooks": list(notebooks.pages())}]
+            found += list(notebooks.pages())
         if part == "Reference":
             found[1:1] = [{"Python": list(api_pages.pages())}, {"Tasks": list(task_pages.pages())}]
-        nav.append({part: found})
+        nav.append(found[0] if part == "FAQ" else {part: found})
     config["nav"] = nav
     return config
 
@@ -58,6 +47,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
     """Leave out the marks between which tables are made; link public names, tasks and files of the repository."""
+    markdown = markdown.replace("```python no-run\n", "```python\n")  # which superfences does not know
     parts = FENCE.split(MARK.sub("", markdown))
     parts[::2] = [NAME.sub(_name, part) for part in parts[::2]]
     if "/" not in page.file.src_uri:

@@ -1,7 +1,7 @@
 """A page for each task of the benchmark, made while the site is built. Not part of the library.
 
-Formulas are those of the terms, returns those of the zoo and ``envs/known_returns.csv``; ``python -m
-lab.zoo.picture`` makes the films.
+Formulas are those of the terms, returns those of the zoo, of the tables of ``lab/zoo`` and of
+``envs/known_returns.csv``; ``python -m lab.zoo.picture`` makes the films.
 """
 
 import io
@@ -10,15 +10,21 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from warpvox.algos.statistics import mean_interval
+from lab.zoo import results
+from warpvox.algos.robots.entry import zoo
 from warpvox.envs.about import UNITS
 from warpvox.envs.registry import get_task, known_returns, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.worlds import task_world
-from warpvox.robots.entry import zoo
 from warpvox.view.body_picture import draw_world
 
 PAGE = Path(__file__).with_name("task_page.txt").read_text(encoding="utf-8")
+EPISODES = {
+    "noise": "with noise on the actions",
+    "sticky": "with sticky actions",
+    "start": "after random starts",
+    "sensors": "with noise on the observations",
+}
 
 
 @cache
@@ -65,8 +71,8 @@ def _page(task: TaskSpec) -> str:
         observations=_table(("entries", "what", "unit", "values"), _observations(task)),
         units=" ".join(f"{name.capitalize()}: {UNITS[name]}." for name in UNITS if name in units),
         memory=f"\nEpisode state: {named}.{moved}\n" if named else "",
-        episodes="Means of eight episodes" if task.is_random else "One deterministic episode",
-        returns=_table(("of", "return"), _returns(task.id)),
+        returns=_table(("of", "return"), _returns(task)),
+        training=_training(task.id),
         paper=_paper(task),
     )
 
@@ -90,16 +96,35 @@ def _observations(task: TaskSpec) -> Iterator[tuple[str, str, str, str]]:
         yield size, f"`{term.formula}`", term.about.unit, bounds
 
 
-def _returns(task: str) -> Iterator[tuple[str, str]]:
-    known = known_returns()[task]
-    noisy = mean_interval(zoo(task).about["noise"]["returns"])
-    yield "our best robot, under noise", f"{noisy.mean:.3f} ± {noisy.high - noisy.mean:.3f}"
-    yield "the same, undisturbed", f"{zoo(task).mean_return:.3f}"
+def _returns(task: TaskSpec) -> Iterator[tuple[str, str]]:
+    robot = zoo(task.id)
+    for row in results.read_table(results.DISTURBED):
+        if row["task"] == task.id:
+            half = float(row["high"]) - float(row["mean"])
+            yield f"our best robot, {EPISODES[row['episodes']]}", f"{row['mean']} ± {half:.3f}"
+    yield f"the same, undisturbed ({'eight episodes' if task.is_random else 'one episode'})", f"{robot.mean_return:.3f}"
+
+    repeated = results.repeated_means(results.read_table(results.REPEATED))
+    if task.id in repeated:
+        yield "the middle three of five trainings of its body, with noise on the actions", f"{repeated[task.id]:.3f}"
+
+    known = known_returns()[task.id]
     published = f"best published ({known.method}: {known.protocol})"
     yield (published, f"{known.best:g}") if known.best is not None else ("best published", "none")
     yield "random bodies under random actions", f"{known.random:.3f}"
 
 
+def _training(task: str) -> str:
+    about = zoo(task).about
+    hours, minutes = divmod(round(about["wall_s"] / 60), 60)
+    time = f"{hours} h {minutes:02} min" if hours else f"{minutes} min"
+    return f"{about['control_steps']:,} control steps, {time}"
+
+
 def _paper(task: TaskSpec) -> str:
     changed = ", ".join(key.replace("_", " ") for key in task.paper)
-    return f"\nUnder `rules=paper` other: {changed} ([how](../paper.md#what-rulespaper-changes)).\n" if changed else ""
+    return (
+        f"\nUnder `rules=paper` these differ: {changed} ([how](../paper.md#what-rulespaper-changes)).\n"
+        if changed
+        else ""
+    )

@@ -27,7 +27,8 @@ def check_memory(spec: TaskSpec, sim: Simulation, draws: RandomStream) -> None:
     """Check what the memories of a task begin with; TaskError names the memory and what is wrong."""
     stream = draws.rewind()
     for memory in spec.memory:
-        what, value = f"The memory '{memory.name}' of the task '{spec.id}'", memory.begin(stream)
+        what = f"The memory '{memory.name}' of the task '{spec.id}'"
+        value = memory.begin(stream)
         expected = f"a tensor [{sim.num_envs}, ...] on {sim.device}, a row for each environment"
         if moves := memory.name == "offset" and bool(spec.randomized):
             expected = f"integers [{sim.num_envs}, 2] on {sim.device}: cells to the right and up"
@@ -49,7 +50,8 @@ def check_terms(spec: TaskSpec, sim: Simulation, state: Snapshot) -> None:
     for term in spec.terminations:
         _check_column(_name(term, spec), term(state), "bool", sim)
     for memory in spec.memory:
-        before, after = state.memory_values[memory.name], memory.advance(state)
+        before = state.memory_values[memory.name]
+        after = memory.advance(state)
         if _got(after) != _got(before):
             raise TaskError(
                 f"The update of the memory '{memory.name}' of the task '{spec.id}' must give what the memory began"
@@ -150,9 +152,12 @@ class FiniteGuard:
     """
 
     def __init__(self, spec: TaskSpec, sim: Simulation, layout: ObservationLayout) -> None:
-        self._task, self.on_cpu = spec.id, sim.device == "cpu"
+        self._task = spec.id
+        self.on_cpu = sim.device == "cpu"
         self._rewards = [term.name for term in spec.rewards]
-        self._layout, self._columns, self._design = layout, layout.columns, sim.design_index
+        self._layout = layout
+        self._columns = layout.columns
+        self._design = sim.design_index
         rows = sim.num_designs if sim.grid is None else sim.num_envs  # as many designs as there may be
         self._of_rewards = torch.zeros(len(self._rewards), dtype=torch.long, device=sim.device)
         self._of_columns = torch.zeros((rows, layout.num_obs), dtype=torch.int32, device=sim.device)
@@ -202,6 +207,10 @@ class FiniteGuard:
         self._of_rewards.zero_()
         self._of_columns.zero_()
         self._columns = self._layout.columns
+
+    def total(self) -> torch.Tensor:
+        """How many numbers were not finite since designs have changed, long, on the device."""
+        return self._of_rewards.sum() + self._of_columns.sum()
 
     def _counts(self) -> dict[str, int]:
         """In how many environments each term was not finite so far, all terms."""

@@ -43,7 +43,8 @@ class DivergenceDump:
         self.pause = 1 if torch.device(env.sim.device).type == "cpu" else STEPS
         self._scenes, self._points = scenes_of(env.sim)
         self._room = STEPS + self.pause
-        self._open, self._count = True, 0
+        self._open = True
+        self._count = 0
         self._rings: dict[str, torch.Tensor] = {}
         self._at = torch.full((env.num_envs,), -1, dtype=torch.long, device=env.device)
         self._length, self._begun = torch.zeros_like(self._at), torch.zeros_like(self._at)
@@ -110,7 +111,12 @@ class DivergenceDump:
 
         # As a rollout: numbers that are finite, and an end in the last step
         scene = self._scenes[int(self.env.sim.design_index[env])]
-        shown = _finite_frames(positions[:, : scene.num_points])
+        with np.errstate(over="ignore", invalid="ignore"):
+            shown = positions[:, : scene.num_points].astype(np.float32)  # [steps, points, 2]
+        # A frame that float32 cannot hold is replaced by the one before.
+        good = np.isfinite(shown).all((1, 2))
+        last = np.maximum.accumulate(np.where(good, np.arange(steps), good.argmax()))
+        shown = shown[last] if good.any() else np.zeros_like(shown)
         over = np.zeros((steps, 1), bool)
         over[-1] = True
         return Rollout(
@@ -131,12 +137,3 @@ class DivergenceDump:
                 "states_not_finite": int((~np.isfinite(positions)).any((1, 2)).sum()),
             },
         )
-
-
-def _finite_frames(positions: np.ndarray) -> np.ndarray:
-    """Frames ``[frames, points, 2]``; one that float32 cannot hold is replaced by the one before."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        frames = positions.astype(np.float32)
-    good = np.isfinite(frames).all((1, 2))
-    last = np.maximum.accumulate(np.where(good, np.arange(len(frames)), good.argmax()))
-    return frames[last] if good.any() else np.zeros_like(frames)

@@ -34,7 +34,8 @@ class Episodes:
         self.limit = torch.full((num_envs,), limit, dtype=torch.long, device=device)
         self.memory: dict[str, torch.Tensor] = {}
         self.before: dict[Quantity, torch.Tensor] = {}
-        self.drawn, self.times_set = True, 0
+        self.drawn = True
+        self.times_set = 0
 
     @property
     def active(self) -> torch.Tensor:
@@ -51,7 +52,8 @@ class Episodes:
 
     def end(self, terminated: torch.Tensor, truncated: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Note what ends now, bool ``[num_envs]``; return how all have ended that wait for their reset."""
-        terminated, truncated = self.terminated | terminated, self.truncated | truncated
+        terminated = self.terminated | terminated
+        truncated = self.truncated | truncated
         self.terminated.copy_(terminated)
         self.truncated.copy_(truncated)
         return terminated, truncated

@@ -1,13 +1,13 @@
-"""The control step of environments as one CUDA graph: physics, sensing, observations, rewards, terminations, resets.
+"""CUDA graphs: a control step of environments, or a whole iteration of PPO, as one launch.
 
-A graph repeats launches on fixed addresses. Episode state lives in tensors that are
-written to in place (:mod:`warpvox.envs.episodes`), so the step is captured as it stands; what it returns is cloned.
+A graph repeats launches on fixed addresses. What lives on from one repetition to the next is in tensors that are
+written to in place, as episode state is (:mod:`warpvox.envs.episodes`); what is returned is cloned.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import torch
@@ -15,14 +15,23 @@ import warp as wp
 
 from warpvox.kernels.device import current_stream
 
-Capture = Callable[[Callable[[], Any]], tuple[Callable[[], None], Any]]
-"""Records what a function launches, without doing it; returns what does it, again and again, and what it returned."""
+Capture = Callable[[Callable[[], Any], Sequence[torch.Generator]], tuple[Callable[[], None], Any]]
+"""Records what a function launches, without doing it; returns what does it, again and again, and what it returned.
+
+It is told the generators that the function draws from: each repetition draws further numbers.
+"""
 
 
-def capture_on_cuda(device: str, step: Callable[[], Any]) -> tuple[Callable[[], None], Any]:
+def capture_on_cuda(
+    device: str, work: Callable[[], Any], generators: Sequence[torch.Generator] = ()
+) -> tuple[Callable[[], None], Any]:
     """A :data:`Capture`, once it has its device: of torch operations and Warp launches, on a stream of its own."""
     stream = torch.cuda.Stream(device)
     graph = torch.cuda.CUDAGraph()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # newer versions of torch find the generators, and say so
+        for generator in generators:
+            graph.register_generator_state(generator)  # pyright: ignore[reportUnknownMemberType] # of torch's stubs
     # Within, torch's current stream is this one, and kernels are launched on it (warpvox.kernels.device).
     # thread_local: what other threads do meanwhile (data loaders, loggers) cannot spoil the capture.
     capturing = torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local")
@@ -31,7 +40,7 @@ def capture_on_cuda(device: str, step: Callable[[], Any]) -> tuple[Callable[[], 
         ours = current_stream(device)
         wp.capture_begin(stream=ours, external=True)
         try:
-            results = step()
+            results = work()
         finally:
             kept = wp.capture_end(stream=ours)  # keeps the kernels' modules loaded
 
@@ -41,54 +50,65 @@ def capture_on_cuda(device: str, step: Callable[[], Any]) -> tuple[Callable[[], 
     return replay, results
 
 
-class StepGraph:
-    """Stands in for a function that steps environments on the device.
+class Graph:
+    """Stands in for a function that works on the device, such as a control step.
 
-    Under settings that it meets for the first time some steps run as they are; the next is captured, and from then on
-    replayed. Each settings have a recording of their own, so that a change of them is never missed and costs nothing
-    when they come back. Where a capture fails, a warning says so once, and all steps run as they are.
+    Under settings that it meets for the first time some calls are made as they are; the next is captured, and from then
+    on replayed. Each settings have a recording of their own, so that a change of them is never missed and costs nothing
+    when they come back. Where a capture fails, a warning says so once, and all calls are made as they are.
 
     Args:
         capture: how launches are recorded.
+        name: of what is done, in the warning.
+        generators: that the function draws random numbers from.
     """
 
-    def __init__(self, capture: Capture) -> None:
+    def __init__(self, capture: Capture, name: str, generators: Sequence[torch.Generator] = ()) -> None:
         self._capture = capture
+        self._name = name
+        self._generators = generators
         self._eager: dict[Hashable, int] = {}
         self._recorded: dict[Hashable, tuple[Callable[[], None], Any]] = {}
         self._failed = False
 
-    def __call__(self, step: Callable[[], Any], settings: Hashable) -> Any:
-        """One step; returns fresh tensors.
+    def __call__(self, work: Callable[[], Any], settings: Hashable = None) -> Any:
+        """One call; returns fresh tensors.
 
         Args:
-            step: takes no arguments, reads and writes tensors that stay where they are. Not kept: the environments that
+            work: takes no arguments, reads and writes tensors that stay where they are. Not kept: the environments that
                 it belongs to would live until Python looks for cycles, with their memory on the device.
-            settings: all that the step depends on besides tensors.
+            settings: all that it depends on besides tensors.
         """
         if settings not in self._recorded:
-            # Two steps before the capture load the kernels and make the buffers, which a capture must not.
+            # Two calls before the capture load the kernels and make the buffers, which a capture must not.
             done = self._eager[settings] = self._eager.get(settings, 0) + 1
-            if done <= 2 or self._failed or not self._record(step, settings):
-                return step()
+            if done <= 2 or self._failed or not self._record(work, settings):
+                return work()
         replay, results = self._recorded[settings]
         replay()
         return _cloned(results)
 
-    def _record(self, step: Callable[[], Any], settings: Hashable) -> bool:
-        """Capture a step, without doing it; False if that fails."""
+    @property
+    def is_recorded(self) -> bool:
+        """True once there is something to replay."""
+        return bool(self._recorded)
+
+    def _record(self, work: Callable[[], Any], settings: Hashable) -> bool:
+        """Capture a call, without making it; False if that fails."""
         try:
-            self._recorded[settings] = self._capture(step)
+            self._recorded[settings] = self._capture(work, self._generators)
         except RuntimeError as error:  # of torch and of Warp
             self._failed = True
+            for generator in self._generators:  # torch leaves them as if the capture went on
+                generator.graphsafe_set_state(generator.clone_state())
             reason = " ".join(str(error).split())[:200]
-            text = f"Control steps cannot be captured as a CUDA graph and are launched one by one: {reason}"
+            text = f"{self._name} cannot be captured as a CUDA graph and are launched one by one: {reason}"
             warnings.warn(text, RuntimeWarning, stacklevel=2)
         return not self._failed
 
 
 def _cloned(value: Any) -> Any:
-    """A copy with fresh tensors of what a step returns: tuples and dictionaries of tensors."""
+    """A copy with fresh tensors of what a call returns: tuples and dictionaries of tensors."""
     fresh: dict[torch.dtype, tuple[list[torch.Tensor], list[torch.Tensor]]] = {}
 
     def made(value: torch.Tensor | dict[str, Any] | tuple[Any, ...]) -> Any:

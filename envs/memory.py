@@ -2,7 +2,7 @@
 
 What is counted stays as long as there are environments: the arrays of the kernels, with room for the largest bodies
 that may come, where the environments lie in them, observations, and what PPO keeps of a rollout. Intermediate results
-come on top; :data:`MEMORY_SHARE` leaves room for them.
+come on top; :data:`_MEMORY_SHARE` leaves room for them.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from warpvox.kernels.lanes import MAX_WIDTH
 from warpvox.kernels.state import DATA, MODEL, bytes_of
 from warpvox.world import World
 
-MEMORY_SHARE = 0.8
+_MEMORY_SHARE = 0.8
 """Share of the free memory that may be asked for."""
 
 
@@ -79,7 +79,10 @@ def environment_bytes(
     # A rollout in float32, and a minibatch of it with the activations of two networks and their derivatives. Besides
     # observation, action, mean and deviation a transition has six numbers: reward, end, value, ...
     transition = num_obs + 3 * sizes["action"] + 6
-    return each + 4 * ppo.steps * (transition + (transition + 4 * sum(ppo.hidden)) / ppo.minibatches)
+    learning = (transition + 4 * sum(ppo.hidden)) / ppo.minibatches
+    if sim.device != "cpu":  # a graph keeps scaled inputs and means, and the rollout in the order of learning
+        learning += 2 * transition
+    return each + 4 * ppo.steps * (transition + learning)
 
 
 def _entries(spec: TaskSpec, obs: str, points: int, cells: int) -> int:
@@ -97,7 +100,7 @@ def _entries(spec: TaskSpec, obs: str, points: int, cells: int) -> int:
 def fitting(each: float, device: str) -> float:
     """The number of things of ``each`` bytes that may be asked for; infinite where it is not known what is free."""
     free = free_memory(device)
-    return inf if free is None else MEMORY_SHARE * free / each
+    return inf if free is None else _MEMORY_SHARE * free / each
 
 
 def ask(
@@ -111,7 +114,8 @@ def ask(
     """
     if count <= (most := fitting(each, device)):
         return
-    free, fits = most * each / MEMORY_SHARE, int(most)
+    free = most * each / _MEMORY_SHARE
+    fits = int(most)
     whole = step * MAX_WIDTH if fits >= step * MAX_WIDTH else step  # packs that are full
     fits = fits // whole * whole
     remedy = f"{fits:,} fit: {key}={fits}" if fits else "not even the least number fits: free some memory"

@@ -24,7 +24,9 @@ class ObservationLayout:
     """
 
     def __init__(self, terms: tuple[Observation, ...], sim: Simulation, state: Snapshot) -> None:
-        self._terms, self._sim, self._dtype = terms, sim, sim.dtype
+        self._terms = terms
+        self._sim = sim
+        self._dtype = sim.dtype
         self._values = [term(state) for term in terms]
         self._robots = [self._robot_of(term, value, state) for term, value in zip(terms, self._values, strict=True)]
         self._gather: torch.Tensor | None = None

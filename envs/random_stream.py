@@ -9,11 +9,6 @@ import torch
 
 from warpvox.errors import TaskError
 
-_EPISODE = 1 << 16  # numbers that an episode may draw
-_STEP, _MIX_1, _MIX_2 = (
-    int(np.uint64(word).astype(np.int64)) for word in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
-)
-
 
 class RandomStream:
     """Random integers of every environment, each from a stream of its own.
@@ -66,13 +61,15 @@ class RandomStream:
         """
         if high <= low:
             raise TaskError(f"There is no number from {low} to {high - 1} to draw: low must be less than high.")
-        if not 0 <= count < _EPISODE - self._count:
-            raise TaskError(f"An episode may draw {_EPISODE - 1} numbers, got {self._count} and {count} more.")
+        episode_length = 2**16
+        if not 0 <= count < episode_length - self._count:
+            raise TaskError(f"An episode may draw {episode_length - 1} numbers, got {self._count} and {count} more.")
         place = torch.arange(self._count + 1, self._count + count + 1, device=self.episode.device)
         self._count += count
-        word = self.keys[:, None] + (self.episode[:, None] * _EPISODE + place) * _STEP
-        word = (word ^ _shifted(word, 30)) * _MIX_1
-        word = (word ^ _shifted(word, 27)) * _MIX_2
+        # 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9 and 0x94D049BB133111EB as signed numbers of 64 bits
+        word = self.keys[:, None] + (self.episode[:, None] * episode_length + place) * -7046029254386353131
+        word = (word ^ _shifted(word, 30)) * -4658895280553007687
+        word = (word ^ _shifted(word, 27)) * -7723592293110705685
         word = word ^ _shifted(word, 31)
         return low + _shifted(word, 11) % (high - low)
 

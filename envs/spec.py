@@ -61,7 +61,8 @@ class Term:
         try:
             taken.bind(*self.states, **given)
         except TypeError as error:
-            options, call = [*taken.parameters, *vars(self)], ", ".join([*self.states, *given])
+            options = [*taken.parameters, *vars(self)]
+            call = ", ".join([*self.states, *given])
             hint = next((did_you_mean(name, options) for name in given if name not in taken.parameters), "")
             takes = f"takes ({', '.join(taken.parameters)}) and is called with ({call})"
             raise TaskError(f"The {self.kind} '{self.name}' {takes}: {error}.{hint}") from None

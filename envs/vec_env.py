@@ -16,7 +16,7 @@ from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory, fewer
 from warpvox.envs.checks import FiniteGuard, all_finite, check_fields, check_memory, check_terms
 from warpvox.envs.episodes import Episodes
-from warpvox.envs.graph import StepGraph, capture_on_cuda
+from warpvox.envs.graph import Capture, Graph, capture_on_cuda
 from warpvox.envs.memory import ask, environment_bytes
 from warpvox.envs.observations import ObservationLayout
 from warpvox.envs.random_stream import RandomStream
@@ -129,6 +129,8 @@ class VoxelVecEnv:
         episodes: length, return, memory of the running episodes (:class:`warpvox.envs.episodes.Episodes`).
         auto_reset: whether environments are reset in the step in which they end; may be changed between steps, to True
             once those that have ended are reset (``reset(mask=...)``).
+        capture: how control steps are recorded as a CUDA graph; None: they are not. A step within a larger recording
+            becomes a part of it.
         device: torch's name of the device; ``dtype``: of observations and rewards.
     """
 
@@ -190,10 +192,12 @@ class VoxelVecEnv:
         self._on_cpu = sim.device == "cpu"
         self._finite = FiniteGuard(spec, sim, self.layout)
         self.dump: DivergenceDump | None = None
-        self._graph: StepGraph | None = None
+        self.capture: Capture | None = None
+        self._graph: Graph | None = None
         wanted = sim.options.cuda_graph
         if not self._on_cpu and (not self._has_code if wanted is None else wanted):
-            self._graph = StepGraph(partial(capture_on_cuda, sim.device))
+            self.capture = partial(capture_on_cuda, sim.device)
+            self._graph = Graph(self.capture, "Control steps")
 
     def __repr__(self) -> str:
         counts = f"num_envs={self.num_envs}, num_designs={self.num_designs}"
@@ -320,7 +324,8 @@ class VoxelVecEnv:
         mask = check_mask(mask, self.design_index)
         if designs is None:
             raise DesignError("set_designs needs a body, or a list of bodies; got None.")
-        count, worlds = int(mask.sum()), load_worlds(self.spec, designs, connections)[1]
+        count = int(mask.sum())
+        worlds = load_worlds(self.spec, designs, connections)[1]
         if len(worlds) not in (1, count):
             raise ConfigError(f"{count} environments need a design each, or one for all; got {len(worlds)}.")
         self.sim.set_worlds(worlds if len(worlds) == count else worlds * count, mask)
@@ -348,7 +353,8 @@ class VoxelVecEnv:
 
     def _given(self, memory: Mapping[str, Any] | None) -> dict[str, torch.Tensor]:
         """Values for memories from outside, padded with 0 to the shapes of those that would be drawn."""
-        drawn, given = self.episodes.memory, dict[str, torch.Tensor]()
+        drawn = self.episodes.memory
+        given = dict[str, torch.Tensor]()
         if not is_mapping(memory or {}):
             raise ConfigError(f"memory must be values by name, got {memory!r:.60}.")
         for name, values in (memory or {}).items():
@@ -409,7 +415,7 @@ class VoxelVecEnv:
             self.dump.before(self.sim.actions)
 
         with enough_memory(fewer(self.num_envs)):
-            if self._graph is None:
+            if self._graph is None or torch.cuda.is_current_stream_capturing():
                 result = self._step_on_device()
             else:
                 result = self._graph(self._step_on_device, self.auto_reset)
@@ -495,6 +501,10 @@ class VoxelVecEnv:
         Terms that were not named before are named in a warning. On the CPU that happens in the step itself.
         """
         return self._finite.report()
+
+    def not_finite_total(self) -> torch.Tensor:
+        """A number on the device that is 0 as long as :meth:`not_finite` has nothing to tell; waits for nothing."""
+        return self._finite.total()
 
     def retimed(self, obs: torch.Tensor) -> torch.Tensor:
         """The last observation ``[num_envs, num_obs]``, with ``obs="timed"`` after episode lengths were assigned."""

@@ -71,7 +71,8 @@ class VoxelGrid:
         self.columns = max(least[1], *(grid.shape[1] for grid in grids))
         count = self.rows * self.columns
         self.about = About("voxels of {name}: corners, velocities, type, neighbours", NUMBER, count * NUM_FEATURES)
-        self._sim, self._name = sim, name
+        self._sim = sim
+        self._name = name
         self._cells: dict[int, _Cells] = {}
         self._tables = self._make_tables()
         self.action_cell, self._corners, self._known, self._filled = self._tables
@@ -108,17 +109,28 @@ class VoxelGrid:
         return action_cell, corners, known, filled
 
     def _cells_of(self, source: WorldObject, design: int) -> _Cells:
+        # Corners
         rows, columns = np.nonzero(source.grid)
         cells = rows * self.columns + columns
         corners = np.zeros((self.rows * self.columns, 4), np.int64)
         corners[cells] = self._sim.voxel_corners(self._name, design)
+
+        # Whether a cell is connected with its neighbour above, right, below, left
+        above, right, below, left = range(4)
+        linked = np.zeros((*source.grid.shape, 4), bool)
+        for first, second in source.connections.tolist():
+            row, column = divmod(first, source.width)
+            other_row, other_column = divmod(second, source.width)
+            is_below = other_row > row
+            linked[row, column, below if is_below else right] = True
+            linked[other_row, other_column, above if is_below else left] = True
 
         # Type and neighbours
         known = np.zeros((self.rows * self.columns, NUM_FEATURES - FEATURES["type"].start))
         padded = np.zeros((self.rows, self.columns), np.int64)
         padded[: source.grid.shape[0], : source.grid.shape[1]] = source.grid
         known[:, : len(ROBOT_CELLS)] = padded.reshape(-1, 1) == np.array(ROBOT_CELLS)
-        known[cells, len(ROBOT_CELLS) :] = _linked(source)[rows, columns]
+        known[cells, len(ROBOT_CELLS) :] = linked[rows, columns]
         driving = np.isin(source.grid[rows, columns], ACTUATORS)
         return _Cells(source, corners, known, cells[driving])
 
@@ -140,19 +152,6 @@ class _Cells(NamedTuple):
     corners: np.ndarray
     known: np.ndarray
     driving: np.ndarray
-
-
-def _linked(source: WorldObject) -> np.ndarray:
-    """bool ``[rows, columns, 4]``: whether a cell is connected with its neighbour above, right, below, left."""
-    above, right, below, left = range(4)
-    linked = np.zeros((*source.grid.shape, 4), bool)
-    for first, second in source.connections.tolist():
-        row, column = divmod(first, source.width)
-        other_row, other_column = divmod(second, source.width)
-        is_below = other_row > row
-        linked[row, column, below if is_below else right] = True
-        linked[other_row, other_column, above if is_below else left] = True
-    return linked
 
 
 def voxel_observations(

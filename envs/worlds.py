@@ -111,11 +111,6 @@ def _stack(lines: Sequence[str]) -> np.ndarray:
     return np.array(list(zip_longest(*parsed, fillvalue=Cell.EMPTY)), np.int8).T
 
 
-def _is_row(entry: object) -> bool:
-    """True for a row of cells: an entry of a list that is a list and holds none."""
-    return is_list(entry) and not isinstance(entry, str) and not any(map(is_list, entry))
-
-
 def one_body(body: object, designs: Any, connections: Any) -> tuple[Any, Any]:
     """``designs`` and ``connections`` of several bodies from those of one; raises ConfigError if both are given."""
     if body is None:
@@ -134,13 +129,19 @@ def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[De
     if designs is None:
         designs = ["walker"]
     designs = str(designs) if isinstance(designs, Path) else design_of(designs)
-    array = getattr(designs, "ndim", 1) in (0, 2) or (is_list(designs) and len(designs) and all(map(_is_row, designs)))
-    single = array or isinstance(designs, str) or is_mapping(designs)
+
+    # One body: a name, robots by name, an array of two dimensions, or a list of rows, which are lists that hold none
+    is_array = getattr(designs, "ndim", 1) in (0, 2)
+    if is_list(designs) and len(designs):
+        is_array |= all(is_list(row) and not isinstance(row, str) and not any(map(is_list, row)) for row in designs)
+    single = is_array or isinstance(designs, str) or is_mapping(designs)
     if not single and not is_list(designs):
         raise DesignError(f"designs must be a list of bodies, got {type(designs).__name__}.")
     bodies: list[object] = [designs] if single else [design_of(body) for body in designs]
     if not bodies:
         raise DesignError("The list of designs is empty: at least one body is needed.")
+
+    # Valid bodies
     loaded: list[Design | dict[str, Design]] = []
     for number, body in enumerate(bodies):
         try:
@@ -148,6 +149,8 @@ def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[De
         except DesignError as error:
             raise DesignError(f"Design {number}: {error}" if len(bodies) > 1 else str(error)) from None
         loaded.append(team if spec.partners else team[ROBOT])
+
+    # Their worlds
     links = [None] * len(loaded) if connections is None else connections
     if not is_list(links) or len(links) != len(loaded):
         got = len(links) if is_list(links) else type(links).__name__

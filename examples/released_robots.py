@@ -25,10 +25,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from warpvox.algos.checkpoints.policy import Policy
+from warpvox.algos.robots import Robot, network_policy, save_robot
 from warpvox.design import check_design, full_connections
 from warpvox.envs.registry import get_task, released_id
 from warpvox.errors import RunError
-from warpvox.robots import Network, Robot, save_robot
 
 MOST_ROWS, LONGEST_ROW, LARGEST_POLICY = 1_000_000, 1 << 24, 1 << 26
 """Rows of a file, bytes of a row of JSON, and of a policy."""
@@ -93,13 +94,13 @@ def robot_of(row: dict[str, Any], task: str) -> Robot:
     about = {"return": row["reward"], "generated_by": str(row.get("generated_by")), "uid": str(row.get("uid"))}
     policy, blob = None, row.get("policy_blob")
     try:
-        policy = None if blob is None else network_of(blob if isinstance(blob, bytes) else base64.b64decode(blob))
+        policy = None if blob is None else policy_of(blob if isinstance(blob, bytes) else base64.b64decode(blob))
     except Exception as error:  # zipfile, zlib, torch and pickle raise nearly anything
         about["no_policy"] = f"it is not read ({type(error).__name__}: {error!s:.120})."
     return Robot(task, body, pairs.reshape(2, -1), policy, about)
 
 
-def network_of(blob: bytes) -> Network:
+def policy_of(blob: bytes) -> Policy:
     """The deterministic policy of the ZIP archive of ``PPO.save``, or of the ``policy.pth`` in it."""
     activation = "tanh"
     with zipfile.ZipFile(io.BytesIO(blob)) as archive:
@@ -113,9 +114,10 @@ def network_of(blob: bytes) -> Network:
     state = torch.load(io.BytesIO(blob), map_location="cpu", weights_only=True)
     names = sorted(filter(re.compile(r"mlp_extractor\.policy_net\.\d+\.weight").fullmatch, state), key=_number)
     names = [name.removesuffix("weight") for name in names] + ["action_net."]
-    weights, biases = (tuple(_array(state[f"{name}{kind}"]) for name in names) for kind in ("weight", "bias"))
+    weights = [_array(state[f"{name}weight"]) for name in names]
+    biases = [_array(state[f"{name}bias"]) for name in names]
     inputs = weights[0].shape[-1]
-    return Network(weights, biases, np.zeros(inputs, "f4"), np.ones(inputs, "f4"), activation, 1.0, 0.0)
+    return network_policy(weights, biases, np.zeros(inputs), np.ones(inputs), activation, scale=1.0, center=0.0)
 
 
 def _number(name: str) -> int:

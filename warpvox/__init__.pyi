@@ -7,6 +7,7 @@ from .algos.codesign.evaluations import (
 )
 from .algos.codesign.results import Found as Found
 from .algos.codesign.settings import Codesign as Codesign
+from .algos.robots.entry import zoo as zoo
 from .algos.search.settings import (
     BO as BO,
     GA as GA,
@@ -52,7 +53,6 @@ from .errors import (
     WorldError as WorldError,
 )
 from .gradients import Gradients as Gradients
-from .robots.entry import zoo as zoo
 from .simulation import Simulation as Simulation
 from .types import Cell as Cell, Physics as Physics
 from .view.body_picture import draw_bodies as draw_bodies

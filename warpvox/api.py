@@ -76,9 +76,23 @@ def train(
     from warpvox.progress.training import Notebook, Terminal, with_tracker
     from warpvox.runs import TRAINING
 
-    given = settings | {key: value for key, value in {"task": task, "design": design}.items() if value is not None}
-    base = given.pop("task") if isinstance(task, Training) else None
-    given = _options(SimOptions.of(sim, {}, train)) | given
+    # What is given, of the simulation what is not the default
+    options = SimOptions.of(sim, {}, train)
+    given = {name: value for name, value in vars(options).items() if value != getattr(SimOptions, name)}
+    for name in given.keys() & {"layout", "cuda_graph"}:
+        raise ConfigError(f"sim.{name} cannot be given: a training chooses it.")
+    if "grid" in given:
+        raise ConfigError("sim.grid cannot be given: the room for bodies is designs={'grid': [rows, columns]}.")
+    given |= settings
+    if design is not None:
+        given["design"] = design
+
+    # What it is given beside: the settings of a task that is settings, or of a run
+    base = None
+    if isinstance(task, Training):
+        base = task
+    elif task is not None:
+        given["task"] = task
     resume = base.resume if resume is None and base is not None else resume
     check_flag("progress", progress)
     place = None if folder is None else check_path("folder", folder)
@@ -97,6 +111,8 @@ def train(
 
         others = settings_named("train", ppo=given.pop("ppo"))
         given = (others if base is None else {"ppo": others["ppo"]}) | given
+
+    # Settings
     check_known(given, train, Training)
     named = set(_dotted(given))
     if isinstance(task, Training):  # a pretrained policy must agree with what it says, too
@@ -112,6 +128,8 @@ def train(
     # What the user's own settings name was passed; of the settings of a run only what is given beside it.
     passed = given if base is not None and not isinstance(task, Training) else KEYS
     config = with_passed_code(config, passed, resume)
+
+    # Training
     job = Job(config, named, source)
     write = place is not None
     place = None if str(place) == "auto" else place
@@ -120,20 +138,6 @@ def train(
         shows = [Notebook() if "ipykernel" in sys.modules else Terminal()]
     job.train(with_tracker(config.logger, shows), listeners, write=write, place=place)
     return TrainedRun.of(job)
-
-
-def _options(sim: SimOptions) -> dict[str, Any]:
-    """The settings that options of a simulation stand for: those that are not the default.
-
-    Raises:
-        ConfigError: some that a training chooses itself.
-    """
-    values = {name: value for name, value in vars(sim).items() if value != getattr(type(sim), name)}
-    for name in values.keys() & {"layout", "cuda_graph"}:
-        raise ConfigError(f"sim.{name} cannot be given: a training chooses it.")
-    if "grid" in values:
-        raise ConfigError("sim.grid cannot be given: the room for bodies is designs={'grid': [rows, columns]}.")
-    return values
 
 
 def _dotted(given: Mapping[str, Any]) -> Iterator[str]:
@@ -237,7 +241,8 @@ def evaluate(
 
             # Functions of observations
             about: Mapping[str, Any] = getattr(one, "metadata", {})
-            where, body = own or about.get("task"), about.get("design") if design is None else design
+            where = own or about.get("task")
+            body = about.get("design") if design is None else design
             if where is None or body is None:
                 what = "a run, or a function of observations with task=... and design=..."
                 raise ConfigError(f"Policy {number} must be {what}; got {ones[number]!r:.80}.")
@@ -248,7 +253,8 @@ def evaluate(
             if resolve_device(options.get("device") or SimOptions.device, episodes) == "cpu":
                 sim["lanes"] = about.get("lanes")
             sim |= {key: value for key, value in options.items() if value is not None}
-            bodies, spec = load_bodies(body, seed), getattr(one, "spec", None)
+            bodies = load_bodies(body, seed)
+            spec = getattr(one, "spec", None)
             if layout := (getattr(spec, "voxels", None) or {}).get("layout"):
                 grid = layout["rows"], layout["columns"]
                 if any(getattr(each, "shape", grid) != grid for each in bodies):
@@ -260,7 +266,8 @@ def evaluate(
                     raise ConfigError(f"stochastic=True samples actions of runs; policy {number} acts without chance.")
                 one = one.in_float64()
             check_episodes(episodes, len(bodies))  # before make_vec counts environments
-            count, seeds = episodes, seed
+            count = episodes
+            seeds = seed
             if about.get("seed_each"):  # as stored robots are evaluated
                 count = 1 if parts == (NOMINAL,) and not get_task(where).is_random else episodes
                 seeds = list(range(seed, seed + count)) * len(parts)

@@ -82,7 +82,8 @@ def check_known(given: Iterable[str], *functions: Callable[..., Any], without: I
         left_out = ("self", *without)
     for name in () if takes_any else given:
         if name not in names:
-            owner, hint = functions[0].__qualname__.removesuffix(".__init__"), did_you_mean(name, names)
+            owner = functions[0].__qualname__.removesuffix(".__init__")
+            hint = did_you_mean(name, names)
             known = f"There are {listing(names, len(names))}."
             raise UnknownArgumentError(f"{owner} got an unexpected keyword argument {name!r}.{hint} {known}")
 

@@ -60,33 +60,33 @@ def load_code(code: str, is_wanted: Callable[[Any], bool] = callable, kind: str 
             " policy=, search.make=), or in Python as warpvox.Code('FILE.py:NAME')."
         )
     place, _, name = code.rpartition(":")
-    module = _import(place)
-    found = getattr(module, name, None)
-    if found is None or not is_wanted(found):
-        names = [key for key, value in vars(module).items() if not key.startswith("_") and is_wanted(value)]
-        what = "does not exist" if found is None else f"is no {kind}"
-        raise ConfigError(f"{name!r} {what} in {place}.{did_you_mean(name, names)} There: {listing(names)}.")
-    return found
 
-
-def _import(place: str) -> ModuleType:
-    """The module or file of this name. ConfigError: there is none, or it cannot be imported."""
+    # The module or file
     path = Path(place).expanduser().resolve()
     is_file = place.endswith(".py")
     if is_file and not path.is_file():
         raise ConfigError(f"There is no file {place}.")
     try:
         if is_file:
-            return _import_file(path)
-        # A program that is started by its name does not look into the current folder.
-        with _first_on_path(Path.cwd()):
-            return importlib.import_module(place)
+            module = _import_file(path)
+        else:
+            # A program that is started by its name does not look into the current folder.
+            with _first_on_path(Path.cwd()):
+                module = importlib.import_module(place)
     except (Exception, SystemExit) as error:  # code may raise anything
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing and not is_file and f"{place}.".startswith(f"{missing}."):
             raise ConfigError(f"There is no module {place!r}, neither in {os.getcwd()} nor installed.") from None
         reason = f"{type(error).__name__}: {str(error).rstrip('.')}"
         raise ConfigError(f"{place!r} cannot be imported: {reason}.") from error
+
+    # What it has of this name
+    found = getattr(module, name, None)
+    if found is None or not is_wanted(found):
+        names = [key for key, value in vars(module).items() if not key.startswith("_") and is_wanted(value)]
+        what = "does not exist" if found is None else f"is no {kind}"
+        raise ConfigError(f"{name!r} {what} in {place}.{did_you_mean(name, names)} There: {listing(names)}.")
+    return found
 
 
 @functools.cache

@@ -127,22 +127,7 @@ def mesh(source: WorldObject, physics: Physics) -> Body:
 
 @functools.lru_cache(32)  # a benchmark task has at most 21 objects
 def _kept_mesh(source: WorldObject, physics: Physics) -> Body:
-    body = Body(source.name, source, linked=_linked_sides(source))
-    for cell, bits in body.linked.items():
-        _add_voxel(body, cell, bits, physics)
-    _orient_surface(body)
-    kinds = source.grid.tolist()
-    _set_stiffness(body, kinds, physics)
-    _set_drives(body, kinds)
-    for (row, column), corners in body.corners.items():
-        if kinds[row][column] == Cell.FIXED:
-            for p in corners:
-                body.fixed[p] = True
-    return body
-
-
-def _linked_sides(source: WorldObject) -> dict[tuple[int, int], int]:
-    """The sides at which each filled cell is connected, by (row, column), row by row from the top left."""
+    # The sides at which each filled cell is connected, row by row from the top left
     rows, columns = np.nonzero(source.grid)
     linked = dict.fromkeys(zip(rows.tolist(), columns.tolist(), strict=True), 0)
     for a, b in source.connections.tolist():
@@ -151,7 +136,37 @@ def _linked_sides(source: WorldObject) -> dict[tuple[int, int], int]:
         below = second[0] > first[0]
         linked[first] |= BOTTOM if below else RIGHT
         linked[second] |= TOP if below else LEFT
-    return linked
+
+    # Points and springs
+    body = Body(source.name, source, linked=linked)
+    for cell, bits in linked.items():
+        _add_voxel(body, cell, bits, physics)
+
+    # Surface sides run clockwise: the order of a point's forces depends on which end of a spring it is.
+    for cell, bits in body.surface.items():
+        for k, side in ((2, BOTTOM), (3, LEFT)):  # these were made the other way round
+            if bits & side:
+                spring = body.springs[body.sides[cell][k]]
+                spring[0], spring[1] = spring[1], spring[0]
+
+    kinds = source.grid.tolist()
+    _set_stiffness(body, kinds, physics)
+
+    # Actions drive top and bottom of a horizontal actuator, left and right of a vertical one.
+    action = 0
+    for (row, column), (top, right, bottom, left) in body.sides.items():
+        kind = kinds[row][column]
+        if kind in ACTUATORS:
+            for s in (top, bottom) if kind == Cell.H_ACT else (left, right):
+                body.drives.setdefault(s, []).append(action)
+            action += 1
+
+    # Fixed points
+    for (row, column), corners in body.corners.items():
+        if kinds[row][column] == Cell.FIXED:
+            for p in corners:
+                body.fixed[p] = True
+    return body
 
 
 def _add_voxel(body: Body, cell: tuple[int, int], bits: int, physics: Physics) -> None:
@@ -208,15 +223,6 @@ def _add_voxel(body: Body, cell: tuple[int, int], bits: int, physics: Physics) -
         body.surface[cell] = free_sides
 
 
-def _orient_surface(body: Body) -> None:
-    """Surface sides run clockwise: the order of a point's forces depends on which end of a spring it is."""
-    for cell, bits in body.surface.items():
-        for k, side in ((2, BOTTOM), (3, LEFT)):  # these were made the other way round
-            if bits & side:
-                spring = body.springs[body.sides[cell][k]]
-                spring[0], spring[1] = spring[1], spring[0]
-
-
 def _new_point(body: Body, row: int, column: int) -> int:
     # Exactly these expressions: the last bit of a coordinate decides which touching voxels are in contact.
     source = body.source
@@ -243,17 +249,6 @@ def _set_stiffness(body: Body, kinds: list[list[int]], physics: Physics) -> None
                 body.springs[s][3] = main
         body.springs.append([corners[TR], corners[BL], diagonal, structural])
         body.springs.append([corners[TL], corners[BR], diagonal, structural])
-
-
-def _set_drives(body: Body, kinds: list[list[int]]) -> None:
-    """Which actions drive which sides: top and bottom of a horizontal actuator, left and right of a vertical one."""
-    action = 0
-    for (row, column), (top, right, bottom, left) in body.sides.items():
-        kind = kinds[row][column]
-        if kind in ACTUATORS:
-            for s in (top, bottom) if kind == Cell.H_ACT else (left, right):
-                body.drives.setdefault(s, []).append(action)
-            action += 1
 
 
 def exact_tables(designs: list[CompiledWorld], lanes: int) -> dict[str, np.ndarray]:
@@ -325,7 +320,21 @@ def join(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
 def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
     """Arrays of one compiled world, named as in :data:`warpvox.kernels.state.MODEL` where they mean the same."""
     # Tables of the objects, one behind the other. Numbers of points, springs and actions count on.
-    parts = {name: [values] for name, values in NO_OBJECT.items()}
+    no_object = {
+        "fixed": np.zeros(0, np.int32),
+        "rest_pos": np.zeros(0),
+        "spring_ends": np.zeros((0, 2), np.int32),
+        "spring_rest": np.zeros(0),
+        "spring_k": np.zeros(0),
+        "spring_drive": np.zeros((0, 2), np.int32),
+        "rigid_spring": np.zeros(0, np.int32),
+        "corner": np.zeros((0, 4), np.int32),
+        "side": np.zeros(0, np.int32),
+        "body": np.zeros(0, np.int32),
+        "robot": np.zeros(0, np.int32),
+        "grid": np.zeros((0, 2), np.int32),
+    }
+    parts = {name: [values] for name, values in no_object.items()}
     springs = 0
     for number, body in enumerate(design.bodies):
         own = body.table(_body_arrays)
@@ -350,15 +359,26 @@ def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
     active[ends] = True
     points = np.flatnonzero(active)
     out["active"] = np.stack([2 * points, 2 * points + 1], axis=1).ravel()
-    out["link"] = _links_of_points(ends)
+
+    # Springs point by point: s at the first end of spring s, then -1 - s at the second, each in ascending order
+    entry = np.arange(len(ends))
+    order = np.lexsort((entry, entry % 2, ends))
+    out["link"] = np.where(order % 2 == 0, order // 2, -1 - order // 2)
     out["link_start"] = np.concatenate([[0], np.cumsum(np.bincount(ends, minlength=len(active)))])
 
     # Surface voxels
     out["pushed"] = np.where(active[out["corner"]], out["corner"], -1)
     out["fixed_voxel"] = out["pushed"].max(axis=1) < 0
-    out["fixed_at"] = _fixed_voxels(design, out["fixed_voxel"], out["body"], out["grid"])
     movable = np.ones(len(out["side"]), bool)
-    movable[out["fixed_at"][out["fixed_at"] >= 0]] = False
+
+    # For every cell of the terrain the surface voxel that always stays there, or -1
+    fixed_at = np.full(design.width * design.height, -1)
+    for number, body in enumerate(design.bodies):
+        if not body.loose:
+            voxels = np.flatnonzero(out["fixed_voxel"] & (out["body"] == number))
+            fixed_at[_lattice_cells(design, body.source, out["grid"][voxels])] = voxels
+    movable[fixed_at[fixed_at >= 0]] = False
+    out["fixed_at"] = fixed_at
     out["movable"] = np.flatnonzero(movable)
     out["fold_limit"] = [len(body.surface) for body in design.robots]
 
@@ -372,27 +392,21 @@ def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
     out["robots"] = len(design.robots)
     out["actions"] = sum(body.source.num_actuators for body in design.bodies)
 
+    # Surface bits and bounds of the static cells, on the world's grid with row 0 at the bottom
+    terrain_side = np.zeros(design.width * design.height, np.int32)
+    terrain_box = np.zeros((design.width * design.height, 4))
+    for body in design.statics:
+        cells, bits, bounds = body.table(_static_cells)
+        at = _lattice_cells(design, body.source, cells)
+        terrain_side[at] = bits
+        terrain_box[at] = bounds
     out["terrain"] = [design.width, design.height]
-    out["terrain_side"], terrain_box = _lattice(design)
+    out["terrain_side"] = terrain_side
+
+    # All are integers but these.
     reals = {name: out.pop(name) for name in ("rest_pos", "spring_rest", "spring_k")}
-    return {name: np.asarray(values, np.int32) for name, values in out.items()} | reals | {"terrain_box": terrain_box}
-
-
-NO_OBJECT = {
-    "fixed": np.zeros(0, np.int32),
-    "rest_pos": np.zeros(0),
-    "spring_ends": np.zeros((0, 2), np.int32),
-    "spring_rest": np.zeros(0),
-    "spring_k": np.zeros(0),
-    "spring_drive": np.zeros((0, 2), np.int32),
-    "rigid_spring": np.zeros(0, np.int32),
-    "corner": np.zeros((0, 4), np.int32),
-    "side": np.zeros(0, np.int32),
-    "body": np.zeros(0, np.int32),
-    "robot": np.zeros(0, np.int32),
-    "grid": np.zeros((0, 2), np.int32),
-}
-"""Tables of a world without objects that move."""
+    reals["terrain_box"] = terrain_box
+    return {name: np.asarray(values, np.int32) for name, values in out.items()} | reals
 
 
 def _body_arrays(body: Body) -> dict[str, np.ndarray]:
@@ -429,35 +443,6 @@ def _body_arrays(body: Body) -> dict[str, np.ndarray]:
         "side": np.array(list(body.surface.values()), np.int32),
         "grid": np.array(list(body.surface), np.int32).reshape(-1, 2)[:, ::-1],  # column and row
     }
-
-
-def _links_of_points(ends: np.ndarray) -> np.ndarray:
-    """Springs point by point: s at the first end of spring s, then -1 - s at the second, each in ascending order."""
-    entry = np.arange(len(ends))
-    order = np.lexsort((entry, entry % 2, ends))
-    return np.where(order % 2 == 0, order // 2, -1 - order // 2)
-
-
-def _fixed_voxels(design: CompiledWorld, fixed: np.ndarray, owner: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """For every cell of the terrain lattice the surface voxel that always stays there, or -1."""
-    at = np.full(design.width * design.height, -1)
-    for number, body in enumerate(design.bodies):
-        if not body.loose:
-            voxels = np.flatnonzero(fixed & (owner == number))
-            at[_lattice_cells(design, body.source, grid[voxels])] = voxels
-    return at
-
-
-def _lattice(design: CompiledWorld) -> tuple[np.ndarray, np.ndarray]:
-    """Surface bits and bounds of the static cells, on the world's grid with row 0 at the bottom."""
-    bits = np.zeros(design.width * design.height, np.int32)
-    bounds = np.zeros((design.width * design.height, 4))
-    for body in design.statics:
-        cells, body_bits, body_bounds = body.table(_static_cells)
-        at = _lattice_cells(design, body.source, cells)
-        bits[at] = body_bits
-        bounds[at] = body_bounds
-    return bits, bounds
 
 
 def _static_cells(body: Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -24,7 +24,7 @@ MOST_OBJECTS = 1024  # whose pairs fit into the 20 bits above the path
 # Bucket counts of the library's hash tables, each the first of its prime list that at least doubles the last: enough
 # for the cells of the largest world.
 BUCKETS = (1, 13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753, 42043, 85229, 172933, 351061, 712697, 1447153)
-SIDE = {(-1, 0): 1, (0, 1): 2, (1, 0): 4, (0, -1): 8}
+_SIDE = {(-1, 0): 1, (0, 1): 2, (1, 0): 4, (0, -1): 8}
 """The bit of ``Body.linked`` for a neighbour in this direction."""
 
 
@@ -74,7 +74,7 @@ class HashSet:
 
 
 @dataclass
-class Tree:
+class _Tree:
     """Nodes of a binary tree, children before their parents, the root last.
 
     ``cells``: (row, column) of a leaf, None for others; ``children``: the two of an inner node, None for a leaf;
@@ -114,14 +114,14 @@ class Tree:
         return max(level, default=0)
 
 
-def tree_of(body) -> Tree:
+def tree_of(body) -> _Tree:
     """The tree of a mesh (:class:`warpvox.compile.Body`)."""
     number = {cell: n for n, cell in enumerate(body.corners)}
     surface = HashSet()
     for cell in body.surface:
         surface.add(number[cell])
     cells = list(body.corners)
-    tree = Tree()
+    tree = _Tree()
     node_of = {}
     for n in surface:
         points = [body.points[p] for p in body.corners[cells[n]]]
@@ -150,14 +150,14 @@ def _connected(body, cell, dy: int, dx: int) -> bool:
     """Whether a neighbour is linked to the cell, a diagonal one over a cell beside both."""
     bits = body.linked
     if dy == 0 or dx == 0:
-        return bool(bits[cell] & SIDE[dy, dx])
+        return bool(bits[cell] & _SIDE[dy, dx])
     row, column = cell
-    over_row = bits[cell] & SIDE[dy, 0] and bits[row + dy, column] & SIDE[0, dx]
-    over_column = bits[cell] & SIDE[0, dx] and bits[row, column + dx] & SIDE[dy, 0]
+    over_row = bits[cell] & _SIDE[dy, 0] and bits[row + dy, column] & _SIDE[0, dx]
+    over_column = bits[cell] & _SIDE[0, dx] and bits[row, column + dx] & _SIDE[dy, 0]
     return bool(over_row or over_column)
 
 
-def _merge(tree: Tree, near: list[HashSet]) -> None:
+def _merge(tree: _Tree, near: list[HashSet]) -> None:
     """Join the two nodes of the smallest common box, neighbours if there are any, until one is left.
 
     Of equals the first node is joined, with the first of its neighbours. A diagonal neighbour need not know of it, so
@@ -202,7 +202,8 @@ def _merge(tree: Tree, near: list[HashSet]) -> None:
             queue.clear()
             enqueue(open_nodes)
             continue
-        first, second = boxes[a], boxes[b]
+        first = boxes[a]
+        second = boxes[b]
         low = min(first[0], second[0]), min(first[1], second[1])
         high = max(first[2], second[2]), max(first[3], second[3])
         merged = tree.add(None, (a, b), low + high)
@@ -267,7 +268,7 @@ def order_arrays(design) -> dict[str, np.ndarray]:
     )
 
 
-class TreeTable(NamedTuple):
+class _TreeTable(NamedTuple):
     """The tree of an object as arrays, whose numbers begin at 0.
 
     Attributes:
@@ -287,7 +288,7 @@ class TreeTable(NamedTuple):
     depth: int
 
 
-def _tree_table(body) -> TreeTable:
+def _tree_table(body) -> _TreeTable:
     tree = tree_of(body)
     rank, middle = tree.ranks()
     root = len(tree.cells) - 1
@@ -299,7 +300,7 @@ def _tree_table(body) -> TreeTable:
         else:
             rows.append((-1, rank[n], 0, root))
             leaf_of[tree.cells[n]] = n
-    return TreeTable(
+    return _TreeTable(
         node=np.array(rows, np.int32),
         inner=np.array([pair is not None for pair in tree.children]),
         area=np.array([(right - left) * (top - bottom) for left, bottom, right, top in tree.boxes]),

@@ -39,12 +39,12 @@ Design: TypeAlias = np.ndarray
 SAMPLING_WEIGHTS = (0.6, 0.2, 0.2, 0.2, 0.2)
 """EvoGym's relative weights of empty, rigid, soft, horizontal and vertical actuator cells (sum 1.4)."""
 
-LARGEST_BODY = 1 << 16
+_LARGEST_BODY = 1 << 16
 """Cells that a body may have, empty ones included (256 x 256)."""
-LARGEST_FILE = 4_000_000
+_LARGEST_FILE = 4_000_000
 """Bytes that a file of a design, its arrays together, or the text of one may have."""
 
-ZOO_FOLDER = Path(__file__).parent / "robots" / "data"
+ZOO_FOLDER = Path(__file__).parent / "data"
 """The zoo: a stored robot for every task, ``TASK.npz``."""
 
 DESIGN_SUFFIXES = (".json", ".npz", ".npy")
@@ -62,10 +62,10 @@ def check_design(body: object) -> Design:
     Accepts an array or nested lists; floating-point entries are fine as long as they are integers.
 
     Raises:
-        DesignError: not two-dimensional, empty, too large (:data:`LARGEST_BODY`), an unknown cell type (with its
+        DesignError: not two-dimensional, empty, too large (:data:`_LARGEST_BODY`), an unknown cell type (with its
             place), a fixed cell, more than one piece, or no actuator.
     """
-    grid = as_grid(body, limit=LARGEST_BODY)
+    grid = as_grid(body, limit=_LARGEST_BODY)
     if not grid.any():
         raise DesignError(f"The body ({_size(grid)}) is empty: it needs at least one cell that is not 0.")
     fixed = np.argwhere(grid == Cell.FIXED)
@@ -100,8 +100,16 @@ def as_grid(
         limit: cells at most.
     """
     cells = design_of(cells)
+
+    # Texts and further lists are refused before numpy makes an array of the rows: beside one long text it would take as
+    # much memory for every number.
     if isinstance(cells, list | tuple):
-        _check_rows(cells, what, error)
+        for row in cells:
+            for cell in row if isinstance(row, list | tuple) else [row]:
+                if isinstance(cell, str | bytes):
+                    raise error(f"The {what} must hold numbers (cell types 0 to {int(max(Cell))}), got {cell!r:.60}.")
+                if isinstance(cell, list | tuple):
+                    raise error(f"The {what} must have two dimensions [rows, columns], got lists inside of its rows.")
     try:
         raw = np.asarray(cells)
     except ValueError:  # numpy's word for nested lists of unequal length
@@ -127,19 +135,6 @@ def as_grid(
     return raw.astype(np.int8)
 
 
-def _check_rows(rows: Sequence[object], what: str, error: type[Exception]) -> None:
-    """Raise ``error`` for rows with texts or further lists.
-
-    Before numpy makes an array of them: beside one long text it would take as much memory for every number.
-    """
-    for row in rows:
-        for cell in row if isinstance(row, list | tuple) else [row]:
-            if isinstance(cell, str | bytes):
-                raise error(f"The {what} must hold numbers (cell types 0 to {int(max(Cell))}), got {cell!r:.60}.")
-            if isinstance(cell, list | tuple):
-                raise error(f"The {what} must have two dimensions [rows, columns], got lists inside of its rows.")
-
-
 def has_actuator(body: object) -> bool:
     """Whether any cell is a horizontal or vertical actuator."""
     cells = as_grid(body)
@@ -161,7 +156,8 @@ def _pieces(grid: np.ndarray) -> np.ndarray:
     first, second = full_connections(grid).T
     root = np.arange(grid.size)
     while True:  # cells point to a cell of their piece with a smaller index: join ends of connections, then shorten
-        a, b = root[first], root[second]
+        a = root[first]
+        b = root[second]
         if np.array_equal(a, b):
             return root
         np.minimum.at(root, np.maximum(a, b), np.minimum(a, b))
@@ -179,10 +175,11 @@ def repair_design(body: object) -> Design:
     Raises:
         DesignError: not a grid of the cells that robots are made of.
     """
-    grid = np.ascontiguousarray(as_grid(body, limit=LARGEST_BODY))
+    grid = np.ascontiguousarray(as_grid(body, limit=_LARGEST_BODY))
     if not grid.any():
         grid[grid.shape[0] // 2, grid.shape[1] // 2] = Cell.H_ACT
-    cells, piece = grid.reshape(-1), _pieces(grid)
+    cells = grid.reshape(-1)
+    piece = _pieces(grid)
     sizes = np.bincount(piece[cells != Cell.EMPTY], minlength=cells.size)
     driven = np.zeros_like(sizes)
     driven[piece[np.isin(cells, ACTUATORS)]] = 1
@@ -211,7 +208,8 @@ def full_connections(grid: np.ndarray) -> np.ndarray:
     number = np.arange(solid.size, dtype=np.int32).reshape(solid.shape)
     right = number[:, :-1][solid[:, :-1] & solid[:, 1:]]
     below = number[:-1][solid[:-1] & solid[1:]]
-    first, second = np.concatenate([right, below]), np.concatenate([right + 1, below + solid.shape[1]])
+    first = np.concatenate([right, below])
+    second = np.concatenate([right + 1, below + solid.shape[1]])
     order = np.argsort(first, kind="stable")  # stable: keeps "right before below" for pairs of one cell
     return np.stack([first[order], second[order]], axis=1)
 
@@ -234,8 +232,8 @@ def sample_design(
         DesignError: a bad shape, seed or weights, or weights under which no valid body turns up.
     """
     rows, columns = check_shape("shape", shape, DesignError)
-    if rows * columns > LARGEST_BODY:
-        raise DesignError(f"The shape {rows}x{columns} is too large: a body has at most {LARGEST_BODY:,} cells.")
+    if rows * columns > _LARGEST_BODY:
+        raise DesignError(f"The shape {rows}x{columns} is too large: a body has at most {_LARGEST_BODY:,} cells.")
     weights = _check_weights(SAMPLING_WEIGHTS if probabilities is None else probabilities)
     try:
         rng = np.random.default_rng(seed)
@@ -308,7 +306,12 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
     if text.startswith("zoo:"):
         return _read_path(zoo_file(text.removeprefix("zoo:"), DesignError))
     if text == "random" or text.startswith("random:"):
-        return sample_design(_parse_size(text), seed)
+        size = re.fullmatch(r"random(:(\d{1,9})[xX](\d{1,9}))?", text)
+        if size is None:
+            raise DesignError(
+                f"Cannot read the size in '{_shorten(text)}': expected random:ROWSxCOLUMNS, e.g. random:5x7."
+            )
+        return sample_design((int(size[2] or 5), int(size[3] or 5)), seed)
     if text in EXAMPLES:
         return example_design(text)
     path = os.path.expanduser(text)
@@ -387,28 +390,26 @@ def _run_folder(path: Path) -> Path:
     return path.parent if path.suffix == ".pt" else path
 
 
-def _read_run(path: Path) -> Design:
-    """The body of a training, or the best one of a design search."""
-    folder = _run_folder(path)
-    try:
-        config = read_config(folder)
-    except RunError as error:
-        raise DesignError(str(error)) from None
-    of_search = "search" in config
-    body = (read_facts(folder / SUMMARY) if of_search else config).get("design")
-    many = config.get("designs")
-    if isinstance(many, dict) and many.get("bodies") is not None:
-        raise DesignError(f"The run {path} has many bodies: give one of them.")
-    if not isinstance(body, list):
-        what = "has evaluated no design yet" if of_search else "says no single body"
-        raise DesignError(f"The run {path} {what}.")
-    return check_design(body)
-
-
 def _read_path(path: Path) -> Design:
     """Read the design of a file, a folder or a run."""
-    if os.path.isfile(_run_folder(path) / CONFIG):  # False of any path, however long
-        return _read_run(path)
+    # The body of a training, or the best one of a design search
+    folder = _run_folder(path)
+    if os.path.isfile(folder / CONFIG):  # False of any path, however long
+        try:
+            config = read_config(folder)
+        except RunError as error:
+            raise DesignError(str(error)) from None
+        of_search = "search" in config
+        body = (read_facts(folder / SUMMARY) if of_search else config).get("design")
+        many = config.get("designs")
+        if isinstance(many, dict) and many.get("bodies") is not None:
+            raise DesignError(f"The run {path} has many bodies: give one of them.")
+        if not isinstance(body, list):
+            what = "has evaluated no design yet" if of_search else "says no single body"
+            raise DesignError(f"The run {path} {what}.")
+        return check_design(body)
+
+    # The design of a file or a folder
     try:
         body, connections = _read_folder(path) if os.path.isdir(path) else _read_file(path)
     except Missing:
@@ -419,9 +420,16 @@ def _read_path(path: Path) -> Design:
         raise DesignError(f"The design file '{path}' cannot be read: {error}.") from None
     except OSError as error:
         raise DesignError(f"The folder '{path}' cannot be read: {error.strerror or error}.") from None
+
+    # A body alone means "all neighbours are connected"; dropping cuts silently would be another robot.
     if connections is not None and isinstance(body, np.ndarray) and body.ndim == 2:
-        # A body alone means "all neighbours are connected"; dropping cuts silently would be another robot.
-        cuts = {tuple(pair) for pair in full_connections(body).tolist()} - _pairs(path, connections)
+        if connections.size and (connections.shape[:-1] != (2,) or not np.isfinite(connections).all()):
+            raise DesignError(
+                f"The design file '{path}' has connections that are not pairs of cells [2, k]: got shape"
+                f" {connections.shape} of {connections.dtype}."
+            )
+        connected = {tuple(sorted(pair)) for pair in connections.T.tolist()}
+        cuts = {tuple(pair) for pair in full_connections(body).tolist()} - connected
         if cuts:
             raise DesignError(
                 f"The design file '{path}' leaves {len(cuts)} pair(s) of neighbouring cells unconnected,"
@@ -437,8 +445,8 @@ def _read_folder(folder: Path) -> tuple[object, np.ndarray | None]:
     """Read the cells, and their connections if there are any, of a folder with one design."""
     if (folder / "body.npy").is_file():
         pairs = folder / "connections.npy"
-        connections = read_npy(pairs, LARGEST_FILE) if pairs.is_file() else None
-        return read_npy(folder / "body.npy", LARGEST_FILE), connections
+        connections = read_npy(pairs, _LARGEST_FILE) if pairs.is_file() else None
+        return read_npy(folder / "body.npy", _LARGEST_FILE), connections
     found = design_paths(folder)
     if not found:
         entries = sorted(entry.name for entry in folder.iterdir())
@@ -454,7 +462,7 @@ def _read_file(path: Path) -> tuple[object, np.ndarray | None]:
     suffix = path.suffix.lower()
     if suffix not in DESIGN_SUFFIXES:
         # How the file begins says what it is.
-        data = read_bytes(path, LARGEST_FILE)
+        data = read_bytes(path, _LARGEST_FILE)
         signatures = {b"{": ".json", b"[": ".json", b"PK\x03\x04": ".npz", b"\x93NUMPY": ".npy"}
         for start, kind in signatures.items():
             if data.lstrip().startswith(start):
@@ -463,10 +471,10 @@ def _read_file(path: Path) -> tuple[object, np.ndarray | None]:
         else:
             return _parse_grid(data), None
     if suffix == ".json":
-        return _parse_list(read_text(path, LARGEST_FILE), source=f"The design file '{path}'"), None
+        return _parse_list(read_text(path, _LARGEST_FILE), source=f"The design file '{path}'"), None
     if suffix == ".npy":
-        return read_npy(path, LARGEST_FILE), None
-    with ArrayFile(path, LARGEST_FILE) as archive:
+        return read_npy(path, _LARGEST_FILE), None
+    with ArrayFile(path, _LARGEST_FILE) as archive:
         name = next((key for key in ("arr_0", "body", "structure") if key in archive.names), None)
         if name is None:
             raise DesignError(
@@ -498,20 +506,10 @@ def _parse_grid(data: bytes) -> list[list[float]]:
     return rows
 
 
-def _pairs(path: Path, connections: np.ndarray) -> set[tuple[int, ...]]:
-    """Connections ``[2, k]`` as a set of pairs a < b."""
-    if connections.size and (connections.shape[:-1] != (2,) or not np.isfinite(connections).all()):
-        raise DesignError(
-            f"The design file '{path}' has connections that are not pairs of cells [2, k]: got shape"
-            f" {connections.shape} of {connections.dtype}."
-        )
-    return {tuple(sorted(pair)) for pair in connections.T.tolist()}
-
-
 def _parse_list(text: str, source: str) -> object:
     try:
-        if len(text) > LARGEST_FILE:
-            raise Unreadable(f"it has {len(text):,} characters, and {LARGEST_FILE:,} are the limit")
+        if len(text) > _LARGEST_FILE:
+            raise Unreadable(f"it has {len(text):,} characters, and {_LARGEST_FILE:,} are the limit")
         value = parse_json(text, allow_nan=True)
     except Unreadable as error:
         raise DesignError(f"{source} is not a nested list of cell types such as [[3,3],[4,4]]: {error}.") from None
@@ -533,7 +531,8 @@ def _robot_of(world: dict, source: str) -> np.ndarray:
     robots = [one for one in objects if has_actuator(one.grid)]
     if len(robots) != 1:
         raise DesignError(f"{source} is a world with {len(robots)} robots; a design is a world with one.")
-    grid, connections = robots[0].grid, robots[0].connections
+    grid = robots[0].grid
+    connections = robots[0].connections
     cuts = len(full_connections(grid)) - len(np.unique(np.sort(connections, axis=0), axis=1).T)
     if cuts:
         raise DesignError(
@@ -545,15 +544,6 @@ def _robot_of(world: dict, source: str) -> np.ndarray:
     rows = np.flatnonzero(filled.any(1))
     columns = np.flatnonzero(filled.any(0))
     return grid[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-
-
-def _parse_size(text: str) -> tuple[int, int]:
-    if text == "random":
-        return (5, 5)
-    match = re.fullmatch(r"random:(\d{1,9})[xX](\d{1,9})", text)
-    if match is None:
-        raise DesignError(f"Cannot read the size in '{_shorten(text)}': expected random:ROWSxCOLUMNS, e.g. random:5x7.")
-    return int(match[1]), int(match[2])
 
 
 def _check_weights(weights: Sequence[float]) -> np.ndarray:

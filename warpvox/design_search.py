@@ -4,17 +4,17 @@ import dataclasses
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from rich.console import Console
 
 from warpvox.algos.candidate import DesignEvaluator, Search
 from warpvox.algos.codesign.evaluations import Custom
-from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.loop import Executor
 from warpvox.algos.codesign.results import Found
-from warpvox.algos.codesign.run import run_codesign
+from warpvox.algos.codesign.run import plan_codesign, run_codesign
 from warpvox.algos.codesign.settings import EVALUATIONS, Codesign, Evaluation
+from warpvox.algos.listener import Listener
 from warpvox.algos.search.base import BaseSearch
 from warpvox.algos.search.settings import ALGORITHMS, CustomSearch, SearchSettings
 from warpvox.checks import check_flag, check_known, check_path, is_integer, is_list
@@ -52,7 +52,7 @@ def codesign(
         folder: a search that is there is gone on with; ``auto``: a new one in ``outputs/codesign``, ``None``: a
             temporary one, which goes with the process.
         progress: show how the search goes.
-        listeners: objects with the callbacks of :class:`warpvox.algos.codesign.listener.Listener`.
+        listeners: objects with the callbacks of :class:`warpvox.algos.listener.Listener`.
         settings: the others of :class:`Codesign`: ``training``, ``seed``, ``device``, ``start``, ...
 
     Raises:
@@ -67,8 +67,15 @@ def codesign(
         names = "population", "max_evaluations"
         sizes: dict[str, Any] = {name: getattr(has, name) for name in names if is_integer(getattr(has, name, None))}
         search = CustomSearch(make=_name(own), **sizes)
+    evaluator = None
     if not isinstance(evaluation, str | Mapping | Evaluation | None):
-        evaluation = type("_Given", (_Given,), {"evaluator": evaluation})(make=_name(evaluation))
+        evaluator = evaluation
+        if not callable(getattr(evaluator, "evaluate", None)):
+            raise ConfigError(
+                f"evaluation must be Specialist(), Gaits(), ..., their name, or an object with a method evaluate; got"
+                f" {evaluator!r:.80}."
+            )
+        evaluation = Custom(make=_name(evaluator))
     check_flag("progress", progress)
     if not isinstance(executor, str) and not callable(getattr(executor, "run", None)):
         raise ConfigError(f"executor must be local, ray, or an object that runs batches; got {executor!r:.80}.")
@@ -92,7 +99,8 @@ def codesign(
     place = Path(kept.name) if kept else None if str(named) == "auto" else named
     watching = with_tracker(job, [*([SearchProgress(Console())] if progress else []), *listeners])
     made = None if isinstance(executor, str) else executor
-    found = run_codesign(job, place, watching, search=own, executor=made)
+    plan = plan_codesign(job, place, search=own, evaluator=evaluator)
+    found = run_codesign(plan, watching, made)
     return dataclasses.replace(found, kept=kept)
 
 
@@ -109,22 +117,6 @@ def _without_names(given: dict[str, Any]) -> dict[str, Any]:
         if key not in sets:
             named[key] = changed(named[key], value, key) if key in named and isinstance(value, Mapping) else value
     return named
-
-
-class _Given(Custom):
-    """An evaluator that was handed over as an object: an attribute of a class of its own, which is no setting."""
-
-    evaluator: ClassVar[DesignEvaluator]
-
-    def check(self, search: Codesign) -> None:
-        if not callable(getattr(self.evaluator, "evaluate", None)):
-            raise ConfigError(
-                f"evaluation must be Specialist(), Gaits(), ..., their name, or an object with a method evaluate; got"
-                f" {self.evaluator!r:.80}."
-            )
-
-    def build(self, search: Codesign, known: Any) -> DesignEvaluator:
-        return self.evaluator
 
 
 def _name(thing: object) -> Code:

@@ -107,7 +107,8 @@ class StorageError(WarpvoxError, OSError):
     def __init__(self, message: str, cause: OSError | None = None) -> None:
         super().__init__(message)
         if cause is not None:
-            self.errno, self.strerror = cause.errno, cause.strerror
+            self.errno = cause.errno
+            self.strerror = cause.strerror
 
     def __str__(self) -> str:
         return str(self.args[0])  # OSError's own form would hide the sentence behind a number

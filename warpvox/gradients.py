@@ -13,8 +13,6 @@ from warpvox.kernels.state import TAPE, allocate, structs
 from warpvox.simulation import Simulation
 from warpvox.types import AXES
 
-SMOOTHING = 8e-4
-"""Smoothing of contacts with terrain in simulator units, 0.8 % of a voxel; docs/gradients.md compares others."""
 PARTS = ("pos", "vel", "true_vel")
 """Fields that a control step changes, in the order of a state."""
 
@@ -32,7 +30,8 @@ class Gradients:
 
     Args:
         sim: in fast arithmetic, in the layout ``lanes``.
-        smoothing: of contacts with terrain, in simulator units.
+        smoothing: of contacts with terrain, in simulator units; by default 0.8 % of a voxel (docs/gradients.md compares
+            others).
 
     Attributes:
         tape: the arrays of :data:`warpvox.kernels.state.TAPE`, of the control step that was differentiated last.
@@ -41,11 +40,12 @@ class Gradients:
         SimulationError: another arithmetic or layout, or a smoothing that is no number from 1e-9 to 1e9.
     """
 
-    def __init__(self, sim: Simulation, smoothing: float = SMOOTHING) -> None:
+    def __init__(self, sim: Simulation, smoothing: float = 8e-4) -> None:
         self.check(sim)
         if not is_number(smoothing) or not 1e-9 <= smoothing <= 1e9:  # its cube must be a number, too
             raise SimulationError(f"smoothing must be from 1e-9 to 1e9 simulator units, got {smoothing!r:.80}.")
-        self.sim, self.smoothing = sim, float(smoothing)
+        self.sim = sim
+        self.smoothing = float(smoothing)
         buffers = sim.buffers
         sizes = buffers.sizes | {"trail": (sim.physics.substeps + 1) * buffers.sizes["point"]}
         precision = sim.options.dtype

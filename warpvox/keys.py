@@ -64,7 +64,8 @@ class Settings:
         ConfigError: an unknown argument, or a value of the wrong type or out of range.
     """
 
-    __signature__, prefix = _OfInit(), ""
+    __signature__ = _OfInit()
+    prefix = ""
 
     def __new__(cls, *_: Any, **given: Any) -> Self:
         check_known(given, cls.__init__)
@@ -91,10 +92,10 @@ class Settings:
 def check_values(config: Any, prefix: str = "") -> None:
     """Check choices and ranges of a dataclass, but for its parts. ConfigError: the first value that is not valid."""
     for item in dataclasses.fields(config):
-        check_value(prefix + item.name, getattr(config, item.name), item.metadata)
+        _check_value(prefix + item.name, getattr(config, item.name), item.metadata)
 
 
-def check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
+def _check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
     """Check choices and range of a value, and of all entries of a list; None is valid."""
     form = limits.get("form")
     if form and value is not None and len(value) != form.count(",") + 1:
@@ -117,10 +118,6 @@ def check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
                 raise ConfigError(f"{name} must be {words} {limits[bound]}, got {entry!r}.")
 
 
-KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "text", list: "a list"}
-ACCEPTED = {int: Integral, float: Real, bool: bool | np.bool_, str: str | os.PathLike, list: list | tuple | np.ndarray}
-
-
 def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> None:
     """Give the values of a dataclass the types of its fields, but for ``without``: numpy's numbers, tuples, mappings.
 
@@ -129,7 +126,8 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
     hints = _hints(type(config))
     for item in dataclasses.fields(config):
         if item.name not in without:
-            value, usual = getattr(config, item.name), item.default_factory
+            value = getattr(config, item.name)
+            usual = item.default_factory
             if isinstance(value, Mapping) and callable(usual) and dataclasses.is_dataclass(hints[item.name]):
                 value = changed(usual(), value, prefix + item.name)
             # also of a frozen dataclass
@@ -179,8 +177,16 @@ def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
             raise ConfigError(f"{name} must be {kind.__name__}(...) or values by name, got {value!r:.80}.")
         return value
     plain = get_origin(kind) or kind
-    if not isinstance(value, ACCEPTED[plain]) or (plain is not bool and isinstance(value, bool)):
-        raise ConfigError(f"{name} must be {KINDS[plain]}{f' or {none}' if optional else ''}, got {value!r:.80}.")
+    accepted = {
+        int: Integral,
+        float: Real,
+        bool: bool | np.bool_,
+        str: str | os.PathLike,
+        list: list | tuple | np.ndarray,
+    }
+    if not isinstance(value, accepted[plain]) or (plain is not bool and isinstance(value, bool)):
+        kinds = {int: "an integer", float: "a number", bool: "true or false", str: "text", list: "a list"}
+        raise ConfigError(f"{name} must be {kinds[plain]}{f' or {none}' if optional else ''}, got {value!r:.80}.")
     if plain is list:
         return [converted(entry, get_args(kind)[0], name) for entry in value]
     if plain is str:

@@ -32,10 +32,8 @@ from warpvox.io.writing import (
     write_bytes,
     write_text,
 )
-from warpvox.robots.entry import Robot
 from warpvox.system import is_device_name, processor_name
 
-NUMBERS = ("evaluations", "steps", "elapsed_seconds", "best_fitness")  # of a summary
 ZOO = "zoo:"
 """How the name of a stored robot begins where a run or a design is expected."""
 BEST = "model_best.pt"
@@ -46,11 +44,9 @@ CODESIGN = "codesign"
 label: ContextVar[str] = ContextVar("label", default="")
 """Label of a run of a sweep: the values that others have otherwise, for the name of its folder."""
 STAMP, STAMP_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
-NOT_IN_NAMES = re.compile(r"[^\w.+-]+")
-LONGEST_NAME, LONGEST_BYTES = 100, 150
+_NOT_IN_NAMES = re.compile(r"[^\w.+-]+")
+_LONGEST_NAME, LONGEST_BYTES = 100, 150
 """Limits of what a name adds to that of a folder: date and values of a sweep need room, and 255 bytes are the end."""
-PATIENCE = 20.0
-"""Seconds that git may take, on the disk of a network for instance."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +59,7 @@ class Run:
     folder: Path
     config: dict[str, Any]
     checkpoint: Path | None = None
-    robot: Robot | None = None
+    robot: Any = None
 
     @property
     def is_many(self) -> bool:
@@ -154,9 +150,9 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
             )
     parent = Path(output_dir) / command / task
     made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
-    folder = make_folder(parent, stamp, "".join(f"_{part}" for part in (name, label.get()) if part))
+    folder = _make_folder(parent, stamp, "".join(f"_{part}" for part in (name, label.get()) if part))
     try:
-        with going_on(folder, config):
+        with _going_on(folder, config):
             yield folder
     except BaseException:
         found = [file.name for file in folder.glob("*.*") if file.suffix in (".pt", ".npz", ".json", ".sqlite")]
@@ -180,19 +176,19 @@ def check_name(name: str | None) -> None:
     """Raise ConfigError unless ``name`` can end the name of a folder."""
     if name and (not name.strip(".") or is_device_name(name)):
         raise ConfigError(f"name cannot be '{name}', which stands for something else than a folder of its own.")
-    if name and NOT_IN_NAMES.search(name):
+    if name and _NOT_IN_NAMES.search(name):
         raise ConfigError(f"name may hold letters, digits and . _ + - only, got '{name:.200}'.")
-    if name and (len(name) > LONGEST_NAME or len(os.fsencode(name)) > LONGEST_BYTES):
-        raise ConfigError(f"name may have {LONGEST_NAME} characters ({LONGEST_BYTES} bytes) at most, got {len(name)}.")
+    if name and (len(name) > _LONGEST_NAME or len(os.fsencode(name)) > LONGEST_BYTES):
+        raise ConfigError(f"name may have {_LONGEST_NAME} characters ({LONGEST_BYTES} bytes) at most, got {len(name)}.")
 
 
 def as_name(text: str) -> str:
     """``text``, which may come from anywhere, as the name of a folder: letters, digits and . _ + - only."""
-    name = NOT_IN_NAMES.sub("_", text).encode(errors="replace")[:LONGEST_NAME].decode(errors="ignore")
+    name = _NOT_IN_NAMES.sub("_", text).encode(errors="replace")[:_LONGEST_NAME].decode(errors="ignore")
     return name.strip(".")
 
 
-def make_folder(parent: Path, stamp: str, ending: str = "") -> Path:
+def _make_folder(parent: Path, stamp: str, ending: str = "") -> Path:
     """A new folder; runs that start in the same second get a number."""
     check_encodable(parent)
     for number in range(1, 1000):
@@ -224,10 +220,10 @@ def run_folder(
     Args:
         place: of a new one; None: it lies in ``output_dir`` and is named by the time.
         known: files that may be there, of a run that was stopped when it began, besides what it left half written.
-        check: of a run that is resumed: see :func:`going_on`.
+        check: of a run that is resumed: see :func:`_going_on`.
     """
     if folder is not None:
-        return going_on(folder, text, check)
+        return _going_on(folder, text, check)
     if place is None:
         return new_folder(config.output_dir, command, config.task, config.name, text)
     if place.exists() and not (
@@ -236,11 +232,11 @@ def run_folder(
         raise RunError(f"{place} exists already: name another folder, or resume={place} to go on with a run.")
     check_encodable(place)
     place.mkdir(parents=True, exist_ok=True)
-    return going_on(place, text)
+    return _going_on(place, text)
 
 
 @contextmanager
-def going_on(folder: Path, config: str, check: Callable[[], object] = lambda: None) -> Iterator[Path]:
+def _going_on(folder: Path, config: str, check: Callable[[], object] = lambda: None) -> Iterator[Path]:
     """The folder of a run that is resumed: ours alone, rid of what a killed process has left half written.
 
     ``check``: called before anything is written; until then another process may have gone on with the run.
@@ -272,23 +268,22 @@ def read_summary(folder: Path) -> dict[str, Any]:
     known = read_facts(folder / SUMMARY)
     fresh = known.get("fresh_seeds")
     judged = isinstance(fresh, dict) and all(is_number(fresh.get(name)) for name in ("mean", "low", "high", "episodes"))
-    good = {name: is_number(known.get(name)) for name in NUMBERS} | {"fresh_seeds": judged}
+    numbers = ("evaluations", "steps", "elapsed_seconds", "best_fitness")
+    good = {name: is_number(known.get(name)) for name in numbers} | {"fresh_seeds": judged}
     return {name: value for name, value in known.items() if good.get(name, True)}
 
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
     """Write ``summary.json``: ``content``, and which version of the program has made it."""
-    made = {"version": __version__, "commit": _commit(), "processor": _processors()}
-    write_text(folder / SUMMARY, to_json(content | made) + "\n", make_folders=False)
-
-
-def _processors() -> str:
-    """The name of the processor, and of the GPU that this process has used."""
-    torch, names = sys.modules.get("torch"), [processor_name()]
+    # The processor, and the GPU that this process has used
+    processors = [processor_name()]
+    torch = sys.modules.get("torch")
     if torch is not None and torch.cuda.is_initialized():
         with suppress(RuntimeError):  # of a device that has failed, which is reported elsewhere
-            names.append(torch.cuda.get_device_name())
-    return ", ".join(names)
+            processors.append(torch.cuda.get_device_name())
+
+    made = {"version": __version__, "commit": _commit(), "processor": ", ".join(processors)}
+    write_text(folder / SUMMARY, to_json(content | made) + "\n", make_folders=False)
 
 
 @functools.cache
@@ -299,7 +294,8 @@ def _commit() -> str | None:
         return None
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, stdin=subprocess.DEVNULL)
+        # git may wait for the disk of a network.
+        done = subprocess.run(command, capture_output=True, text=True, timeout=20.0, stdin=subprocess.DEVNULL)
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout.strip() or None if done.returncode == 0 else None
@@ -318,7 +314,8 @@ def check_unchanged(before: Mapping[str, Any], config: Any, changeable: Sequence
 def _changes(before: Mapping[str, Any], config: Any, prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
     """Dotted keys that a configuration has another value of than a stored one, and both values."""
     for item in dataclasses.fields(config):
-        old, new = before.get(item.name), getattr(config, item.name)
+        old = before.get(item.name)
+        new = getattr(config, item.name)
         if dataclasses.is_dataclass(new) and isinstance(old, Mapping):
             yield from _changes(old, new, f"{prefix}{item.name}.")
         elif item.name in before and old != new and not same_code(old, new):

@@ -35,11 +35,14 @@ class Sensing:
     @contextmanager
     def sensing_anew(self) -> Iterator[dict[tuple[Any, ...], tuple[Recorded, list[torch.Tensor]]]]:
         """Within, what is sensed has launches and buffers of its own; gives them: launch and buffers, by what it is."""
-        kept, self._sensors, self._centres_are_new = self._sensors, {}, False
+        kept = self._sensors
+        self._sensors = {}
+        self._centres_are_new = False
         try:
             yield self._sensors
         finally:
-            self._sensors, self._centres_are_new = kept, False
+            self._sensors = kept
+            self._centres_are_new = False
 
     @property
     def sensing_buffers(self) -> list[torch.Tensor]:

@@ -30,8 +30,8 @@ from warpvox.world import World
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-NUMBERS = {torch.int64, torch.int32, torch.int16, torch.int8}
-NUMBERS |= {torch.float32, torch.float64, torch.float16, torch.bfloat16}
+_NUMBERS = {torch.int64, torch.int32, torch.int16, torch.int8}
+_NUMBERS |= {torch.float32, torch.float64, torch.float16, torch.bfloat16}
 """Types that actions may have."""
 
 _living: weakref.WeakSet[Simulation] = weakref.WeakSet()
@@ -80,7 +80,13 @@ class Simulation(Sensing):
         self.options = SimOptions.of(sim, options, Simulation.__init__).resolved(len(worlds))
         if not isinstance(loose, Sequence) or isinstance(loose, str) or not all(isinstance(one, str) for one in loose):
             raise SimulationError(f"loose must be a list of names of objects, got {loose!r:.80}.")
-        low, high = _check_range(action_range)
+        try:
+            low, high = (float(bound) for bound in action_range)
+        except (TypeError, ValueError, OverflowError):
+            low = 1.0
+            high = 0.0
+        if not low <= high:  # NaN, too
+            raise SimulationError(f"action_range must be two numbers low <= high, got {action_range!r:.80}.")
         self.device = self.options.device
         self.physics = self.options.physics
         self.grid = self.options.grid
@@ -426,11 +432,13 @@ class Simulation(Sensing):
     def _write(self, state: dict[str, torch.Tensor], envs: torch.Tensor) -> None:
         """Put a state with a row for each of some environments into them; their other points stay as they are."""
         pack, lane = (index[envs] for index in self._env)
-        rows, real = self._rows[envs], self._has_row[envs]
+        rows = self._rows[envs]
+        real = self._has_row[envs]
         env, column = real.nonzero(as_tuple=True)
         place = pack[env], rows[env, column], lane[env]
         for name in STATE_FIELDS:
-            view, values = self._views[name], state[name]
+            view = self._views[name]
+            values = state[name]
             if view.ndim == 2:
                 view[pack, lane] = values
             else:
@@ -514,7 +522,7 @@ def checked_actions(
     if tuple(actions.shape) != shape:
         got = list(actions.shape)
         raise ActionError(f"Actions must have the shape {list(shape)} [num_envs, num_actions], got {got}.")
-    if actions.dtype not in NUMBERS or actions.layout is not torch.strided or actions.device.type == "meta":
+    if actions.dtype not in _NUMBERS or actions.layout is not torch.strided or actions.device.type == "meta":
         got = f"{actions.dtype}, {actions.layout} on {actions.device.type}"
         raise ActionError(f"Actions must be plain numbers, got {got}.")
     if actions.device.type == "cpu":
@@ -523,13 +531,3 @@ def checked_actions(
             bad = int((~fine).nonzero()[0, 0])
             raise ActionError(f"Actions must be finite numbers; environment {bad} has NaN or infinity.")
     return actions
-
-
-def _check_range(action_range: tuple[float, float]) -> tuple[float, float]:
-    try:
-        low, high = (float(bound) for bound in action_range)
-    except (TypeError, ValueError, OverflowError):
-        low, high = 1.0, 0.0
-    if not low <= high:  # NaN, too
-        raise SimulationError(f"action_range must be two numbers low <= high, got {action_range!r:.80}.")
-    return low, high

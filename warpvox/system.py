@@ -28,13 +28,9 @@ GONE = {errno.EPIPE, errno.ECONNRESET, errno.ESHUTDOWN, *([errno.EINVAL] if WIND
 
 SAFE_PATH = "PYTHONSAFEPATH"
 """Variable of the environment by which interpreters from Python 3.11 on leave the current folder out of their path."""
-SAFE_FOLDER = os.path.dirname(os.__file__)
-"""The folder of the standard library: what is imported from there would be imported anyway."""
 _starting = threading.RLock()
 """Held while the current folder and the environment are those for a start."""
 
-DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(10))}
-"""Names that Windows keeps."""
 
 HANGUP: int | None = getattr(signal, "SIGHUP", None)
 """Sent when the terminal's window or connection is closed; None on Windows, which has no such signal."""
@@ -57,20 +53,22 @@ def safe_start(move: bool = True) -> Iterator[None]:
 
     ``python -c`` and ``python -m``, by which libraries start theirs, look into the current folder first, and Ray has
     its workers do so. Python 3.11 and later can be told not to by :data:`SAFE_PATH`. For Python 3.10 and for Ray the
-    block runs in :data:`SAFE_FOLDER`; a child whose place matters changes to the right folder itself.
+    block runs in the folder of the standard library; a child whose place matters changes to the right folder itself.
 
     Args:
         move: False: the block stays in the current folder. Nothing then protects children of Python 3.10.
     """
     with _starting:
-        here, before = os.getcwd(), os.environ.get(SAFE_PATH)
+        here = os.getcwd()
+        before = os.environ.get(SAFE_PATH)
         if any(os.path.realpath(entry) == os.path.realpath(here) for entry in sys.path):
             yield
             return
         os.environ[SAFE_PATH] = "1"
         try:
             if move:
-                os.chdir(SAFE_FOLDER)
+                # The folder of the standard library: what is imported from there would be imported anyway.
+                os.chdir(os.path.dirname(os.__file__))
             yield
         finally:
             if move:
@@ -141,7 +139,9 @@ def _quotas(root: Path = Path("/")) -> Iterator[int]:
 
 def is_device_name(name: str) -> bool:
     """Return whether Windows takes a file's name for a device, whatever its suffix: files are to open there, too."""
-    return name.partition(".")[0].rstrip(" ").upper() in DEVICES
+    # Names that Windows keeps
+    kept = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(10))}
+    return name.partition(".")[0].rstrip(" ").upper() in kept
 
 
 def processor_name() -> str:
@@ -195,9 +195,11 @@ def _control_groups(root: Path, controller: str, new: list[str], old: list[str])
     for line in lines:
         _, controllers, path = line.split(":", 2)
         if controllers == "":
-            names, top = new, root / "sys/fs/cgroup"
+            names = new
+            top = root / "sys/fs/cgroup"
         elif controller in controllers.split(","):
-            names, top = old, root / "sys/fs/cgroup" / controller
+            names = old
+            top = root / "sys/fs/cgroup" / controller
         else:
             continue
         # inside a container the path is that of the host, and the group itself is mounted at the top
@@ -208,7 +210,8 @@ def _control_groups(root: Path, controller: str, new: list[str], old: list[str])
 
 def _left_of_group(folder: Path, limit: str, used: str, cache: str) -> list[int]:
     try:
-        most, now = ((folder / name).read_text().strip() for name in (limit, used))
+        most = (folder / limit).read_text().strip()
+        now = (folder / used).read_text().strip()
         if not most.isdigit() or int(most) >= 1 << 60:  # "max", or version 1's way to say so
             return []
         statistics = (folder / "memory.stat").read_text()

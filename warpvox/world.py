@@ -185,14 +185,16 @@ class World:
         """
         data, origin = _load_json(source)
         trial = self.copy()
-        right, top = 0, 0
+        right = 0
+        top = 0
         try:
             for name, cells in read_objects(data).items():
                 obj = WorldObject.from_array(name, cells.grid, cells.x, cells.y, cells.connections)
                 trial.add_object(obj)
                 right = max(right, obj.x + obj.width)
                 top = max(top, obj.y + obj.height)
-            width, height = data["grid_width"], data.get("grid_height", 0)
+            width = data["grid_width"]
+            height = data.get("grid_height", 0)
             if not is_integer(height):
                 raise WorldError(f"grid_height must be an integer, got {height!r:.80}.")
             if right <= width and top <= height and width * height <= LARGEST_GRID:
@@ -200,7 +202,9 @@ class World:
                 check_size(trial.width, trial.height)
         except WorldError as error:
             raise WorldError(f"{origin}: {error}") from None
-        self.objects, self.width, self.height = trial.objects, trial.width, trial.height
+        self.objects = trial.objects
+        self.width = trial.width
+        self.height = trial.height
 
     @classmethod
     def from_json(cls, source: str | os.PathLike[str] | Mapping[str, object]) -> World:
@@ -293,20 +297,24 @@ class World:
         return self.objects[name]
 
     def _put(self, obj: WorldObject) -> WorldObject:
-        width, height = max(self.width, obj.x + obj.width), max(self.height, obj.y + obj.height)
+        width = max(self.width, obj.x + obj.width)
+        height = max(self.height, obj.y + obj.height)
         check_size(width, height, f" with '{obj.name}'")
         self._check_free(obj)
         self.objects.pop(obj.name, None)  # it comes last: read in this order, no box covers what lies there already
         self.objects[obj.name] = obj
-        self.width, self.height = width, height
+        self.width = width
+        self.height = height
         return obj
 
     def _check_free(self, obj: WorldObject) -> None:
         for other in self.objects.values():
             if other.name == obj.name:
                 continue
-            left, right = max(obj.x, other.x), min(obj.x + obj.width, other.x + other.width)
-            low, high = max(obj.y, other.y), min(obj.y + obj.height, other.y + other.height)
+            left = max(obj.x, other.x)
+            right = min(obj.x + obj.width, other.x + other.width)
+            low = max(obj.y, other.y)
+            high = min(obj.y + obj.height, other.y + other.height)
             if left >= right or low >= high:
                 continue
             top = other.y + other.height
@@ -369,7 +377,8 @@ def _load_json(source: object) -> tuple[Mapping[str, Any], str]:
     if isinstance(source, Mapping):
         return source, "The world"
     if isinstance(source, str) and source.lstrip().startswith("{"):
-        origin, text = "The world text", source
+        origin = "The world text"
+        text = source
     elif isinstance(source, (str, os.PathLike)):
         origin = f"The world file '{source}'"
         try:

@@ -1,9 +1,11 @@
 """Policies as files for other programs: ONNX and TorchScript, each compared with the policy before it is kept.
 
-Both also contain :func:`warpvox.algos.checkpoints.policy.policy_text`, from which :func:`read_exported` rebuilds the
+Both also contain :func:`warpvox.algos.checkpoints.policy.policy_bytes`, from which :func:`read_exported` rebuilds the
 policy: reading such a file never runs the program in it.
 """
 
+import base64
+import binascii
 import contextlib
 import copy
 import io
@@ -12,7 +14,7 @@ import os
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -20,13 +22,18 @@ from typing import Any
 import numpy as np
 import torch
 
-from warpvox.algos.checkpoints.policy import LARGEST, Policy, parse_policy, policy_text
+from warpvox.algos.checkpoints.files import checked_checkpoint, tensors_in
+from warpvox.algos.checkpoints.policy import Policy, policy_bytes, policy_of
 from warpvox.errors import RunError
 from warpvox.io.reading import Unreadable, read_bytes
 from warpvox.io.writing import atomic_path, check_suffix
 
-CARD = "warpvox.json"
-"""Name of the entry that holds the policy's text."""
+CARD = "warpvox.pt"
+"""Name of the entry that holds the policy as a checkpoint does; ONNX has text alone, there it is in base64."""
+OLD_CARD = "warpvox.json"
+"""Name of the entry in files of warpvox 0.1."""
+LARGEST = 1 << 28
+"""Bytes that the policy in a file may have."""
 ROWS = (1, 64)
 """Random observations that a file is compared on, one batch each."""
 TOLERANCE = 1e-5
@@ -52,7 +59,7 @@ def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
             program = torch.jit.script(policy)
         else:  # networks of the user's may not be scriptable
             program = torch.jit.trace(policy, torch.zeros(2, policy.num_obs))
-        torch.jit.save(program, whole, _extra_files={CARD: policy_text(policy)})
+        torch.jit.save(program, whole, _extra_files={CARD: policy_bytes(policy)})
         temporary.write_bytes(whole.getbuffer())  # of a full disk torch's own writer says little
         module = torch.jit.load(str(temporary))
         return _compare(policy, lambda obs: module(torch.from_numpy(obs)).numpy(), temporary, path)
@@ -92,7 +99,7 @@ def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
         )
         assert program is not None  # as of torch's earlier exporter
         model = program.model_proto
-        onnx.helper.set_model_props(model, {CARD: policy_text(policy)})
+        onnx.helper.set_model_props(model, {CARD: base64.b64encode(policy_bytes(policy)).decode()})
         onnx.checker.check_model(model)
         temporary.write_bytes(model.SerializeToString())
         name, run = _onnx_runner(temporary)
@@ -106,13 +113,16 @@ POLICY_WRITERS = {"onnx": ("policy.onnx", write_onnx), "jit": ("policy.pt", writ
 def read_exported(path: Path, network: str | None = None) -> Policy | None:
     """The policy that a file of :func:`write_onnx` or :func:`write_script` holds; None: it is another kind of file.
 
-    ``network``: as for :func:`warpvox.algos.checkpoints.files.load_controller`.
+    ``network``: as for :func:`warpvox.algos.checkpoints.policy.read_policy`.
     """
-    text = _card_of_onnx(path) if path.suffix.lower() == ".onnx" else _card_of_script(path)
-    return None if text is None else parse_policy(text, path, network)
+    card = _card_of_onnx(path) if path.suffix.lower() == ".onnx" else _card_of_script(path)
+    if card is None:
+        return None
+    content = checked_checkpoint(tensors_in(io.BytesIO(card), path), path)
+    return policy_of(content, path, network)
 
 
-def _card_of_onnx(path: Path) -> str:
+def _card_of_onnx(path: Path) -> bytes:
     if find_spec("onnx") is None:
         raise RunError(f"To read {path} the package onnx is needed: pip install 'warpvox[export]'.")
     import onnx
@@ -120,28 +130,35 @@ def _card_of_onnx(path: Path) -> str:
 
     try:
         model = onnx.ModelProto.FromString(read_bytes(path, LARGEST))
-    except (Unreadable, DecodeError) as error:
+        found = {entry.key: entry.value for entry in model.metadata_props}
+        _check_age(path, found)
+        if CARD not in found:
+            raise RunError(f"{path} was not written by warpvox: it does not say which policy it holds.")
+        return base64.b64decode(found[CARD], validate=True)
+    except (Unreadable, DecodeError, binascii.Error) as error:
         raise RunError(f"{path} is not an ONNX file that can be read ({error}).") from None
-    found = [entry.value for entry in model.metadata_props if entry.key == CARD]
-    if not found:
-        raise RunError(f"{path} was not written by warpvox: it does not say which policy it holds.")
-    return found[0]
 
 
-def _card_of_script(path: Path) -> str | None:
-    """The text in an archive of TorchScript; None: there is none."""
+def _card_of_script(path: Path) -> bytes | None:
+    """The policy in an archive of TorchScript; None: there is none."""
     if not zipfile.is_zipfile(path):
         return None
     try:
         with zipfile.ZipFile(path) as archive:
-            found = [info for info in archive.infolist() if info.filename.endswith(f"/extra/{CARD}")]
-            if not found:
+            extra = {info.filename.rpartition("/extra/")[2]: info for info in archive.infolist()}
+            _check_age(path, extra)
+            if CARD not in extra:
                 return None
-            if found[0].file_size > LARGEST or found[0].compress_type != zipfile.ZIP_STORED:
-                raise RunError(f"{path} holds no policy that can be read (its description is too long or packed).")
-            return archive.read(found[0]).decode("utf-8")
-    except (zipfile.BadZipFile, zlib.error, OSError, ValueError, RuntimeError) as error:  # as damaged or encrypted
+            if extra[CARD].file_size > LARGEST or extra[CARD].compress_type != zipfile.ZIP_STORED:
+                raise RunError(f"{path} holds no policy that can be read (it is too long or packed).")
+            return archive.read(extra[CARD])
+    except (zipfile.BadZipFile, zlib.error, OSError, RuntimeError) as error:  # as damaged or encrypted
         raise RunError(f"{path} holds no policy that can be read ({error}).") from None
+
+
+def _check_age(path: Path, names: Container[str]) -> None:
+    if OLD_CARD in names:
+        raise RunError(f"{path} was exported by warpvox 0.1.0: export the policy again from its run.")
 
 
 def _onnx_runner(path: Path) -> tuple[str, Runner]:

@@ -6,27 +6,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import torch
 from rsl_rl.models import MLPModel, RNNModel
 from tensordict import TensorDict
-from torch import nn
-from torch.func import functional_call
 
 from warpvox.algos.expected import check_plain
 from warpvox.algos.generators import Generators
 from warpvox.algos.policies.gait import GaitModel
 from warpvox.algos.policies.layout import VoxelLayout
 from warpvox.algos.policies.model import VoxelModel
-from warpvox.algos.settings import Ppo
+from warpvox.algos.settings import MAX_LAYERS, WIDEST, Ppo
 from warpvox.code import Code, is_code
 from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
-from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import RunError, SimulationError, first_line
 from warpvox.io.writing import write_bytes
-from warpvox.robots.network import MAX_LAYERS, WIDEST
 from warpvox.runs import BEST
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
 
@@ -44,6 +40,9 @@ RNN = {"rnn_type": "lstm", "rnn_hidden_dim": 256, "rnn_num_layers": 1}
 class PolicySpec:
     """All it takes to rebuild a policy before its weights are loaded.
 
+    ``action_scale``, ``action_center``: of actions, center + scale * output.
+    ``action_step``: actions in float64 are multiples of it; 0: they are float32.
+    ``obs_eps``: what is added to the deviation of observations; the default is that of rsl-rl's normaliser.
     ``voxels``: of a policy for voxels, the ``network``, ``settings`` and ``layout`` that
     :class:`warpvox.algos.policies.model.VoxelModel` takes; None: fully connected layers.
     ``gait``: of an open-loop gait, the ``stages``, ``rows`` and ``columns`` that
@@ -57,6 +56,9 @@ class PolicySpec:
     activation: str
     normalize_obs: bool
     action_scale: float
+    action_center: float = ACTION_CENTER
+    action_step: float = 0.0
+    obs_eps: float = 0.01
     voxels: dict[str, Any] | None = None
     gait: dict[str, int] | None = None
     rnn: dict[str, Any] | None = None
@@ -70,53 +72,6 @@ class PolicySpec:
     def has_feedback(self) -> bool:
         """True where actions depend on more than the body and the time."""
         return self.gait is None
-
-
-class Controller:
-    """A trained policy without exploration, observations to actions.
-
-    The network is evaluated in float64: how its sums are rounded depends on the size of the batch and the CPU, and
-    would be magnified by contacts. An evaluation during training and a later one thus give the same actions, whatever
-    else is in their batches. It is evaluated where the observations are, with copies of the weights of now.
-    """
-
-    def __init__(self, actor: MLPModel | GaitModel, spec: PolicySpec) -> None:
-        self.actor, self.spec = actor, spec
-        self.reset()
-        parts = {**dict(actor.named_parameters()), **dict(actor.named_buffers())}  # tables that are not saved, too
-        self._state = {k: v.detach().double() if v.is_floating_point() else v for k, v in parts.items()}
-
-    def reset(self) -> None:
-        """Episodes begin: a recurrent policy forgets."""
-        self._hidden = None
-
-    @torch.no_grad()
-    def __call__(self, obs: torch.Tensor) -> torch.Tensor:
-        """``obs`` ``[n, num_obs]`` to actions ``[n, num_actions]`` in [0.6, 1.6]."""
-        return actions_of(self.outputs(obs), self.spec.action_scale)
-
-    def outputs(self, obs: torch.Tensor) -> torch.Tensor:
-        """``obs`` ``[n, num_obs]`` to the mean of the policy's outputs, float32 ``[n, num_actions]``."""
-        if next(iter(self._state.values())).device != obs.device:
-            self._state = {name: value.to(obs.device) for name, value in self._state.items()}
-        group = TensorDict({OBS_GROUP: obs.double()}, batch_size=[len(obs)])
-        if not isinstance(self.actor, RNNModel):
-            return functional_call(self.actor, self._state, (group,)).float()
-        in_training = self.actor.get_hidden_state()
-        self.actor.reset(hidden_state=self._hidden)
-        out = functional_call(self.actor, self._state, (group,)).float()
-        self._hidden = self.actor.get_hidden_state()
-        self.actor.reset(hidden_state=in_training)
-        return out
-
-    def check(self, env: VoxelVecEnv) -> None:
-        """Raise RunError unless ``env`` has this policy's sizes."""
-        ours, theirs = (self.spec.num_obs, self.spec.num_actions), (env.num_obs, env.num_actions)
-        if ours != theirs:
-            raise RunError(
-                f"The policy was trained with {ours[0]} observations and {ours[1]} actions; the task and design have"
-                f" {theirs[0]} and {theirs[1]}."
-            )
 
 
 def actions_of(outputs: torch.Tensor, scale: float) -> torch.Tensor:
@@ -139,13 +94,20 @@ def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
     """
     if not path.is_file():
         raise RunError(f"There is no checkpoint file {path}.")
+    with open(path, "rb") as file:
+        return tensors_in(file, path, device)
+
+
+def tensors_in(file: BinaryIO, path: Path, device: str = "cpu") -> dict[str, Any]:
+    """Read tensors as :func:`read_tensors` does; ``path`` names the file, of which ``file`` may be a part."""
     try:
-        with zipfile.ZipFile(path) as file:
-            _check_entries(path, file.infolist())
-            damaged = file.testzip()  # torch does not compare checksums
+        with zipfile.ZipFile(file) as archive:
+            _check_entries(file.seek(0, io.SEEK_END), archive.infolist())
+            damaged = archive.testzip()  # torch does not compare checksums
         if damaged is not None:
             raise zipfile.BadZipFile(f"{damaged} is damaged")
-        content = torch.load(path, map_location=device, weights_only=True)
+        file.seek(0)
+        content = torch.load(file, map_location=device, weights_only=True)
         check_plain(content)
     except Exception as error:  # whatever torch and pickle raise for what they cannot read
         others = path.name == BEST and any(path.parent.glob("model_[0-9]*.pt"))
@@ -156,9 +118,8 @@ def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
     return content
 
 
-def _check_entries(path: Path, entries: Sequence[zipfile.ZipInfo]) -> None:
-    """Raise ValueError if a file is too long, or would unpack to more than it has on the disk."""
-    size = path.stat().st_size
+def _check_entries(size: int, entries: Sequence[zipfile.ZipInfo]) -> None:
+    """Raise ValueError if a file of ``size`` bytes is too long, or would unpack to more than it has."""
     if size > MAX_BYTES or sum(entry.file_size for entry in entries) > size:
         raise ValueError(f"it is longer than {MAX_BYTES >> 30} GiB, or unpacks to more than its {size:,} bytes")
     if len(entries) > MAX_ENTRIES:
@@ -187,32 +148,15 @@ def damaged(path: Path | None, hint: str = "") -> Iterator[None]:
 
 
 def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
-    content = read_tensors(path, device)
+    """Read a checkpoint of a policy; RunError: no such file, or a damaged or other one."""
+    return checked_checkpoint(read_tensors(path, device), path)
+
+
+def checked_checkpoint(content: dict[str, Any], path: Path) -> dict[str, Any]:
+    """``content`` of the file ``path``; RunError: it holds no policy."""
     if "policy" not in content or "actor_state_dict" not in content:
         raise RunError(f"{path} is not a checkpoint of warpvox: it holds no policy.")
     return content
-
-
-def load_controller(path: Path, device: str = "cpu", network: str | None = None) -> Controller:
-    """The policy of a checkpoint.
-
-    Args:
-        network: ``FILE.py:Class`` or ``module:Class`` of a network that is not warpvox's own; a checkpoint that needs
-            one does not say where code is imported from.
-    """
-    content = load_checkpoint(path, device)
-    try:
-        spec = spec_of(content["policy"])
-    except TypeError as error:
-        raise RunError(f"{path} holds a policy of another kind ({first_line(error):.120}).") from None
-    spec = with_code(spec, network)
-    try:
-        check_spec(spec, content["actor_state_dict"])
-        actor = build_actor(spec).to(device)
-        actor.load_state_dict(content["actor_state_dict"])
-    except (TypeError, ValueError, RuntimeError, LookupError, AttributeError) as error:
-        raise RunError(f"{path} holds a policy of another kind ({first_line(error):.120}).") from None
-    return Controller(actor.eval(), spec)
 
 
 def with_code(spec: PolicySpec, network: str | None) -> PolicySpec:
@@ -227,9 +171,10 @@ def with_code(spec: PolicySpec, network: str | None) -> PolicySpec:
 
 def check_sizes(spec: PolicySpec) -> None:
     """Raise ValueError or TypeError if a network as ``spec`` describes it cannot be."""
-    scale = spec.action_scale
-    if type(scale) not in (int, float) or not abs(scale) < WIDEST:
-        raise ValueError(f"action_scale must be a number, got {scale!r:.100}")
+    for name in ("action_scale", "action_center", "action_step", "obs_eps"):
+        value = getattr(spec, name)
+        if type(value) not in (int, float) or not abs(value) < WIDEST:
+            raise ValueError(f"{name} must be a number, got {value!r:.100}")
     layout = {k: size for k, size in (spec.voxels or {}).get("layout", {}).items() if k not in ("timed", "periods")}
     rnn = dict(spec.rnn or {})
     if rnn and (rnn.keys() != RNN.keys() or rnn.pop("rnn_type") not in ("lstm", "gru")):
@@ -249,14 +194,13 @@ def check_sizes(spec: PolicySpec) -> None:
             raise ValueError("the layout is that of other observations or actions")
 
 
-def check_spec(spec: PolicySpec, weights: object, model: nn.Module | None = None) -> None:
-    """Raise ValueError or TypeError unless ``weights`` are those of the network of ``spec``.
-
-    ``model``: this network on the device meta, where it takes no memory; None: that of a checkpoint.
-    """
+def check_spec(spec: PolicySpec, weights: object) -> None:
+    """Raise ValueError or TypeError unless ``weights`` are of the network of ``spec``; exploration may be missing."""
     check_sizes(spec)
     weights = checked_weights(weights)
-    expected = (model or build_actor(spec, "meta")).state_dict()
+    expected = build_actor(spec, "meta").state_dict()
+    if not any(name.startswith("distribution.") for name in weights):
+        expected = {name: value for name, value in expected.items() if not name.startswith("distribution.")}
     for name in [*expected, *(name for name in weights if name not in expected)]:
         want, got = (tuple(of[name].shape) if name in of else "missing" for of in (expected, weights))
         if want != got or expected[name].is_floating_point() != weights[name].is_floating_point():
@@ -267,6 +211,9 @@ def check_spec(spec: PolicySpec, weights: object, model: nn.Module | None = None
             raise ValueError(f"the cells of a gait must rise, from 0 to {last - 1}; got {cells.tolist()!r:.100}")
         if not bool((weights["period"] > 0).all()):
             raise ValueError("the periods of a gait must be above 0")
+        begin = weights["begin"]
+        if bool(begin[0] != 0) or bool((begin.diff() < 0).any()):
+            raise ValueError(f"begin of a gait must start with 0 and never decrease; got {begin.tolist()!r:.100}")
 
 
 def checked_weights(weights: object) -> dict[str, torch.Tensor]:

@@ -1,12 +1,10 @@
-"""Trained policies as plain torch modules, and as one text that holds all of a policy."""
+"""Trained policies as plain torch modules, and the one form in which files hold them."""
 
-import base64
-import binascii
 import copy
-import json
+import io
+import math
 from collections.abc import Mapping
-from dataclasses import asdict
-from itertools import chain
+from pathlib import Path
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -15,51 +13,51 @@ from rsl_rl.modules import MLP, EmpiricalNormalization
 from torch import nn
 
 from warpvox.algos.checkpoints.files import (
-    Controller,
     PolicySpec,
     build_actor,
-    check_sizes,
     check_spec,
+    load_checkpoint,
+    spec_dict,
     spec_of,
     with_code,
 )
 from warpvox.algos.generators import Generators
 from warpvox.algos.policies.model import VoxelModel
-from warpvox.checks import is_number
 from warpvox.design import Design, load_design
 from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.errors import ConfigError, RunError, first_line
-from warpvox.io.reading import Unreadable, parse_json
-from warpvox.robots.network import HIGH, LOW
-from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
-
-FORMAT, VERSION = "warpvox policy", 2
-LARGEST = 1 << 28
-"""Bytes that the text of a policy may have."""
+from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 
 class Layers(nn.Module):
-    """Fully connected layers behind normalised observations; TorchScript compiles them."""
+    """Fully connected layers behind normalised observations; TorchScript compiles them.
 
-    mean: torch.Tensor
-    deviation: torch.Tensor
+    Its state has the names of rsl-rl's ``MLPModel``, but no exploration.
+    """
 
     def __init__(self, spec: PolicySpec) -> None:
         super().__init__()
+        self.obs_normalizer = nn.Identity()
+        if spec.normalize_obs:
+            self.obs_normalizer = EmpiricalNormalization(spec.num_obs, spec.obs_eps)
         self.mlp = nn.Sequential(*MLP(spec.num_obs, spec.num_actions, list(spec.hidden), spec.activation))
-        self.register_buffer("mean", torch.zeros(spec.num_obs))
-        self.register_buffer("deviation", torch.ones(spec.num_obs))
-        # added where it is used, so that in float64 the sum is that of training
-        self.eps = EmpiricalNormalization(1).eps if spec.normalize_obs else 0.0
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Outputs ``[..., num_actions]`` of observations ``[..., num_obs]``."""
-        return self.mlp((obs.to(self.mean.dtype) - self.mean) / (self.deviation + self.eps))
+        dtype = self.mlp[0].weight.dtype
+        rows = obs.to(dtype)  # pyright: ignore[reportCallIssue, reportArgumentType]
+        scaled = self.obs_normalizer(rows).reshape(obs.shape)  # of a single observation it makes a row
+        return self.mlp(scaled)
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
         """Observations ``[rows, num_obs]`` farther apart than those of training."""
-        return self.mean + 3 * (self.deviation + self.eps) * torch.randn((rows, len(self.mean)), generator=generator)
+        first = cast(nn.Linear, self.mlp[0])
+        obs = 3 * torch.randn((rows, first.in_features), generator=generator)
+        normalizer = self.obs_normalizer
+        if isinstance(normalizer, EmpiricalNormalization):
+            return normalizer.mean + (normalizer.std + normalizer.eps) * obs
+        return obs
 
 
 class Actor(nn.Module):
@@ -67,12 +65,14 @@ class Actor(nn.Module):
 
     def __init__(self, spec: PolicySpec) -> None:
         super().__init__()
-        self.num_obs, self.num_actions = spec.num_obs, spec.num_actions
+        self.num_obs = spec.num_obs
+        self.num_actions = spec.num_actions
         self.model: Any = build_actor(spec)
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Outputs ``[..., num_actions]`` of observations ``[..., num_obs]``."""
-        rows = obs.to(next(chain(self.parameters(), self.buffers())).dtype).reshape(-1, self.num_obs)
+        dtype = next(value.dtype for value in self.state_dict().values() if value.is_floating_point())
+        rows = obs.to(dtype).reshape(-1, obs.shape[-1])
         return self.model({OBS_GROUP: rows}).reshape((*obs.shape[:-1], self.num_actions))
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
@@ -89,8 +89,13 @@ class Policy(nn.Module):
     for ``torch.jit.script``, ``torch.jit.trace`` and ``torch.onnx``; its parameters ask for no gradients until
     ``requires_grad_()`` is called.
 
+    Runs are played in float64 (:meth:`in_float64`): how the sums of a network are rounded depends on the size of the
+    batch and the CPU, and contacts would magnify that. An evaluation during training and a later one thus give the same
+    actions, whatever else is in their batches.
+
     Args:
         spec: sizes and kind of the network.
+        state: of the network, as the actor of a checkpoint has it; the numbers are copied.
         metadata: what is known about the training, by name.
 
     Attributes:
@@ -98,20 +103,30 @@ class Policy(nn.Module):
         metadata: for instance ``task``, ``rules``, ``obs`` and ``design`` of the run.
     """
 
-    # TorchScript would compile the one, and read the other
-    __jit_unused_properties__: ClassVar = ["design"]
-    __jit_ignored_attributes__: ClassVar = ["design"]
+    # TorchScript would compile the ones, and read the others
+    __jit_unused_properties__: ClassVar = ["actor", "design"]
+    __jit_ignored_attributes__: ClassVar = ["actor", "design"]
 
-    def __init__(self, spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, spec: PolicySpec, state: Mapping[str, torch.Tensor], metadata: Mapping[str, Any] | None = None
+    ) -> None:
         super().__init__()
-        self.spec, self.metadata = spec, dict(metadata or {})
-        self.num_obs, self.num_actions = spec.num_obs, spec.num_actions
-        self.center, self.scale = ACTION_CENTER, float(spec.action_scale)
-        self.low, self.high = ACTION_LOW, ACTION_HIGH
-        step = self.metadata.get("action_step")
-        self.step = float(step) if is_number(step) else 0.0
-        self.lowest, self.highest = LOW, HIGH
-        self.network = Layers(spec) if spec.is_mlp else Actor(spec)
+        self.spec = spec
+        self.metadata = dict(metadata or {})
+        self.num_obs = spec.num_obs
+        self.num_actions = spec.num_actions
+        self.center = float(spec.action_center)
+        self.scale = float(spec.action_scale)
+        self.step = float(spec.action_step)
+        self.low = ACTION_LOW
+        self.high = ACTION_HIGH
+        if self.step > 0.0:  # the outermost multiples in the range
+            self.low = math.ceil(ACTION_LOW / self.step) * self.step
+            self.high = math.floor(ACTION_HIGH / self.step) * self.step
+        with own_torch(), Generators(0):
+            self.network = Layers(spec) if spec.is_mlp else Actor(spec)
+        without_exploration = {name: value for name, value in state.items() if not name.startswith("distribution.")}
+        self.actor.load_state_dict(without_exploration if spec.is_mlp else state)
         self.eval().requires_grad_(False)
 
     def __call__(self, obs: torch.Tensor | np.ndarray, *more: Any) -> Any:
@@ -121,20 +136,25 @@ class Policy(nn.Module):
             ConfigError: observations of another width.
         """
         traced = torch.jit.is_tracing()  # pyright: ignore[reportPrivateImportUsage]  # documented, but not in __all__
-        if not traced and obs.shape[-1:] != (self.num_obs,):
+        if not traced and not self.fits(obs.shape[-1] if obs.ndim else 0):
             raise ConfigError(f"The policy takes observations [..., {self.num_obs}], got shape {list(obs.shape)}.")
         return self.act(obs) if isinstance(obs, np.ndarray) else super().__call__(obs, *more)
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32.
 
-        In float64 the policy of a stored robot gives float64: the very actions of the robot.
+        In float64 a policy whose actions are multiples of a step gives float64.
         """
         outputs = self.network(obs)
         if self.step > 0.0 and outputs.dtype == torch.float64:
             steps = torch.round((self.center + self.scale * outputs) / self.step)
-            return (steps * self.step).clamp(self.lowest, self.highest)
+            return (steps * self.step).clamp(self.low, self.high)
         return (self.center + self.scale * outputs.float()).clamp(self.low, self.high)
+
+    @property
+    def actor(self) -> Any:
+        """The module that has the state of a checkpoint's actor."""
+        return self.network if isinstance(self.network, Layers) else self.network.model
 
     @property
     def design(self) -> Design | dict[str, Design] | None:
@@ -150,23 +170,19 @@ class Policy(nn.Module):
         return load_design(body)
 
     def in_float64(self) -> "Policy":
-        """A copy whose network runs in float64, as runs are played: actions do not depend on what is in a batch.
-
-        See :class:`warpvox.algos.checkpoints.files.Controller`, which gives the same actions.
-        """
+        """A copy whose network runs in float64, at the beginning of episodes."""
         if self.spec.rnn is None:
             return copy.deepcopy(self).double()
-        model: Any = self.network.model
-        memory = model.get_hidden_state()
+        memory = self.actor.get_hidden_state()
         self.reset()  # it may have a history of derivatives, which cannot be copied
         copied = copy.deepcopy(self).double()
-        model.reset(None, memory)
+        self.actor.reset(None, memory)
         return copied
 
     def reset(self, done: torch.Tensor | None = None) -> None:
         """Begin new episodes, where ``done`` (bool ``[n]``) says so or everywhere; only recurrent layers remember."""
         if self.spec.rnn is not None:
-            cast(Any, self.network.model).reset(done)
+            self.actor.reset(done)
 
     def act(self, obs: np.ndarray) -> np.ndarray:
         """:meth:`forward` for numpy arrays, as gymnasium's environments have them."""
@@ -174,75 +190,59 @@ class Policy(nn.Module):
             device = next(iter(self.state_dict().values())).device
             return self(torch.as_tensor(np.asarray(obs), device=device)).cpu().numpy()
 
+    def fits(self, num_obs: int) -> bool:
+        """Return whether it takes so many observations; a gait for the time alone reads the last of any number."""
+        return self.num_obs == num_obs or (self.spec.gait is not None and self.num_obs == 1)
 
-def make_policy(spec: PolicySpec, metadata: Mapping[str, Any] | None = None) -> Policy:
-    """A policy of the kind that ``spec`` describes, with weights that are to be replaced."""
-    with own_torch(), Generators(0):
-        return Policy(spec, metadata)
-
-
-def policy_of(controller: Controller, metadata: Mapping[str, Any] | None = None) -> Policy:
-    """The policy of a checkpoint's controller; its numbers are copies."""
-    policy, state = make_policy(controller.spec, metadata), controller.actor.state_dict()
-    if isinstance(policy.network, Actor):
-        policy.network.model.load_state_dict(state)
-    else:
-        weights = {name: value for name, value in state.items() if name.startswith("mlp.")}
-        normalizer = controller.actor.obs_normalizer
-        if isinstance(normalizer, EmpiricalNormalization):
-            weights |= {"mean": normalizer.mean, "deviation": normalizer.std}
-        policy.network.load_state_dict(policy.network.state_dict() | weights)
-    return policy.to(next(iter(state.values())).device)
+    def check_sizes(self, num_obs: int, num_actions: int) -> None:
+        """Raise RunError unless environments have so many observations and actions."""
+        if not self.fits(num_obs) or self.num_actions != num_actions:
+            raise RunError(
+                f"The policy has {self.num_obs} observations and {self.num_actions} actions; the task and design have"
+                f" {num_obs} and {num_actions}."
+            )
 
 
-def policy_text(policy: Policy) -> str:
-    """A policy as one line of JSON; its numbers are float32, little-endian, in base64."""
-    weights = {
-        name: base64.b64encode(value.detach().cpu().numpy().astype("<f4").tobytes()).decode()
-        for name, value in getattr(policy.network, "model", policy.network).state_dict().items()
-    }
-    content = {"format": FORMAT, "version": VERSION, "policy": asdict(policy.spec), "metadata": policy.metadata}
-    return json.dumps(content | {"weights": weights})
+def read_policy(
+    path: Path, device: str = "cpu", network: str | None = None, metadata: Mapping[str, Any] | None = None
+) -> Policy:
+    """The policy of a checkpoint, or of what :func:`policy_bytes` has made.
 
+    Args:
+        network: ``FILE.py:Class`` or ``module:Class`` of a network that is not warpvox's own; a checkpoint that needs
+            one does not say where code is imported from.
+        metadata: of the policy; None: what the file says.
 
-def parse_policy(text: str, source: object, network: str | None = None) -> Policy:
-    """The policy that :func:`policy_text` has written; ``source`` names the file in errors.
-
-    ``network``: as for :func:`warpvox.algos.checkpoints.files.load_controller`.
+    Raises:
+        RunError: no such file, or it holds no policy that can be read.
     """
+    return policy_of(load_checkpoint(path, device), path, network, metadata)
+
+
+def policy_of(
+    content: Mapping[str, Any], source: object, network: str | None = None, metadata: Mapping[str, Any] | None = None
+) -> Policy:
+    """The policy in the content of a checkpoint; ``source`` names the file in errors, otherwise :func:`read_policy`."""
     try:
-        content = parse_json(text)
-        version = content.get("version") if isinstance(content, dict) and content.get("format") == FORMAT else None
-        if version != VERSION:
-            raise ValueError(f"it is not a '{FORMAT}' of version {VERSION}")
-        given, metadata = content.get("policy"), content.get("metadata")
-        if not isinstance(given, dict) or not isinstance(metadata, dict):
-            raise ValueError("it has no description of the network")
-        spec = with_code(spec_of(given), network)
-        check_sizes(spec)
-        with torch.device("meta"):  # without memory for the weights
-            model = Layers(spec) if spec.is_mlp else build_actor(spec, "meta")
-        weights = _weights(model.state_dict(), content.get("weights"))
-        check_spec(spec, weights, model)
-        policy = make_policy(spec, metadata)
-        getattr(policy.network, "model", policy.network).load_state_dict(weights)
-    except (Unreadable, TypeError, ValueError, RuntimeError, LookupError, AttributeError) as error:
-        raise RunError(f"{source} holds no policy that can be read ({first_line(error):.200}).") from None
-    return policy
+        spec = spec_of(content["policy"])
+        known = content.get("metadata", {}) if metadata is None else metadata
+        if not isinstance(known, Mapping):
+            raise TypeError(f"its metadata are {known!r:.40}")
+    except TypeError as error:
+        raise RunError(f"{source} holds a policy of another kind ({first_line(error):.120}).") from None
+    spec = with_code(spec, network)
+    try:
+        state = content["actor_state_dict"]
+        check_spec(spec, state)
+        return Policy(spec, state, known).to(next(iter(state.values())).device)
+    except (TypeError, ValueError, RuntimeError, LookupError, AttributeError) as error:
+        raise RunError(f"{source} holds a policy of another kind ({first_line(error):.120}).") from None
 
 
-def _weights(known: Mapping[str, torch.Tensor], given: Any) -> dict[str, torch.Tensor]:
-    """The tensors of a policy's text; ``known`` has their names, shapes and types."""
-    if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
-        raise ValueError("it has no weights")
-    weights: dict[str, torch.Tensor] = {}
-    for name, value in given.items():
-        try:
-            numbers = np.frombuffer(base64.b64decode(value, validate=True), "<f4").astype(np.float32)
-        except (binascii.Error, ValueError):
-            raise ValueError(f"the numbers of '{name:.40}' are damaged") from None
-        like = known[name]
-        if numbers.size != like.numel():
-            raise ValueError(f"'{name:.40}' has {numbers.size} numbers, not {like.numel()}")
-        weights[name] = torch.from_numpy(numbers.reshape(like.shape)).to(like.dtype)
-    return weights
+def policy_bytes(policy: Policy) -> bytes:
+    """A policy as the content of a file that :func:`read_policy` reads."""
+    whole = io.BytesIO()
+    state = {name: value.detach().cpu() for name, value in policy.actor.state_dict().items()}
+    content = {"policy": spec_dict(policy.spec), "actor_state_dict": state, "metadata": policy.metadata}
+    torch.save(content, whole)
+    return whole.getvalue()

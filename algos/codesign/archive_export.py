@@ -24,14 +24,18 @@ def write_csv(archive: Archive, path: Path) -> Path:
     RunError: another suffix than .csv.
     """
     check_suffix("The table", path, (".csv",), RunError)
-    write_table(path, COLUMNS, (map(_cell, _row(record).values()) for record in archive.records()))
+    rows = []
+    for record in archive.records():
+        cells = []
+        for value in _row(record).values():
+            if isinstance(value, list):
+                value = json.dumps(value)
+            elif isinstance(value, bool):
+                value = int(value)
+            cells.append(value)
+        rows.append(cells)
+    write_table(path, COLUMNS, rows)
     return path
-
-
-def _cell(value: Any) -> Any:
-    if isinstance(value, list):
-        return json.dumps(value)
-    return int(value) if isinstance(value, bool) else value
 
 
 def write_parquet(archive: Archive, path: Path) -> Path:
@@ -57,7 +61,7 @@ def write_parquet(archive: Archive, path: Path) -> Path:
     return path
 
 
-def write_designs(archive: Archive, folder: Path, suffix: str) -> Path:
+def _write_designs(archive: Archive, folder: Path, suffix: str) -> Path:
     """Write every evaluated body to a file of its own, in the folders that EvoGym's own searches leave.
 
     ``generation_<n>/structure/<id>.npz`` (or ``.json``) and, per generation, ``output.txt`` with a line
@@ -88,7 +92,7 @@ def _row(record: Record) -> dict[str, Any]:
 FORMATS = {
     "csv": lambda archive, folder: write_csv(archive, folder / "designs.csv"),
     "parquet": lambda archive, folder: write_parquet(archive, folder / "designs.parquet"),
-    "npz": lambda archive, folder: write_designs(archive, folder / "structures", ".npz"),
-    "json": lambda archive, folder: write_designs(archive, folder / "structures", ".json"),
+    "npz": lambda archive, folder: _write_designs(archive, folder / "structures", ".npz"),
+    "json": lambda archive, folder: _write_designs(archive, folder / "structures", ".json"),
 }
 """Functions that write an archive into a folder, by format; each returns the path of the file."""

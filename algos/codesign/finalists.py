@@ -19,7 +19,8 @@ class Finalists:
     """
 
     def __init__(self, search: Search, count: int) -> None:
-        self.search, self.count = search, count
+        self.search = search
+        self.count = count
         self._known: list[tuple[Candidate, float]] = []
         self._asked: list[Candidate] = []
 
@@ -30,14 +31,15 @@ class Finalists:
         return self._asked
 
     def _finalists(self) -> list[Candidate]:
+        """The best designs, as candidates of the last generation."""
         best: dict[bytes, Candidate] = {}
         for candidate, _ in sorted(self._known, key=lambda pair: (-pair[1], pair[0].id)):
             best.setdefault(candidate.body.tobytes(), candidate)
-        first, generation = len(self._known), max((item.generation for item, _ in self._known), default=-1) + 1
-        return [
-            Candidate(first + place, parent.body, (parent.id,), FINALIST, generation)
-            for place, parent in enumerate(list(best.values())[: self.count])
-        ]
+        generation = max((candidate.generation for candidate, _ in self._known), default=-1) + 1
+        finalists = []
+        for number, parent in enumerate(list(best.values())[: self.count], start=len(self._known)):
+            finalists.append(Candidate(number, parent.body, (parent.id,), FINALIST, generation))
+        return finalists
 
     def tell(self, fitness: Sequence[float]) -> None:
         if self._asked[0].origin != FINALIST:
@@ -65,6 +67,8 @@ class TwoStages:
     def evaluate(self, candidates: Sequence[Candidate], parents: Parents, report: Report = None) -> list[Outcome]:
         if candidates[0].origin != FINALIST:
             return self.gaits.evaluate(candidates, parents, report)
+
+        # Gaits, then a training
         moved = self.final_gaits.evaluate(candidates, parents, report)
         spent = sum(outcome.steps for outcome in moved)
 
@@ -73,12 +77,12 @@ class TwoStages:
                 report(event | {"steps": spent + event["steps"]})
 
         trained = self.training.evaluate(candidates, {}, report_training)
-        return [_better(*pair) for pair in zip(moved, trained, strict=True)]
 
-
-def _better(moved: Outcome, trained: Outcome) -> Outcome:
-    """The better outcome, with the control steps of both; its curve is the best return so far of either."""
-    best = moved if moved.fitness >= trained.fitness else trained
-    later = [(moved.steps + steps, value) for steps, value in trained.curve]
-    curve = best_so_far([*moved.curve, *later])
-    return dataclasses.replace(best, curve=curve, steps=moved.steps + trained.steps)
+        # The better outcome, with the control steps of both; its curve is the best return so far of either.
+        outcomes = []
+        for first, second in zip(moved, trained, strict=True):
+            best = first if first.fitness >= second.fitness else second
+            later = [(first.steps + steps, value) for steps, value in second.curve]
+            curve = best_so_far([*first.curve, *later])
+            outcomes.append(dataclasses.replace(best, curve=curve, steps=first.steps + second.steps))
+        return outcomes

@@ -10,18 +10,11 @@ import torch
 from warpvox.algos.checkpoints.files import actions_of
 from warpvox.algos.codesign.gaits import Gait
 from warpvox.algos.disturbance import Draws, with_noise
-from warpvox.algos.policies.gait import AMPLITUDE, gait_outputs
+from warpvox.algos.policies.gait import gait_outputs
 from warpvox.algos.protocols import DISTURBANCES
 from warpvox.envs.episodes import state_rows
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.types import Cell
-
-AT_ONCE = 1 << 20
-"""Actions that are computed at once, about: those of many control steps, if environments are few."""
-NOISE = float(np.float32(DISTURBANCES["noise"].noise))
-"""Deviation of the noise on disturbed actions, rounded as in episodes of other policies."""
-CHECK_EVERY = 25
-"""Control steps between checks whether all episodes have ended."""
+from warpvox.types import ACTION_SCALE, Cell
 
 
 def continued(state: Any, sources: torch.Tensor, episodes: int) -> Any:
@@ -52,9 +45,10 @@ def play(
     with torch.no_grad():
         for step, actions in enumerate(actions_of_gaits(env, bodies, gaits, episodes, first, last)):
             if noise is not None:
-                actions = with_noise(actions, noise, first + step, NOISE)
+                deviation = float(np.float32(DISTURBANCES["noise"].noise))  # rounded as in episodes of other policies
+                actions = with_noise(actions, noise, first + step, deviation)
             _, _, terminated, truncated, _ = env.step(actions)
-            if step % CHECK_EVERY == 0 and bool((terminated | truncated).all()):
+            if step % 25 == 0 and bool((terminated | truncated).all()):
                 break
     returns = env.state()["return"].to(env.dtype).double()
     return returns.view(len(bodies), -1, episodes).mean(2).cpu()
@@ -78,7 +72,8 @@ def actions_of_gaits(
         first, last: control steps of the episode; ``last`` is not among them, None: the episode's last one is.
     """
     last = env.max_episode_steps if last is None else last
-    count, stages = len(gaits[0]), max(len(gait.begin) for tried in gaits for gait in tried)
+    count = len(gaits[0])
+    stages = max(len(gait.begin) for tried in gaits for gait in tried)
     values = np.zeros((3, stages, len(bodies), count, episodes, env.num_actions))
     timing = np.ones((2, stages, len(bodies), count, episodes, 1))
     timing[0] = np.inf  # stages that a gait does not have never begin
@@ -90,10 +85,11 @@ def actions_of_gaits(
             cells = np.stack([gait.amplitude, gait.phase, gait.rest])[:, :, driven]
             values[:, :own, place, k, :, : cells.shape[-1]] = cells[:, :, None]
     parts = [torch.as_tensor(one.reshape(stages, env.num_envs, -1), device=env.device) for one in (*timing, *values)]
-    together = max(1, AT_ONCE // (env.num_envs * env.num_actions))
+    # Those of many control steps are computed at once, if environments are few.
+    together = max(1, 2**20 // (env.num_envs * env.num_actions))
     for begin in itertools.count(first, together):
         end = min(begin + together, last)
         if begin >= end:
             return
         times = torch.arange(begin, end, dtype=torch.float64, device=env.device)[:, None, None]
-        yield from actions_of(gait_outputs(times, *parts).float(), AMPLITUDE)
+        yield from actions_of(gait_outputs(times, *parts).float(), ACTION_SCALE)

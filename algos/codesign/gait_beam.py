@@ -11,15 +11,7 @@ from warpvox.algos.codesign.gaits import Gait, Motion, draw_motion, gait_of, mot
 from warpvox.algos.disturbance import Draws
 from warpvox.envs.vec_env import VoxelVecEnv
 
-KEPT = 0.125
-"""Share of the beginnings of an episode that is continued after each stage."""
-SIBLINGS = 0.25
-"""Share of these that may continue the same beginning, lest all descend from one."""
-FOLLOWED, VARIED, KNOWN, EARLIER = 0.1, 0.4, 0.65, 0.75
-"""Cumulative shares of continuations: the known gait, mutants of the present motion, motions of known gaits and their
-mutants, mutants of an earlier motion. The rest are random motions."""
-
-Begun = tuple[tuple[int, Motion], ...]
+_Begun = tuple[tuple[int, Motion], ...]
 """Motions with the control steps in which they begin."""
 
 
@@ -51,7 +43,8 @@ def beam_search(
     Returns:
         The best mean return and its gait, of each design, and the control steps ``[designs]`` that it took.
     """
-    limit, count = env.max_episode_steps, env.num_envs // (len(bodies) * episodes)
+    limit = env.max_episode_steps
+    count = env.num_envs // (len(bodies) * episodes)
     searches = [_Search(body, count, gaits, rng) for body, gaits, rng in zip(bodies, known, random, strict=True)]
     spent = np.zeros(len(searches), np.int64)
     env.reset(seed=[seed] * len(searches))
@@ -82,7 +75,7 @@ class _Beginning:
     """
 
     place: int = 0
-    begun: Begun = ()
+    begun: _Begun = ()
     is_known: bool = False
 
 
@@ -96,10 +89,13 @@ class _Search:
     """
 
     def __init__(self, body: np.ndarray, count: int, known: Sequence[Gait], rng: np.random.Generator) -> None:
-        self.body, self.count, self.rng = body, count, rng
+        self.body = body
+        self.count = count
+        self.rng = rng
         self.plan = motions_of(known[0]) if known else ()
         self.motions = [motion for gait in known for _, motion in motions_of(gait)]
-        self.kept = max(1, round(KEPT * count))
+        # One beginning of an episode in eight is continued after each stage.
+        self.kept = max(1, round(0.125 * count))
         self.beginnings = [_Beginning(is_known=bool(known))]
         self.sources: list[int] = []
         self.best: tuple[float, Gait] | None = None
@@ -112,13 +108,19 @@ class _Search:
             self.sources = list(range(self.count))
             return self._gaits
         each, more = divmod(self.count, len(self.beginnings))
-        self.sources, self._tried, self._gaits = [], [], []
+        self.sources = []
+        self._tried = []
+        self._gaits = []
         for rank, beginning in enumerate(self.beginnings):
             for number in range(each + (rank < more)):
                 is_known = beginning.is_known and number == 0
                 added = self._plan(first, last) if is_known else self._motions(beginning.begun, number, first, last)
                 self.sources.append(beginning.place)
-                self._tried.append(_Beginning(len(self._tried), _joined(beginning.begun, added), is_known))
+                # A motion that goes on is not begun again.
+                begun = beginning.begun
+                goes_on = bool(begun) and begun[-1][1] is added[0][1]
+                begun += added[1:] if goes_on else added
+                self._tried.append(_Beginning(len(self._tried), begun, is_known))
                 self._gaits.append(gait_of(added))
         return self._gaits
 
@@ -132,7 +134,8 @@ class _Search:
                 self.best = value, gait_of(tried.begun)
         going = [tried for tried in self._tried if not ended[tried.place]]
         going.sort(key=lambda tried: (not tried.is_known, -values[tried.place]))
-        most = max(2, round(SIBLINGS * self.kept))
+        # A quarter of these at most continue the same beginning, or all would descend from one.
+        most = max(2, round(0.25 * self.kept))
         chosen: list[_Beginning] = []
         children = dict.fromkeys(self.sources, 0)
         for tried in going:
@@ -142,33 +145,31 @@ class _Search:
                 chosen.append(tried)
         self.beginnings = chosen
 
-    def _motions(self, begun: Begun, number: int, first: int, last: int) -> Begun:
+    def _motions(self, begun: _Begun, number: int, first: int, last: int) -> _Begun:
         """The ``number``-th continuation of a beginning."""
-        rng, body = self.rng, self.body
+        rng = self.rng
+        body = self.body
         if begun and number == 0:
             return ((first, begun[-1][1]),)
         kind = rng.random()
-        if self.plan and kind < FOLLOWED:
+        # A tenth follow the known gait, three tenths are mutants of the present motion, a quarter are motions
+        # of known gaits or mutants of them, a tenth are mutants of an earlier motion, the others are random.
+        if self.plan and kind < 0.1:
             return self._plan(first, last)
-        if begun and kind < VARIED:
+        if begun and kind < 0.4:
             motion = mutate_motion(rng, begun[-1][1], body, first)
-        elif self.motions and kind < KNOWN:
+        elif self.motions and kind < 0.65:
             motion = self.motions[rng.integers(len(self.motions))]
             if rng.random() < 0.5:
                 motion = mutate_motion(rng, motion, body, first)
-        elif begun and kind < EARLIER:
+        elif begun and kind < 0.75:
             motion = mutate_motion(rng, begun[rng.integers(len(begun))][1], body, first)
         else:
             motion = draw_motion(rng, body)
         return ((first, motion),)
 
-    def _plan(self, first: int, last: int) -> Begun:
+    def _plan(self, first: int, last: int) -> _Begun:
         """The motions of the best known gait."""
         present = max(place for place, (begin, _) in enumerate(self.plan) if begin <= first)
         later = tuple((begin, motion) for begin, motion in self.plan[present + 1 :] if begin < last)
         return ((first, self.plan[present][1]), *later)
-
-
-def _joined(begun: Begun, added: Begun) -> Begun:
-    """Motions one after another; one that goes on is not begun again."""
-    return begun + (added[1:] if begun and begun[-1][1] is added[0][1] else added)

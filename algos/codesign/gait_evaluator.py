@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -17,20 +17,11 @@ from warpvox.algos.codesign.gait_beam import beam_search
 from warpvox.algos.codesign.gaits import Gait, draw_gait, mutate_gait, with_stages
 from warpvox.algos.disturbance import SEARCHED, Draws
 from warpvox.algos.env_factory import EnvFactory
-from warpvox.algos.policies.gait import AMPLITUDE
 from warpvox.algos.protocols import NOMINAL
+from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory
 from warpvox.envs.vec_env import VoxelVecEnv
-from warpvox.types import Cell
-
-FRESH = 0.125
-"""Share of the first gaits of a design with a parent that owe nothing to it."""
-KEPT = 0.5
-"""Share of designs with one gait each that move as their parent."""
-STRETCH = (1.0, 3.0, 0.6, 2.0, 4.0, 1.4, 0.8)
-"""By what the stages of one pass after another are longer: a throw or a turn takes its time, and they end elsewhere."""
-STREAM = 0x6A17
-"""Keeps the random numbers of gaits apart from those of the environments."""
+from warpvox.types import ACTION_SCALE, Cell
 
 
 class GaitSearch(Protocol):
@@ -73,106 +64,136 @@ class GaitEvaluator:
             " evaluation.beam, batch)."
         )
         with enough_memory(hint):
-            return _Rounds(self, candidates, parents).run(report)
+            return self._search(candidates, parents, report)
 
+    def _search(self, candidates: Sequence[Candidate], parents: Parents, report: Report) -> list[Outcome]:
+        settings = self.settings
+        bodies = [candidate.body for candidate in candidates]
+        # 0x6A17 keeps the random numbers of gaits apart from those of environments and searches.
+        rngs = [np.random.default_rng([0x6A17, self.seed, candidate.id]) for candidate in candidates]
+        env = self._environments(candidates, settings.beam if settings.passes else settings.gaits)
+        inherited = [self._inherited(candidate, parents, env.max_episode_steps) for candidate in candidates]
+        noise = None
+        if self.factory.fitness != NOMINAL:  # on the actions, the same for all gaits
+            noise = Draws(self.seed, SEARCHED, self.episodes, env.device)
 
-class _Rounds:
-    """The gaits of some candidates, round by round."""
+        # Stage length of each pass, as a factor on `stage_steps`, cycled. Long stages leave time for a throw or a turn.
+        stage_factors = (1.0, 3.0, 0.6, 2.0, 4.0, 1.4, 0.8)
+        best: list[tuple[float, Gait]] = []
+        curves: list[list[tuple[int, float]]] = [[] for _ in candidates]
+        spent = [0] * len(candidates)
+        rounds = settings.passes + settings.rounds
+        for number in range(rounds + 1):
+            # Progress, also before the first round
+            if report is not None:
+                report(
+                    {
+                        "iteration": number,
+                        "iterations": rounds,
+                        "steps": sum(spent),
+                        "best": [value for value, _ in best] or [math.nan] * len(bodies),
+                        "training": [number < rounds] * len(bodies),
+                    }
+                )
+            if number == rounds:
+                break
 
-    def __init__(self, how: GaitEvaluator, candidates: Sequence[Candidate], parents: Parents) -> None:
-        self.how, self.settings, self.bodies = how, how.settings, [candidate.body for candidate in candidates]
-        self.seeds = [candidate_seed(how.seed, candidate.id) for candidate in candidates]
-        self.random = [np.random.default_rng([STREAM, how.seed, candidate.id]) for candidate in candidates]
-        self.origins = [candidate.origin for candidate in candidates]
-        self.env = self._environments(self.settings.beam if self.settings.passes else self.settings.gaits)
-        self.inherited = [self._inherited(candidate, parents) for candidate in candidates]
-        self.round = 0  # passes are counted, too
-        self.rounds = self.settings.passes + self.settings.rounds
-        self.best: list[tuple[float, Gait]] = []
-        self.curves: list[list[tuple[int, float]]] = [[] for _ in candidates]
-        self.spent = [0] * len(candidates)
-        noisy = how.factory.fitness != NOMINAL  # on the actions, the same for all gaits
-        self.noise = Draws(how.seed, SEARCHED, how.episodes, self.env.device) if noisy else None
+            # The best of the gaits that are tried in a round
+            if number < settings.passes:
+                known = [[gait] for _, gait in best] if best else inherited
+                steps = max(1, round(settings.stage_steps * stage_factors[number % len(stage_factors)]))
+                found, taken = beam_search(env, bodies, known, rngs, self.seed, steps, self.episodes, noise)
+            else:
+                if env.num_envs != len(bodies) * settings.gaits * self.episodes:
+                    env = self._environments(candidates, settings.gaits)
+                gaits = []
+                steps = env.max_episode_steps
+                for place, candidate in enumerate(candidates):
+                    rng = rngs[place]
+                    if best:
+                        gait = best[place][1]
+                        gaits.append([mutate_gait(rng, gait, candidate.body, steps) for _ in range(settings.gaits)])
+                    else:
+                        gaits.append(self._first(rng, inherited[place], candidate, steps))
+                found, taken = self._play(env, bodies, gaits, noise)
 
-    def _environments(self, count: int) -> VoxelVecEnv:
+            # The best so far
+            if best:
+                found = [max(pair, key=lambda one: one[0]) for pair in zip(best, found, strict=True)]
+            best = found
+            for place, (value, _) in enumerate(best):
+                spent[place] += int(taken[place])
+                curves[place].append((spent[place], value))
+
+        outcomes = []
+        for place, (value, gait) in enumerate(best):
+            state, spec = _stored(gait, bodies[place], env.obs_columns[place].values())
+            outcomes.append(Outcome(value, curves[place], spent[place], state, spec=spec))
+        return outcomes
+
+    def _environments(self, candidates: Sequence[Candidate], count: int) -> VoxelVecEnv:
         """``count`` of each design, times the episodes of a gait."""
-        envs = count * self.how.episodes
-        return self.how.factory.make(self.bodies, envs, self.seeds, auto_reset=False, shared=True)
+        bodies = [candidate.body for candidate in candidates]
+        seeds = [candidate_seed(self.seed, candidate.id) for candidate in candidates]
+        return self.factory.make(bodies, count * self.episodes, seeds, auto_reset=False, shared=True)
 
-    def run(self, report: Report) -> list[Outcome]:
-        self._tell(report)
-        while self.round < self.rounds:
-            found, steps = self._pass() if self.round < self.settings.passes else self._try()
-            self.best = [max(pair, key=lambda one: one[0]) for pair in zip(self.best or found, found, strict=True)]
-            for place, (value, _) in enumerate(self.best):
-                self.spent[place] += int(steps[place])
-                self.curves[place].append((self.spent[place], value))
-            self.round += 1
-            self._tell(report)
-        return [self._outcome(place) for place in range(len(self.bodies))]
-
-    def _inherited(self, candidate: Candidate, parents: Parents) -> list[Gait]:
+    def _inherited(self, candidate: Candidate, parents: Parents, steps: int) -> list[Gait]:
         """The gaits that a candidate begins with: those of its parents, the best first, or the one it is known by."""
         if candidate.origin == START:
-            known = self.how.known.get(candidate.body.tobytes())
-            return [] if known is None else [with_stages(known, self.settings.stages, self.env.max_episode_steps)]
+            known = self.known.get(candidate.body.tobytes())
+            return [] if known is None else [with_stages(known, self.settings.stages, steps)]
         found = [parents[number] for number in candidate.parents if number in parents]
         found.sort(key=lambda parent: -parent.fitness)
-        return [_gait_of(parent.policy) for parent in found]
+        gaits = []
+        for parent in found:
+            gaits.append(Gait(**{name: parent.policy[name].numpy() for name in Gait.__dataclass_fields__}))
+        return gaits
 
-    def _gaits(self, place: int) -> list[Gait]:
-        rng, body, count = self.random[place], self.bodies[place], self.settings.gaits
-        steps = self.env.max_episode_steps
-        known, gaits = self.inherited[place], []
-        if self.best:
-            known, fresh = [self.best[place][1]], 0
-        elif not known:
-            fresh = count
-        elif count == 1:
-            kept = self.origins[place] == START or rng.random() < KEPT
-            fresh, gaits = 0, known[:1] if kept else []
-        else:
-            fresh = math.ceil(FRESH * (count - 1))
-            gaits = known[: count - fresh]
-        gaits += [draw_gait(rng, body, steps, self.settings.stages) for _ in range(fresh)]
-        return gaits + [mutate_gait(rng, known[0], body, steps) for _ in range(count - len(gaits))]
+    def _first(
+        self, rng: np.random.Generator, inherited: Sequence[Gait], candidate: Candidate, steps: int
+    ) -> list[Gait]:
+        """The gaits that a design tries first: those that it has inherited, some new ones, and mutants."""
+        body = candidate.body
+        stages = self.settings.stages
+        count = self.settings.gaits
+        if not inherited:
+            return [draw_gait(rng, body, steps, stages) for _ in range(count)]
+        if count == 1:
+            # A known robot keeps its gait. Half of the children keep that of their parent, the others mutate it.
+            if candidate.origin == START or rng.random() < 0.5:
+                return [inherited[0]]
+            return [mutate_gait(rng, inherited[0], body, steps)]
 
-    def _pass(self) -> tuple[list[tuple[float, Gait]], np.ndarray]:
-        """The best gait of each design by a beam search with its mean return, and the control steps ``[designs]``."""
-        known = [[best[1]] for best in self.best] if self.best else self.inherited
-        steps = max(1, round(self.settings.stage_steps * STRETCH[self.round % len(STRETCH)]))
-        how = self.how.seed, steps, self.how.episodes, self.noise
-        return beam_search(self.env, self.bodies, known, self.random, *how)
+        # One gait in eight is new, the others come from the parents.
+        fresh = math.ceil(0.125 * (count - 1))
+        gaits = list(inherited[: count - fresh])
+        gaits += [draw_gait(rng, body, steps, stages) for _ in range(fresh)]
+        return gaits + [mutate_gait(rng, inherited[0], body, steps) for _ in range(count - len(gaits))]
 
-    def _try(self) -> tuple[list[tuple[float, Gait]], np.ndarray]:
-        """The same of an episode of each gait that is tried next."""
-        how, count = self.how, self.settings.gaits
-        if self.env.num_envs != len(self.bodies) * count * how.episodes:
-            self.env = self._environments(count)
-        gaits = [self._gaits(place) for place in range(len(self.bodies))]
-        self.env.reset(seed=[how.seed] * len(self.bodies))
-        alike = torch.zeros(len(self.bodies), count, dtype=torch.int64, device=self.env.device)
-        self.env.set_state(continued(self.env.state(), alike, how.episodes))
-        returns = play(self.env, self.bodies, gaits, how.episodes, noise=self.noise).numpy()
-        found = [(float(got.max()), tried[int(got.argmax())]) for got, tried in zip(returns, gaits, strict=True)]
-        return found, self.env.state()["length"].view(len(self.bodies), -1).sum(1).cpu().numpy()
+    def _play(
+        self, env: VoxelVecEnv, bodies: Sequence[Design], gaits: Sequence[Sequence[Gait]], noise: Draws | None
+    ) -> tuple[list[tuple[float, Gait]], np.ndarray]:
+        """The best gait of each design with its mean return, and the control steps ``[designs]`` that it took."""
+        # All gaits of a design have the same episodes.
+        env.reset(seed=[self.seed] * len(bodies))
+        first_gait = torch.zeros(len(bodies), self.settings.gaits, dtype=torch.int64, device=env.device)
+        env.set_state(continued(env.state(), first_gait, self.episodes))
 
-    def _outcome(self, place: int) -> Outcome:
-        (value, gait), body = self.best[place], self.bodies[place]
-        columns = self.env.obs_columns[place].values()
-        sizes = sum(part.stop - part.start for part in columns) + 1, int((body >= Cell.H_ACT).sum())  # with the time
-        shape: dict[str, int] = dict(zip(("stages", "rows", "columns"), gait.phase.shape, strict=True))
-        spec = PolicySpec(*sizes, [], "", normalize_obs=False, action_scale=AMPLITUDE, gait=shape)
-        state = {name: torch.as_tensor(values) for name, values in vars(gait).items()}
-        state["cells"] = torch.as_tensor(np.flatnonzero(body >= Cell.H_ACT))
-        return Outcome(value, self.curves[place], self.spent[place], state, spec=spec_dict(spec))
-
-    def _tell(self, report: Report) -> None:
-        best = [value for value, _ in self.best] or [math.nan] * len(self.bodies)
-        event = {"iteration": self.round, "iterations": self.rounds, "steps": sum(self.spent), "best": best}
-        if report is not None:
-            report(event | {"training": [self.round < self.rounds] * len(self.bodies)})
+        returns = play(env, bodies, gaits, self.episodes, noise=noise).numpy()
+        found = []
+        for values, tried in zip(returns, gaits, strict=True):
+            place = int(values.argmax())
+            found.append((float(values[place]), tried[place]))
+        return found, env.state()["length"].view(len(bodies), -1).sum(1).cpu().numpy()
 
 
-def _gait_of(state: Mapping[str, torch.Tensor]) -> Gait:
-    return Gait(**{name: state[name].numpy() for name in Gait.__dataclass_fields__})
+def _stored(gait: Gait, body: Design, columns: Iterable[slice]) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    """The state of a gait as a policy, and what that is built by; ``columns``: of the terms of the observation."""
+    driven = np.flatnonzero(body >= Cell.H_ACT)
+    num_obs = sum(part.stop - part.start for part in columns) + 1  # with the time
+    stages, rows, width = gait.phase.shape
+    shape = {"stages": stages, "rows": rows, "columns": width}
+    spec = PolicySpec(num_obs, len(driven), [], "", normalize_obs=False, action_scale=ACTION_SCALE, gait=shape)
+    state = {name: torch.as_tensor(values) for name, values in vars(gait).items()}
+    state["cells"] = torch.as_tensor(driven)
+    return state, spec_dict(spec)

@@ -8,22 +8,10 @@ import numpy as np
 from warpvox.design import Design
 from warpvox.types import Cell
 
-PERIODS = (5.0, 40.0)
+_PERIODS = (5.0, 40.0)
 """Control steps of a travelling wave."""
-SLOW_PERIODS = (8.0, 200.0)
-"""Control steps of a wave about the centre, once per turn of a rolling body."""
 SHORTEST, LONGEST = 3.0, 400.0
 """Control steps; limits of mutated periods."""
-MOST_TURN = 1.6
-"""Radians from a voxel to the next: waves of four voxels and longer."""
-GAINS = (1.0, 4.5)
-"""From a sine to nearly a square wave, for values are cut at -1 and 1."""
-MOST_REST = 2.0
-"""A rest beyond 1 holds an actuator still for a part of the period."""
-STEP_SIZES = (0.02, 1.0)
-"""Of mutations: as often small as large, on a logarithmic scale."""
-NEW_MOTION = 0.3
-"""Share of mutants with several stages of which one begins another motion: what happens before it stays as it was."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,17 +46,21 @@ Motion = tuple[float, np.ndarray, np.ndarray, np.ndarray]
 
 def motions_of(gait: Gait) -> tuple[tuple[int, Motion], ...]:
     """The motions of a gait, with the control steps in which they begin."""
-    stages = zip(gait.period.tolist(), gait.amplitude, gait.phase, gait.rest, strict=True)
-    found = list(zip(map(int, gait.begin), stages, strict=True))
-    return tuple(one for one, after in zip(found, [*found[1:], None], strict=True) if not after or after[0] > one[0])
+    found = []
+    for stage, begin in enumerate(map(int, gait.begin)):
+        is_last = stage == len(gait.begin) - 1
+        # A stage that the next one begins with has no control step of its own.
+        if is_last or int(gait.begin[stage + 1]) > begin:
+            motion = (gait.period.tolist()[stage], gait.amplitude[stage], gait.phase[stage], gait.rest[stage])
+            found.append((begin, motion))
+    return tuple(found)
 
 
 def gait_of(motions: Sequence[tuple[int, Motion]]) -> Gait:
     """The inverse of :func:`motions_of`."""
-    return Gait(
-        np.array([begin for begin, _ in motions]),
-        *(np.array(values) for values in zip(*(motion for _, motion in motions), strict=True)),
-    )
+    begins = [begin for begin, _ in motions]
+    periods, amplitudes, phases, rests = zip(*(motion for _, motion in motions), strict=True)
+    return Gait(np.array(begins), np.array(periods), np.array(amplitudes), np.array(phases), np.array(rests))
 
 
 def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -> Gait:
@@ -76,9 +68,12 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
 
     Stages are short at the beginning of the episode as often as at its end, which alone counts in some tasks.
     """
+    # Motions
     motions = [draw_motion(rng, body) for _ in range(stages)]
     if rng.random() < 0.5:
         motions = motions[:1] * stages
+
+    # When they begin
     begin = np.exp(rng.uniform(np.log(3.0), np.log(max(steps, 4)), stages)).round()
     begin = np.sort(begin if rng.random() < 0.5 else np.maximum(steps - begin, 0.0))
     begin[0] = 0.0
@@ -87,45 +82,48 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
 
 def with_stages(gait: Gait, stages: int, steps: int) -> Gait:
     """The same motion in more stages: the longest one is divided in two, again and again."""
-    begin, place = [int(time) for time in gait.begin], list(range(len(gait.begin)))
+    begin = [int(time) for time in gait.begin]
+    source = list(range(len(gait.begin)))  # the stage whose motion each of the new ones has
     while len(begin) < stages:
         ends = [*begin[1:], max(steps, begin[-1])]
-        longest = max(range(len(begin)), key=lambda stage: ends[stage] - begin[stage])
+        lengths = [end - start for start, end in zip(begin, ends, strict=True)]
+        longest = lengths.index(max(lengths))
         begin.insert(longest + 1, (begin[longest] + ends[longest]) // 2)
-        place.insert(longest + 1, place[longest])
-    return Gait(np.array(begin), gait.period[place], gait.amplitude[place], gait.phase[place], gait.rest[place])
+        source.insert(longest + 1, source[longest])
+    return Gait(np.array(begin), gait.period[source], gait.amplitude[source], gait.phase[source], gait.rest[source])
 
 
 def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
     """A random wave or pose."""
-    return _wave(rng, body) if rng.random() < 0.7 else _pose(rng, body)
-
-
-def _wave(rng: np.random.Generator, body: Design) -> Motion:
-    """A wave that travels through the body in some direction, or round its centre."""
-    x, y = _places(body)
     vertical = body == Cell.V_ACT
-    gain = np.full(body.shape, _log_uniform(rng, GAINS))
+
+    # A pose: each actuator at its longest or shortest; as often all of a kind alike as each at random
+    if rng.random() >= 0.7:
+        rest = rng.choice([-1.0, 1.0], body.shape)
+        if rng.random() < 0.5:
+            rest = np.where(vertical, *rng.choice([-1.0, 1.0], 2))
+        period = _log_uniform(rng, _PERIODS)
+        return period, np.zeros(body.shape), rng.uniform(0, 2 * np.pi, body.shape), rest
+
+    # A wave that travels through the body in some direction, or round its centre
+    x, y = _places(body)
+    # From a sine to nearly a square wave: values are cut at -1 and 1.
+    gain = np.full(body.shape, _log_uniform(rng, (1.0, 4.5)))
     if rng.random() < 0.25:
+        # About the centre: a wave for each turn of a rolling body
         phase = rng.choice([-1, 1]) * np.arctan2(y, x) + rng.integers(4) * np.pi / 2 * vertical
-        return _log_uniform(rng, SLOW_PERIODS), gain, phase + rng.uniform(0, 2 * np.pi), np.zeros(body.shape)
-    turn_x, turn_y = rng.uniform(-MOST_TURN, MOST_TURN, 2)
+        return _log_uniform(rng, (8.0, 200.0)), gain, phase + rng.uniform(0, 2 * np.pi), np.zeros(body.shape)
+    # Radians from a voxel to the next: waves of four voxels and longer
+    turn_x, turn_y = rng.uniform(-1.6, 1.6, 2)
     phase = turn_x * x + turn_y * y + rng.uniform(0, 2 * np.pi) * vertical
-    return _log_uniform(rng, PERIODS), gain, phase, np.zeros(body.shape)
-
-
-def _pose(rng: np.random.Generator, body: Design) -> Motion:
-    """Each actuator at its longest or shortest; as often all of a kind alike as each at random."""
-    rest = rng.choice([-1.0, 1.0], body.shape)
-    if rng.random() < 0.5:
-        rest = np.where(body == Cell.V_ACT, *rng.choice([-1.0, 1.0], 2))
-    return _log_uniform(rng, PERIODS), np.zeros(body.shape), rng.uniform(0, 2 * np.pi, body.shape), rest
+    return _log_uniform(rng, _PERIODS), gain, phase, np.zeros(body.shape)
 
 
 def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
     """A gait that differs from ``gait`` in one to three ways, in one stage or in all of them."""
     stages = len(gait.begin)
-    if stages > 1 and rng.random() < NEW_MOTION:
+    # In three mutants of ten one stage begins another motion: what happens before it stays as it was.
+    if stages > 1 and rng.random() < 0.3:
         gait = _with_motion(rng, gait, body, steps)
         if rng.random() < 0.5:
             return gait
@@ -139,7 +137,8 @@ def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) 
 
 def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design, begin: int) -> Motion:
     """A motion from control step ``begin`` on that differs from ``motion`` in one to three ways."""
-    gait, everywhere = gait_of([(begin, motion)]), np.ones(1, bool)
+    gait = gait_of([(begin, motion)])
+    everywhere = np.ones(1, bool)
     for _ in range(rng.integers(1, 4)):
         gait = replace(gait, **_change(rng, gait, body, begin, everywhere))
     return motions_of(gait)[0][1]
@@ -147,23 +146,30 @@ def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design, begin:
 
 def _with_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
     """Another motion in one stage or from there on: a random one, or that of some stage."""
+    # Where, and which motion
     stages = len(gait.begin)
     first, source = rng.integers(stages, size=2)
     chosen = slice(first, None if rng.random() < 0.5 else first + 1)
-    known = (gait.period[source], gait.amplitude[source], gait.phase[source], gait.rest[source])
-    motion = draw_motion(rng, body) if rng.random() < 0.6 else known
+    motion = (float(gait.period[source]), gait.amplitude[source], gait.phase[source], gait.rest[source])
+    if rng.random() < 0.6:
+        motion = draw_motion(rng, body)
     fields = {name: getattr(gait, name).copy() for name in vars(gait)}
     for name, values in zip(("period", "amplitude", "phase", "rest"), motion, strict=True):
         fields[name][chosen] = values
+
+    # When it begins
     if first and rng.random() < 0.5:
         limits = (*gait.begin, steps)
-        fields["begin"][first] = rng.integers(limits[first - 1], max(limits[first + 1], limits[first - 1]) + 1)
+        low = limits[first - 1]
+        high = max(limits[first + 1], low)
+        fields["begin"][first] = rng.integers(low, high + 1)
     return Gait(**fields)
 
 
 def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chosen: np.ndarray) -> dict:
     """The changed fields of ``gait``; ``chosen``: stages that change, bool ``[stages]``."""
-    size = _log_uniform(rng, STEP_SIZES)
+    # Mutations are as often small as large.
+    size = _log_uniform(rng, (0.02, 1.0))
     cells = chosen[:, None, None] * (rng.random(body.shape) < rng.choice([0.08, 0.3, 1.0]))
     noise = size * cells * rng.normal(size=body.shape)
     kind = rng.integers(7)
@@ -185,9 +191,10 @@ def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chos
     if kind == 3:
         return {"phase": gait.phase + 2 * noise}
     if kind == 4:
-        return {"rest": np.clip(gait.rest + 1.5 * noise, -MOST_REST, MOST_REST)}
+        # A rest beyond 1 holds an actuator still for a part of the period.
+        return {"rest": np.clip(gait.rest + 1.5 * noise, -2.0, 2.0)}
     if kind == 5:
-        return {"amplitude": np.clip(gait.amplitude + 1.5 * noise, 0.0, 2 * GAINS[1])}
+        return {"amplitude": np.clip(gait.amplitude + 1.5 * noise, 0.0, 9.0)}
     # a few cells at their longest or shortest
     few = chosen[:, None, None] & (rng.random(body.shape) < 0.15)
     return {"rest": np.where(few, rng.choice([-1.0, 1.0], body.shape), gait.rest)}

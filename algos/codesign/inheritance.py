@@ -14,9 +14,6 @@ from warpvox.envs.worlds import ROBOT
 from warpvox.errors import RunError
 from warpvox.types import Cell
 
-MAX_COUNT = 4096
-"""Largest sample count that a child's normaliser takes over, so that it still adapts to its own observations."""
-
 
 @dataclass(frozen=True)
 class BodyLayout:
@@ -33,18 +30,23 @@ class BodyLayout:
     def of(env: VoxelVecEnv, design: int) -> BodyLayout:
         """The layout of one of the designs of ``env``."""
         body = env.designs[design]
-        first = design * env.num_envs // env.num_designs
-        mesh = env.sim.designs[int(env.sim.design_index[first])].body(ROBOT)
+        first_env = design * env.num_envs // env.num_designs
+        mesh = env.sim.designs[int(env.sim.design_index[first_env])].body(ROBOT)
         assert mesh is not None  # every world of a task has its robot
+
         # The mesh has the grid that its world holds; bodies are compared by their own.
-        row, column = (int(np.flatnonzero(np.any(body != Cell.EMPTY, axis))[0]) for axis in (1, 0))
-        row -= min(cell[0] for cell in mesh.cells)
-        column -= min(cell[1] for cell in mesh.cells)
+        row_shift = int(np.flatnonzero(np.any(body != Cell.EMPTY, 1))[0]) - min(row for row, _ in mesh.cells)
+        column_shift = int(np.flatnonzero(np.any(body != Cell.EMPTY, 0))[0]) - min(column for _, column in mesh.cells)
+
+        # Where the points are: row and column of a corner
         corners = {}
-        for (r, c), points in mesh.corners.items():
-            places = ((r, c), (r, c + 1), (r + 1, c + 1), (r + 1, c))
-            corners |= {point: (y + row, x + column) for point, (y, x) in zip(points, places, strict=True)}
+        for (row, column), points in mesh.corners.items():
+            around = ((row, column), (row, column + 1), (row + 1, column + 1), (row + 1, column))
+            for point, (y, x) in zip(points, around, strict=True):
+                corners[point] = (y + row_shift, x + column_shift)
         places = [corners[point] for point in range(len(mesh.points))]
+
+        # Observations
         columns: list[tuple] = []
         for term in env.spec.observations:
             part = env.obs_columns[design][term.name]
@@ -53,8 +55,14 @@ class BodyLayout:
                 columns += [(term.name, axis, *place) for axis in "xy" for place in places]
             else:
                 columns += [(term.name, width, k) for k in range(width)]
-        kinds = [(r + row, c + column, mesh.kind((r, c))) for r, c in mesh.cells]
-        return BodyLayout(tuple(columns), tuple(kind for kind in kinds if kind[2] in (Cell.H_ACT, Cell.V_ACT)))
+
+        # Actions
+        actuators = []
+        for row, column in mesh.cells:
+            kind = mesh.kind((row, column))
+            if kind in (Cell.H_ACT, Cell.V_ACT):
+                actuators.append((row + row_shift, column + column_shift, kind))
+        return BodyLayout(tuple(columns), tuple(actuators))
 
 
 def copy_weights(
@@ -69,24 +77,31 @@ def copy_weights(
     Args:
         actor, critic: of the child; changed in place.
     """
+    # Layers
     state = actor.state_dict()
-    inputs, outputs = _matches(child.columns, parent.columns), _matches(child.actuators, parent.actuators)
+    inputs = _matches(child.columns, parent.columns)
+    outputs = _matches(child.actuators, parent.actuators)
     layers = [k for k, layer in enumerate(actor.mlp) if isinstance(layer, nn.Linear)]
     for k in layers:
         for name in (f"mlp.{k}.weight", f"mlp.{k}.bias"):
-            own, old = state[name], policy.get(name)
+            own = state[name]
+            old = policy.get(name)
             rows = outputs if k == layers[-1] else None
             columns = inputs if k == layers[0] and own.ndim == 2 else None
             if columns is not None:
                 own.zero_()
             _copy(own, old, rows, columns, name)
     _copy(state["distribution.log_std_param"], policy["distribution.log_std_param"], outputs, None, "log_std")
+
+    # Moments of the observations
     for name in ("_mean", "_var", "_std"):
         key = f"obs_normalizer.{name}"
         if key in state:
             _copy(state[key].T, policy[key].T, inputs, None, key)
     if "obs_normalizer.count" in state:
-        state["obs_normalizer.count"].copy_(policy["obs_normalizer.count"].clamp(max=MAX_COUNT))
+        # A child still adapts its normaliser to its own observations.
+        state["obs_normalizer.count"].copy_(policy["obs_normalizer.count"].clamp(max=4096))
+
     actor.load_state_dict(state)
     moments = {name: value for name, value in state.items() if name.startswith("obs_normalizer.")}
     critic.load_state_dict(critic.state_dict() | moments)
@@ -95,8 +110,9 @@ def copy_weights(
 def _matches(child: tuple[tuple, ...], parent: tuple[tuple, ...]) -> tuple[list[int], list[int]]:
     """Indices of shared names: in the child, in the parent."""
     where = {name: k for k, name in enumerate(parent)}
-    pairs = [(k, where[name]) for k, name in enumerate(child) if name in where]
-    return [mine for mine, _ in pairs], [theirs for _, theirs in pairs]
+    mine = [k for k, name in enumerate(child) if name in where]
+    theirs = [where[child[k]] for k in mine]
+    return mine, theirs
 
 
 def _copy(own: torch.Tensor, old: torch.Tensor | None, rows: tuple | None, columns: tuple | None, name: str) -> None:
@@ -105,6 +121,11 @@ def _copy(own: torch.Tensor, old: torch.Tensor | None, rows: tuple | None, colum
     if old is None or old.ndim != own.ndim or any(old.shape[axis] != own.shape[axis] for axis in free):
         found = "nothing" if old is None else list(old.shape)
         raise RunError(f"A parent's policy has another architecture: {name} is {found}, expected {list(own.shape)}.")
-    pairs = [pair or [range(size)] * 2 for pair, size in zip((rows, columns), own.shape, strict=False)]
-    mine, theirs = (np.ix_(*indices) for indices in zip(*pairs, strict=True))
-    own[mine] = old[theirs].to(own)
+
+    mine = []
+    theirs = []
+    for pair, size in zip((rows, columns), own.shape, strict=False):
+        every = range(size)
+        mine.append(every if pair is None else pair[0])
+        theirs.append(every if pair is None else pair[1])
+    own[np.ix_(*mine)] = old[np.ix_(*theirs)].to(own)

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 from typing import Any, Protocol, cast
 
-from warpvox.algos.archive import Archive, Finished, Record, body_text, repair_hint
+from warpvox.algos.archive import Archive, Finished, body_text, repair_hint
 from warpvox.algos.candidate import (
     FINALIST,
     Candidate,
@@ -25,9 +25,9 @@ from warpvox.algos.candidate import (
     Search,
     checked_outcomes,
 )
-from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.stored_policies import StoredPolicies
 from warpvox.algos.interrupt import Interrupt, deferred_interrupts
+from warpvox.algos.listener import Listener
 from warpvox.devices.startup import own_torch
 from warpvox.errors import DivergenceError, RunError, SearchError
 
@@ -70,67 +70,124 @@ class Loop:
         """
         with deferred_interrupts() as interrupt:
             self._replay()
-            while asked := self.search.ask():
-                known = self.archive.records(self.generation)
-                if known:
-                    self._check_same(asked, known)
-                else:
-                    for one in asked:
-                        if one.generation != self.generation:
-                            right = self.generation
-                            raise RunError(f"Candidate {one.id} belongs to generation {right}, not {one.generation}.")
-                    self.archive.propose(asked, self.seed)
-                self._evaluate(asked, interrupt)
-                self.search.tell([cast(float, record.fitness) for record in self.archive.records(self.generation)])
+
+            while candidates := self.search.ask():
+                # Ask: the proposals are stored, or compared with those of the search that is resumed.
+                self._store_proposals(candidates)
+
+                # Evaluate what has no result yet, and store each batch when it is finished.
+                stored = self.archive.records(self.generation)
+                finished = {record.id for record in stored if record.finished}
+                originals = self._originals(candidates)
+                work = self._unfinished_batches(candidates, originals, finished)
+                waiting = [candidate for batch in work for candidate in batch.candidates]
+                for listener in self.listeners:
+                    listener.proposed(self.generation, waiting, len(candidates))
+                began = time.perf_counter()
+                for batch, outcomes in self._evaluate(work, interrupt):
+                    now = time.perf_counter()
+                    self._store(batch, outcomes, now - began)
+                    began = now
+                    if interrupt:
+                        interrupt.stop()
+
+                # Bodies that were evaluated before take that result.
+                copied = {number: original for number, original in originals.items() if number not in finished}
+                self.archive.finish([self._copy(number, original) for number, original in copied.items()])
+                self._rank_diverged()
+                self._notify_finished(list(copied))
+
+                # Tell
+                fitness = [cast(float, record.fitness) for record in self.archive.records(self.generation)]
+                self.search.tell(fitness)
                 self.archive.back_up()
-                self._tell("told", self.generation, True)
+                for listener in self.listeners:
+                    listener.told(self.generation, True)
+
                 self.generation += 1
                 if interrupt:
                     interrupt.stop()
 
-    def _tell(self, what: str, *news: Any) -> None:
-        for listener in self.listeners:
-            getattr(listener, what)(*news)
-
     def _replay(self) -> None:
         """Restore the state of the search from the archive."""
-        whole = [row["generation"] for row in self.archive.generations() if row["evaluated"] == row["designs"]]
-        known = [self.archive.records(generation) for generation in whole]
-        history = [
-            ([one.candidate for one in records], [cast(float, one.fitness) for one in records]) for records in known
-        ]
+        history = []
+        for row in self.archive.generations():
+            if row["evaluated"] == row["designs"]:
+                records = self.archive.records(row["generation"])
+                fitness = [cast(float, record.fitness) for record in records]
+                history.append(([record.candidate for record in records], fitness))
         if history:
             try:
                 self.search.replay(history)
             except SearchError as error:
                 raise SearchError(f"{error}{repair_hint(self.archive.path)}") from None
-        for self.generation in range(len(history)):
-            self._tell("told", self.generation, False)
+        for generation in range(len(history)):
+            for listener in self.listeners:
+                listener.told(generation, False)
         self.generation = len(history)
 
-    def _check_same(self, asked: Sequence[Candidate], known: Sequence[Record]) -> None:
-        """Raise RunError unless the search repeats its earlier proposals."""
-        several = asked, [record.candidate for record in known]
-        now, before = ([(c.id, body_text(c.body), tuple(c.parents), c.origin) for c in each] for each in several)
-        if now != before:
-            raise RunError(
-                f"The search now proposes other designs for generation {self.generation} than the archive holds: it was"
-                " made on another machine, by another version of warpvox or of the library that the search uses, or its"
-                f" rows were changed.{repair_hint(self.archive.path)}"
-            )
+    def _store_proposals(self, candidates: Sequence[Candidate]) -> None:
+        """Store the candidates of a new generation. RunError: a search that is resumed proposes others than before."""
+        stored = self.archive.records(self.generation)
+        if stored:
+            proposed = [_identity(candidate) for candidate in candidates]
+            if proposed != [_identity(record.candidate) for record in stored]:
+                raise RunError(
+                    f"The search now proposes other designs for generation {self.generation} than the archive holds: it"
+                    " was made on another machine, by another version of warpvox or of the library that the search"
+                    f" uses, or its rows were changed.{repair_hint(self.archive.path)}"
+                )
+            return
+        for candidate in candidates:
+            if candidate.generation != self.generation:
+                right = self.generation
+                raise RunError(f"Candidate {candidate.id} belongs to generation {right}, not {candidate.generation}.")
+        self.archive.propose(candidates, self.seed)
 
-    def _evaluate(self, asked: Sequence[Candidate], interrupt: Interrupt) -> None:
-        done = {record.id for record in self.archive.records(self.generation) if record.finished}
-        originals = self._originals(asked)
-        # batches are cut before what is done is left out: a resumed generation trains the same designs together
-        work = batches([item for item in asked if item.id not in originals], self.batch)
-        work = [batch for batch in work if any(item.id not in done for item in batch.candidates)]
-        self._tell("proposed", self.generation, [item for batch in work for item in batch.candidates], len(asked))
-        self._train(work, interrupt)
-        copies = [self._copy(number, original) for number, original in originals.items() if number not in done]
-        self.archive.finish(copies)
-        self._rank_diverged()
-        self._tell("finished", [self.archive.record(copy.id) for copy in copies])
+    def _unfinished_batches(
+        self, candidates: Sequence[Candidate], originals: Mapping[int, int], finished: Container[int]
+    ) -> list[Batch]:
+        """The batches in which some candidate has no result yet.
+
+        Batches are cut before those with results are left out: a generation that is resumed trains the same designs
+        together.
+        """
+        fresh = [candidate for candidate in candidates if candidate.id not in originals]
+        unfinished = []
+        for batch in batches(fresh, self.batch):
+            if any(candidate.id not in finished for candidate in batch.candidates):
+                unfinished.append(batch)
+        return unfinished
+
+    def _evaluate(self, work: Sequence[Batch], interrupt: Interrupt) -> Iterator[tuple[Batch, list[Outcome]]]:
+        """Yield the batches with their outcomes, as they finish."""
+
+        def report(place: int, event: dict[str, Any]) -> None:
+            for listener in self.listeners:
+                listener.progress(work[place].candidates, event)
+            if interrupt:
+                interrupt.stop()
+
+        for place, outcomes in self.executor.run(work, self._parents(work), report):
+            batch = work[place]
+            yield batch, checked_outcomes(outcomes, len(batch.candidates))
+
+    def _store(self, batch: Batch, outcomes: Sequence[Outcome], seconds: float) -> None:
+        """Store the outcomes of a batch that has taken so many seconds."""
+        results = []
+        for candidate, outcome in zip(batch.candidates, outcomes, strict=True):
+            file = sha256 = None
+            if self.policies is not None and outcome.policy is not None:
+                # the policy first: the archive never names a missing file
+                file, sha256 = self.policies.save(candidate, outcome)
+            results.append(Finished(candidate.id, outcome, file, sha256))
+        self.archive.finish(results, seconds=seconds)
+        self._notify_finished([result.id for result in results])
+
+    def _notify_finished(self, numbers: Sequence[int]) -> None:
+        records = [self.archive.record(number) for number in numbers]
+        for listener in self.listeners:
+            listener.finished(records)
 
     def _rank_diverged(self) -> None:
         """Rank diverged candidates below all others. DivergenceError: the whole generation diverged."""
@@ -143,7 +200,7 @@ class Loop:
             )
         self.archive.rank_diverged(self.generation)
 
-    def _originals(self, asked: Sequence[Candidate]) -> dict[int, int]:
+    def _originals(self, candidates: Sequence[Candidate]) -> dict[int, int]:
         """The candidates whose body was proposed before, with the id of the first that had it."""
         if not self.reuse:
             return {}
@@ -152,7 +209,7 @@ class Loop:
             if record.candidate.generation < self.generation:
                 first.setdefault(body_text(record.candidate.body), record.id)
         originals = {}
-        for candidate in asked:
+        for candidate in candidates:
             if candidate.origin == FINALIST:  # its body was evaluated in another way
                 continue
             original = first.setdefault(body_text(candidate.body), candidate.id)
@@ -161,46 +218,31 @@ class Loop:
         return originals
 
     def _copy(self, number: int, original: int) -> Finished:
+        """The result of a candidate whose body is that of ``original``."""
         record = self.archive.record(original)
         # nothing was spent: the sum of all steps is what the experiment has cost
         fitness = -math.inf if record.diverged else cast(float, record.fitness)
         outcome = Outcome(fitness, steps=0, stopped=bool(record.stopped))
         return Finished(number, outcome, record.policy, record.policy_sha256, reused=original)
 
-    def _train(self, work: Sequence[Batch], interrupt: Interrupt) -> None:
-        def report(place: int, event: dict[str, Any]) -> None:
-            self._tell("progress", work[place].candidates, event)
-            if interrupt:
-                interrupt.stop()
-
-        began = time.perf_counter()
-        for place, outcomes in self.executor.run(work, self._parents(work), report):
-            batch = work[place]
-            outcomes = checked_outcomes(outcomes, len(batch.candidates))
-            results = []
-            for one, outcome in zip(batch.candidates, outcomes, strict=True):
-                file = sha256 = None
-                if self.policies is not None and outcome.policy is not None:
-                    # the policy first: the archive never names a missing file
-                    file, sha256 = self.policies.save(one, outcome)
-                results.append(Finished(one.id, outcome, file, sha256))
-            now = time.perf_counter()
-            self.archive.finish(results, seconds=now - began)
-            began = now
-            self._tell("finished", [self.archive.record(result.id) for result in results])
-            if interrupt:
-                interrupt.stop()
-
     def _parents(self, work: Sequence[Batch]) -> Parents:
+        """The parents of all candidates whose policies are known."""
         if not self.inherit or self.policies is None:
             return {}
-        wanted = sorted({parent for batch in work for item in batch.candidates for parent in item.parents})
-        return {
-            record.id: Parent(record.candidate.body, self.policies.load(record.policy), cast(float, record.fitness))
-            for record in map(self.archive.record, wanted)
+        numbers = {number for batch in work for candidate in batch.candidates for number in candidate.parents}
+        parents = {}
+        for number in sorted(numbers):
+            record = self.archive.record(number)
             # of its own generation a search that is resumed would know more policies than one that was not interrupted
-            if record.policy is not None and record.candidate.generation < self.generation
-        }
+            if record.policy is not None and record.candidate.generation < self.generation:
+                policy = self.policies.load(record.policy)
+                parents[number] = Parent(record.candidate.body, policy, cast(float, record.fitness))
+        return parents
+
+
+def _identity(candidate: Candidate) -> tuple[int, str, tuple[int, ...], str]:
+    """The parts of a candidate that a search which is resumed must propose again."""
+    return candidate.id, body_text(candidate.body), tuple(candidate.parents), candidate.origin
 
 
 Report = Callable[[int, dict[str, Any]], None]
@@ -237,7 +279,8 @@ class LocalExecutor(Executor):
     """
 
     def __init__(self, evaluator: DesignEvaluator, alone: bool = True) -> None:
-        self.evaluator, self.alone = evaluator, alone
+        self.evaluator = evaluator
+        self.alone = alone
 
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
         for place, batch in enumerate(work):

@@ -31,90 +31,83 @@ class PopulationEvaluator:
     seed: int = 0
 
     def evaluate(self, candidates: Sequence[Candidate], parents: Parents, report: Report = None) -> list[Outcome]:
-        with enough_memory(memory_hint(self.settings, len(candidates))):
-            generation = _Generation(self, candidates, parents)
-            while generation.active and generation.training.iteration < self.settings.iterations:
-                generation.advance()
-                if report is not None:
-                    report(generation.progress())
-        return generation.outcomes
+        count = len(candidates)
+        half = -(-count // 2)
+        fewer = f"batch={half} trains {half} designs at once instead of {count}; " if count > 1 else ""
+        hint = (
+            f"Take less at once: {fewer}training.envs is {self.settings.envs}, training.ppo.steps"
+            f" {self.settings.ppo.steps}."
+        )
+        with enough_memory(hint):
+            return self._train(candidates, parents, report)
 
+    def _train(self, candidates: Sequence[Candidate], parents: Parents, report: Report) -> list[Outcome]:
+        settings = self.settings
+        outcomes = [Outcome(-math.inf) for _ in candidates]
+        active = list(range(len(candidates)))  # candidates that are trained, in the order of the batch
 
-class _Generation:
-    """The state of an evaluation."""
+        def inherit(design: int, env: VoxelVecEnv, networks: Networks) -> None:
+            parent = best_parent(candidates[design], parents)
+            if parent is not None:
+                inherit_policy(self.factory, parent, env, design, networks)
 
-    def __init__(self, evaluator: PopulationEvaluator, candidates: Sequence[Candidate], parents: Parents) -> None:
-        self.factory = evaluator.factory
-        self.settings = evaluator.settings
-        self.seed = evaluator.seed
-        self.candidates = list(candidates)
-        self.parents = parents
-        self.seeds = [candidate_seed(evaluator.seed, candidate.id) for candidate in candidates]
-        self.outcomes = [Outcome(-math.inf) for _ in candidates]
-        self.halvings = self.settings.halvings()
-        self.active = list(range(len(candidates)))
-        bodies = [candidate.body for candidate in candidates]
-        inherit = self._inherit if self.settings.inherit else None
-        self.training = PopulationTraining(self.factory, bodies, self.seeds, self.settings, inherit, self.seed)
+        def keep(places: list[int]) -> None:
+            """Stop the others; ``places``: of those in the batch that go on."""
+            nonlocal active
+            if len(places) == len(active):
+                return
+            for place, k in enumerate(active):
+                outcomes[k].stopped = place not in places
+            active = [active[place] for place in places]
+            if active:
+                training.keep(places)
 
-    def _inherit(self, design: int, env: VoxelVecEnv, networks: Networks) -> None:
-        parent = best_parent(self.candidates[self.active[design]], self.parents)
-        if parent is not None:
-            inherit_policy(self.factory, parent, env, design, networks)
+        training = PopulationTraining(
+            self.factory,
+            [candidate.body for candidate in candidates],
+            [candidate_seed(self.seed, candidate.id) for candidate in candidates],
+            settings,
+            inherit if settings.inherit else None,
+            self.seed,
+        )
+        halvings = settings.halvings()
+        while active and training.iteration < settings.iterations:
+            # Learn. Designs whose learning has diverged are stopped.
+            training.iterate()
+            done = training.iteration
+            for k in active:
+                outcomes[k].steps = done * training.steps_per_iteration
+            keep([place for place, healthy in enumerate(training.algorithm.healthy().tolist()) if healthy])
 
-    def advance(self) -> None:
-        """One iteration, then evaluation and halving as scheduled."""
-        self.training.iterate()
-        for k in self.active:
-            self.outcomes[k].steps = self.training.iteration * self.training.steps_per_iteration
-        self._keep([place for place, well in enumerate(self.training.algorithm.healthy().tolist()) if well])
-        done, end = self.training.iteration, self.settings.iterations
-        if self.active and (done % self.settings.eval_interval == 0 or done == end or done in self.halvings):
-            self._evaluate()
-            if done in self.halvings:
-                self._halve()
+            # Evaluate, when it is time
+            if active and (done % settings.eval_interval == 0 or done == settings.iterations or done in halvings):
+                values = training.evaluate().tolist()
+                for place, value in enumerate(values):
+                    outcome = outcomes[active[place]]
+                    if math.isfinite(value):
+                        outcome.curve.append((outcome.steps, value))
+                    if value > outcome.fitness:
+                        outcome.fitness = value
+                        outcome.policy = training.policy(place)
+                keep([place for place, value in enumerate(values) if math.isfinite(value)])
 
-    def _evaluate(self) -> None:
-        values = self.training.evaluate().tolist()
-        for place, (k, value) in enumerate(zip(self.active, values, strict=True)):
-            outcome = self.outcomes[k]
-            if math.isfinite(value):
-                outcome.curve.append((outcome.steps, value))
-            if value > outcome.fitness:
-                outcome.fitness, outcome.policy = value, self.training.policy(place)
-        self._keep([place for place, value in enumerate(values) if math.isfinite(value)])
+                # Halve: the worst are stopped, of equals those that were proposed last.
+                if done in halvings:
+                    ranked = sorted(range(len(active)), key=lambda place: -outcomes[active[place]].fitness)
+                    keep(sorted(ranked[: settings.kept(len(active))]))
 
-    def _halve(self) -> None:
-        """Stop the worst; of equals, those that were proposed last."""
-        count = self.settings.kept(len(self.active))
-        ranked = sorted(range(len(self.active)), key=lambda place: -self.outcomes[self.active[place]].fitness)
-        self._keep(sorted(ranked[:count]))
-
-    def _keep(self, places: list[int]) -> None:
-        if len(places) == len(self.active):
-            return
-        for place, k in enumerate(self.active):
-            self.outcomes[k].stopped = place not in places
-        self.active = [self.active[place] for place in places]
-        if self.active:
-            self.training.keep(places)
-
-    def progress(self) -> dict[str, Any]:
-        """The content of a report, see :data:`warpvox.algos.candidate.Report`."""
-        finished = self.training.iteration == self.settings.iterations
-        return {
-            "iteration": self.training.iteration,
-            "iterations": self.settings.iterations,
-            "steps": sum(outcome.steps for outcome in self.outcomes),
-            "best": [outcome.fitness if outcome.curve else math.nan for outcome in self.outcomes],
-            "training": [k in self.active and not finished for k in range(len(self.candidates))],
-        }
-
-
-def memory_hint(settings: DesignTraining, count: int) -> str:
-    """Advice for when the training of ``count`` designs takes too much memory."""
-    fewer = f"batch={-(-count // 2)} trains {-(-count // 2)} designs at once instead of {count}; " if count > 1 else ""
-    return f"Take less at once: {fewer}training.envs is {settings.envs}, training.ppo.steps {settings.ppo.steps}."
+            if report is not None:
+                finished = done == settings.iterations
+                report(
+                    {
+                        "iteration": done,
+                        "iterations": settings.iterations,
+                        "steps": sum(outcome.steps for outcome in outcomes),
+                        "best": [outcome.fitness if outcome.curve else math.nan for outcome in outcomes],
+                        "training": [k in active and not finished for k in range(len(candidates))],
+                    }
+                )
+        return outcomes
 
 
 def best_parent(candidate: Candidate, parents: Parents) -> Parent | None:

@@ -34,7 +34,8 @@ class _Worker:
         # Relative paths mean what they mean in the program; other machines may lack its folder.
         with suppress(OSError):
             os.chdir(here)
-        self._make, self._evaluator = make, None
+        self._make = make
+        self._evaluator = None
         self._events: deque[dict[str, Any]] = deque(maxlen=100)
 
     def ready(self) -> int:
@@ -75,7 +76,8 @@ class RayExecutor:
         self._ray, workers, gpus = connect(address, workers, cpus, gpus)
         groups = {"train": 1, "watch": 1}
         remote = self._ray.remote(num_cpus=cpus, num_gpus=gpus, concurrency_groups=groups, max_restarts=0)
-        self._class, self._make = remote(_Worker), make
+        self._class = remote(_Worker)
+        self._make = make
         self._workers = [self._start_worker() for _ in range(workers)]
 
     @property
@@ -88,7 +90,8 @@ class RayExecutor:
 
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
         """RunError: there is no worker for too long, or a batch has lost too many of them."""
-        waiting, losses = deque(range(len(work))), Counter()
+        waiting = deque(range(len(work)))
+        losses = Counter()
         idle_since = time.monotonic()
         while waiting or any(worker.place is not None for worker in self._workers):
             self._assign(work, parents, waiting)
@@ -138,7 +141,8 @@ class RayExecutor:
 
     def _collect(self, worker: _Handle) -> list[Outcome] | None:
         """The outcomes of a finished task; None and a new worker if it was lost."""
-        errors, task = self._ray.exceptions, worker.task
+        errors = self._ray.exceptions
+        task = worker.task
         worker.place = worker.task = worker.news = None
         try:
             return self._ray.get(task)
@@ -175,7 +179,8 @@ class _Handle:
     """The driver's view of a worker: the actor, the future of its start, the batch it works on."""
 
     def __init__(self, actor: Any, up: Any) -> None:
-        self.actor, self.up = actor, up
+        self.actor = actor
+        self.up = up
         self.place: int | None = None
         self.task: Any = None
         self.news: Any = None
@@ -214,7 +219,13 @@ def _start(address: str | None, cpus: int) -> Any:
         raise ConfigError("executor=ray needs Ray, which is not installed: pip install 'warpvox[ray]'.") from None
     where = f"at {address}" if address else "on this machine"
     if address:
-        _check_answers(address, where)
+        # Ray itself would try for minutes. It resolves `auto` and the like.
+        host, _, port = address.removeprefix("ray://").rpartition(":")
+        if port.isdigit():
+            try:
+                socket.create_connection((host, int(port)), timeout=10).close()
+            except OSError as error:
+                raise RunError(f"Ray cannot be reached {where}: {error.strerror or error}.") from None
     options: dict[str, Any] = {"address": address} if address else {}
     if address is None:
         options = {"include_dashboard": False, "num_cpus": max(cpus, os.cpu_count() or 1)}
@@ -228,14 +239,3 @@ def _start(address: str | None, cpus: int) -> Any:
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, before)  # Ray's handler would end this process before anything is saved
     return ray
-
-
-def _check_answers(address: str, where: str) -> None:
-    """Raise RunError unless something answers at ``host:port``; Ray itself would try for minutes."""
-    host, _, port = address.removeprefix("ray://").rpartition(":")
-    if not port.isdigit():
-        return  # auto and the like, which Ray resolves
-    try:
-        socket.create_connection((host, int(port)), timeout=10).close()
-    except OSError as error:
-        raise RunError(f"Ray cannot be reached {where}: {error.strerror or error}.") from None

@@ -16,9 +16,9 @@ from warpvox import __version__
 from warpvox.algos.archive import FILE as ARCHIVE, Archive, Record
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.checkpoints.policy import Policy
-from warpvox.algos.codesign.listener import Listener
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.find import find_run
+from warpvox.algos.listener import Listener
 from warpvox.algos.protocols import NOMINAL
 from warpvox.algos.report import FILE as REPORT, FILM, report_page
 from warpvox.algos.report.charts import picture
@@ -33,18 +33,12 @@ from warpvox.io.writing import atomic_path, write_text
 from warpvox.palette import body_svg
 from warpvox.runs import read_summary, write_summary
 from warpvox.view.body_picture import draw_bodies
-from warpvox.view.painter import Painter, save_png
+from warpvox.view.painter import save_png
+from warpvox.view.render import Film
 from warpvox.view.rollout import record
 
 FRESH = 64
 """Episodes of a winner that its search never met, in tasks that draw at random."""
-FRESH_SEED = 1000
-"""That of `warpvox evaluate`, which finds the same returns with ``episodes=64``."""
-
-SIZE, VOXELS = (320, 150), 13.0
-"""Size of a picture in pixels, and the height of what it shows in voxels."""
-LONGEST, EVERY, PAUSE = 300, 5, 100
-"""Control steps that are shown at most, those from one picture to the next, and the milliseconds that they take."""
 
 
 class Results(Listener):
@@ -75,8 +69,10 @@ class Results(Listener):
 
     def write(self, status: str) -> dict[str, Any]:
         """Write report and summary; returns the summary."""
-        rows, best = self.archive.generations(), next(iter(self.archive.best()), None)
-        steps, elapsed = sum(row["steps"] or 0 for row in rows), time.monotonic() - self._began
+        rows = self.archive.generations()
+        best = next(iter(self.archive.best()), None)
+        steps = sum(row["steps"] or 0 for row in rows)
+        elapsed = time.monotonic() - self._began
         summary = {
             "command": "codesign",
             "task": self.settings.task,
@@ -137,11 +133,12 @@ class Results(Listener):
             if file.is_file() or not policy.is_file():
                 continue
             with suppress(WarpvoxError):  # of this design alone
-                rollout = record(*load_result(find_run(str(file.parent), ""), settings), LONGEST)
-                painter = Painter(rollout, 0, SIZE, VOXELS)
-                first, *more = [painter.frame(frame) for frame in range(0, rollout.num_frames, EVERY)]
+                # At most 300 control steps, of which every fifth is shown for 0.1 s
+                rollout = record(*load_result(find_run(str(file.parent), ""), settings), 300)
+                film = Film(rollout, 0, (320, 150), hud=False, voxels=13.0)
+                first, *more = film.frames(range(0, rollout.num_frames, 5))
                 with atomic_path(file) as temporary:
-                    first.save(temporary, "WEBP", save_all=True, append_images=more, duration=PAUSE, loop=0, quality=40)
+                    first.save(temporary, "WEBP", save_all=True, append_images=more, duration=100, loop=0, quality=40)
 
 
 def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
@@ -158,7 +155,7 @@ def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
         return {}
     if not any(best.policy for best in results.archive.best()):
         return {}
-    seed = FRESH_SEED + (settings.seed == FRESH_SEED)  # which the search has compared its designs by
+    seed = 1000 + (settings.seed == 1000)  # which the search has compared its designs by
     device = settings.device if settings.executor == "local" else "cpu"
     how: dict[str, Any] = {"protocol": NOMINAL if settings.fitness == NOMINAL else "noise"} | own_code(settings)
     play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **how)
@@ -176,10 +173,6 @@ def evaluated_text(summary: Mapping[str, Any]) -> str:
     finalists = summary.get("finalists", 0)
     text = counted(summary["evaluations"] - finalists, "designs")
     return f"{text} and {counted(finalists, 'finalists')}" if finalists else text
-
-
-SHOWN = 5
-"""Designs that a notebook shows."""
 
 
 @dataclass(frozen=True)
@@ -256,7 +249,7 @@ class Found:
     def _repr_html_(self) -> str:
         """The best bodies with their returns, and the curve, for notebooks."""
         with Archive.read(self.folder / ARCHIVE) as archive:
-            best = archive.best(SHOWN)
+            best = archive.best(5)
         cells = "".join(
             f"<td>{body_svg(record.candidate.body, 16)}<br>{record.fitness:.3f} #{record.id}</td>" for record in best
         )

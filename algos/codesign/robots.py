@@ -1,22 +1,22 @@
 """Robots that searches and trainings leave, and those that a design search begins with (``start``)."""
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from warpvox.algos.archive import FILE as ARCHIVE, Archive, Record
+from warpvox.algos.checkpoints.policy import read_policy
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.find import find_codesign, find_run
+from warpvox.algos.robots.entry import Robot, read_robot, save_robot, zoo
 from warpvox.algos.training.bodies import has_designs, read_bodies
 from warpvox.design import check_design, full_connections
 from warpvox.errors import ConfigError, RunError
-from warpvox.robots.entry import Robot, read_robot, save_robot, zoo
-from warpvox.robots.replay import policy_of_checkpoint
 from warpvox.runs import ZOO
 
-COPIES = Path("training") / "start"
+_COPIES = Path("training") / "start"
 """In a search's folder: a search that is resumed does not depend on a zoo or on other files."""
 
 
@@ -27,38 +27,33 @@ def read_start(settings: Codesign, folder: Path | None = None) -> list[Robot]:
         folder: of the search, which has copies; None: there are none yet.
     """
     if folder is not None:
-        return _copies(folder)
-    found = [(text, robot) for text in settings.start for robot in _robots(text, settings)]
-    for text, robot in found:
-        if not robot.fully_connected:
+        # Files of another kind of name are not of the search.
+        copies = [path for path in (folder / _COPIES).glob("*.npz") if path.stem.isdecimal()]
+        return [read_robot(path) for path in sorted(copies, key=lambda path: int(path.stem))]
+
+    found = []
+    for text in settings.start:
+        path = Path(text).expanduser()
+        if text.startswith(ZOO):
+            robots = [zoo(text.removeprefix(ZOO))]
+        elif path.suffix == ".pt" or (path.is_dir() and not has_designs(path)):
+            robots = robots_of(path)
+            if not robots:
+                raise ConfigError(f"start={text}: this search has no design with a policy yet.")
+        else:
+            bodies = read_bodies(text, settings.seed, "start")
+            robots = [Robot(settings.task, body, full_connections(body).T, None) for body in bodies]
+        if not all(robot.fully_connected for robot in robots):
             raise ConfigError(f"start={text}: this robot lacks connections, which designs of a search have.")
-    return [robot for _, robot in found]
-
-
-def _robots(text: str, settings: Codesign) -> list[Robot]:
-    if text.startswith(ZOO):
-        return [zoo(text.removeprefix(ZOO))]
-    folder = Path(text).expanduser()
-    if folder.suffix == ".pt" or (folder.is_dir() and not has_designs(folder)):
-        robots = robots_of(folder)
-        if not robots:
-            raise ConfigError(f"start={text}: this search has no design with a policy yet.")
-        return robots
-    bodies = read_bodies(text, settings.seed, "start")
-    return [Robot(settings.task, body, full_connections(body).T, None) for body in bodies]
+        found += robots
+    return found
 
 
 def keep_start(robots: Sequence[Robot], folder: Path) -> None:
     """Copy the robots into the folder of a new search, in place of those of one that could not begin there."""
-    shutil.rmtree(folder / COPIES, ignore_errors=True)
+    shutil.rmtree(folder / _COPIES, ignore_errors=True)
     for number, robot in enumerate(robots):
-        save_robot(folder / COPIES / f"{number}.npz", robot)
-
-
-def _copies(folder: Path) -> list[Robot]:
-    """The robots that the search in ``folder`` began with; files of another kind of name are not its own."""
-    own = [path for path in (folder / COPIES).glob("*.npz") if path.stem.isdecimal()]
-    return [read_robot(path) for path in sorted(own, key=lambda path: int(path.stem))]
+        save_robot(folder / _COPIES / f"{number}.npz", robot)
 
 
 def robots_of(source: str | Path, top: int = 1) -> list[Robot]:
@@ -74,17 +69,29 @@ def robots_of(source: str | Path, top: int = 1) -> list[Robot]:
     """
     source = Path(source)
     search = source.absolute().parent.parent
+
+    # A design search, or a design of one
     if (source / ARCHIVE).is_file():
-        return _of_search(source, lambda archive: _trained(archive)[:top])
+        with Archive.read(source / ARCHIVE) as archive:
+            ranked = archive.best(max(1, archive.count()))
+        return _robots_of_search(source, [record for record in ranked if record.policy is not None][:top])
     if source.name.isdecimal() and (search / ARCHIVE).is_file():
-        return _of_search(search, lambda archive: [archive.record(int(source.name))])
-    return [_of_run(source)]
+        with Archive.read(search / ARCHIVE) as archive:
+            record = archive.record(int(source.name))
+        return _robots_of_search(search, [record])
+
+    # A training
+    run = find_run(str(source), "")
+    if run.is_many or run.config.get("obs", "task") != "task" or isinstance(run.config["design"], dict):
+        raise RunError(
+            f"{source}: stored robots are single ones with their own body that observe what the task has (obs=task)."
+        )
+    return [_robot(run.config["task"], check_design(run.config["design"]), run.find_checkpoint("best"))]
 
 
-def _of_search(folder: Path, choose: Callable[[Archive], list[Record]]) -> list[Robot]:
+def _robots_of_search(folder: Path, records: Sequence[Record]) -> list[Robot]:
+    """The robots of some designs of a search."""
     run = find_codesign(str(folder), "")
-    with Archive.read(folder / ARCHIVE) as archive:
-        records = choose(archive)
     robots = []
     for record in records:
         if record.policy is None:
@@ -93,19 +100,5 @@ def _of_search(folder: Path, choose: Callable[[Archive], list[Record]]) -> list[
     return robots
 
 
-def _trained(archive: Archive) -> list[Record]:
-    """The designs with a policy, the best first."""
-    return [record for record in archive.best(max(1, archive.count())) if record.policy is not None]
-
-
-def _of_run(path: Path) -> Robot:
-    run = find_run(str(path), "")
-    if run.is_many or run.config.get("obs", "task") != "task" or isinstance(run.config["design"], dict):
-        raise RunError(
-            f"{path}: stored robots are single ones with their own body that observe what the task has (obs=task)."
-        )
-    return _robot(run.config["task"], check_design(run.config["design"]), run.find_checkpoint("best"))
-
-
 def _robot(task: str, body: np.ndarray, checkpoint: Path) -> Robot:
-    return Robot(task, body, full_connections(body).T, policy_of_checkpoint(checkpoint))
+    return Robot(task, body, full_connections(body).T, read_policy(checkpoint))

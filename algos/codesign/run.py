@@ -1,10 +1,11 @@
 """A design search from its settings: everything is checked, then the loop runs with its archive in a folder."""
 
+import copy
 import dataclasses
 import functools
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from pathlib import Path
 from typing import Any, cast
@@ -15,16 +16,16 @@ import torch
 from warpvox.algos.archive import FILE as ARCHIVE, Archive
 from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Search
 from warpvox.algos.codesign.evaluations.custom import Custom
-from warpvox.algos.codesign.evaluations.workload import full_body
 from warpvox.algos.codesign.finalists import Finalists
-from warpvox.algos.codesign.listener import Listener, SearchRun
 from warpvox.algos.codesign.loop import Executor, LocalExecutor, Loop
 from warpvox.algos.codesign.results import Found, Results, evaluate_winner
 from warpvox.algos.codesign.robots import keep_start, read_start
 from warpvox.algos.codesign.settings import CHANGEABLE, Codesign
 from warpvox.algos.codesign.stored_policies import StoredPolicies
+from warpvox.algos.listener import Listener
 from warpvox.algos.metrics import check_logger
 from warpvox.algos.protocols import episodes_of
+from warpvox.algos.robots.entry import Robot
 from warpvox.algos.search import BaseSearch, make_search
 from warpvox.algos.search.factory import start_with
 from warpvox.algos.settings import sim_of
@@ -42,44 +43,82 @@ from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.writing import to_yaml
 from warpvox.keys import flat
 from warpvox.runs import CONFIG, END, keep_code, run_folder, search_as_now
-
-OF_DESIGNS = (
-    "task", "rules", "seed", "device", "dtype", "arithmetic", "threads", "torch_threads", "output_dir",
-)  # fmt: skip
-"""Settings that the training of a design has from its search."""
-MAX_BATCH_STEPS = 20e6
-"""Control steps of a batch by default: about ten minutes of a core."""
-BEFORE = (CONFIG, "log.txt", "training", "code", "designs", f"{ARCHIVE}.lock")
-"""Files and folders that a search has before its archive."""
+from warpvox.types import Cell
 
 
-def check(settings: Codesign, folder: Path | None = None, search: Search | None = None) -> Codesign:
-    """Find mistakes before anything is made; a ``search`` that is given gets the bodies to start with.
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """A design search that was checked, and can be run.
 
-    Returns:
-        A copy with what its names stand for: settings, constants and, where it is this machine's, the device.
+    Attributes:
+        settings: with what their names stand for: settings, constants and, where it is this machine's, the device.
+        place: its folder; None: a new one in ``output_dir``, named by the time.
+        resumed: whether a search is there, which is gone on with.
+        start: robots that the first generation contains.
+        known: what the evaluation knows from before the search.
+        search: proposes designs; it has not been asked yet.
+        evaluator: evaluates them; None: the one that the settings name.
     """
-    check_logger(settings.logger)
-    task_world(get_task(settings.task), np.full(settings.shape, 3, np.int8))
-    start = [robot.body for robot in read_start(settings, folder)]
-    if search is None:
-        search = make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, start)
-        if isinstance(search, BaseSearch):
-            search.ask()  # of some shapes hardly any random body holds together
-    else:
-        start_with(search, start)
-    sim_of(settings)  # constants out of range are found
-    settings.evaluation.check(settings)
-    settings = settings.resolved(folder)
-    if settings.executor == "local":
-        resolve_device(settings.device)
-        for key in ("address", "workers"):
-            if getattr(settings, key) is not None:
-                raise ConfigError(f"{key} goes with executor=ray.")
-        if settings.memory_check:
-            _ask_for_memory(settings)
-        settings = dataclasses.replace(settings, device=resolve_device(settings.device, environments(settings)))
-    return settings  # designs on workers run on the devices of the workers
+
+    settings: Codesign
+    place: Path | None
+    resumed: bool
+    start: Sequence[Robot]
+    known: Any
+    search: Search
+    evaluator: DesignEvaluator | None
+
+
+def plan_codesign(
+    settings: Codesign,
+    place: Path | None = None,
+    *,
+    search: Search | None = None,
+    evaluator: DesignEvaluator | None = None,
+) -> Plan:
+    """Find mistakes before anything is written.
+
+    Args:
+        place: as in :class:`Plan`.
+        search: gets the bodies to start with; None: the one that the settings name.
+        evaluator: None: the one that the settings name.
+
+    Raises:
+        WarpvoxError: something asked for is not valid.
+    """
+    resumed = place is not None and (place / ARCHIVE).is_file()
+    with own_torch(settings.torch_threads):
+        check_logger(settings.logger)
+        task_world(get_task(settings.task), np.full(settings.shape, Cell.H_ACT, np.int8))
+
+        # Who proposes
+        start = read_start(settings, place if resumed else None)
+        bodies = [robot.body for robot in start]
+        if search is None:
+            search = make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, bodies)
+            if isinstance(search, BaseSearch):
+                # Of some shapes hardly any random body holds together.
+                copy.deepcopy(search).ask()
+        else:
+            start_with(search, bodies)
+
+        # Who evaluates
+        sim_of(settings)  # finds constants out of range
+        if evaluator is None:
+            settings.evaluation.check(settings)
+        settings = settings.resolved(place if resumed else None)
+
+        # Where. Designs on workers run on the devices of the workers.
+        if settings.executor == "local":
+            resolve_device(settings.device)
+            for key in ("address", "workers"):
+                if getattr(settings, key) is not None:
+                    raise ConfigError(f"{key} goes with executor=ray.")
+            if settings.memory_check:
+                _ask_for_memory(settings)
+            settings = dataclasses.replace(settings, device=resolve_device(settings.device, environments(settings)))
+        known = settings.evaluation.begins_with(settings, start, place if resumed else None)
+    return Plan(settings, place, resumed, start, known, search, evaluator)
 
 
 def environments(settings: Codesign) -> int:
@@ -92,102 +131,135 @@ def _ask_for_memory(settings: Codesign) -> None:
     spec = get_task(settings.task).under(settings.rules)
     grid = None if settings.dtype == "float64" else tuple(settings.shape)
     sim = dataclasses.replace(sim_of(settings), grid=grid).resolved(environments(settings))
-    worlds = [task_world(spec, full_body(settings.shape))]
+    largest_body = np.full(settings.shape, Cell.H_ACT, np.int8)
+    worlds = [task_world(spec, largest_body)]
+
     for batch in settings.evaluation.workloads(settings):
-        designs, envs, value = batch.designs, batch.envs, batch.value
-        each = environment_bytes(spec, worlds, designs * envs, sim, ppo=batch.ppo)
-        if fitting(each * envs, sim.device) < 1 or designs == 1:
-            what = f"({batch.key}) for each of {designs} designs"
-            ask(each * designs * envs / value, value, sim.device, batch.key, what)
-        ask(each * envs, designs, sim.device, "batch", f"designs of {envs:,} environments each")
+        count = batch.designs * batch.envs
+        each = environment_bytes(spec, worlds, count, sim, ppo=batch.ppo)
+        # Where not even one design fits, its environments are too many, else the designs are.
+        if fitting(each * batch.envs, sim.device) < 1 or batch.designs == 1:
+            things = f"({batch.key}) for each of {batch.designs} designs"
+            ask(each * count / batch.value, batch.value, sim.device, batch.key, things)
+        ask(each * batch.envs, batch.designs, sim.device, "batch", f"designs of {batch.envs:,} environments each")
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchRun:
+    """A design search that is under way, as listeners see it.
+
+    Attributes:
+        folder: of the run.
+        archive: designs and results so far.
+        settings: with what their names stand for.
+        total: evaluations that it may spend, those of finalists included, which come last.
+        costs: about how many control steps a design takes, and a finalist; None: not known.
+        workers: of Ray; 0: this process.
+    """
+
+    folder: Path
+    archive: Archive
+    settings: Codesign
+    total: int
+    finalists: int
+    costs: tuple[float, float] | None
+    workers: int
+    resumed: bool
 
 
 def run_codesign(
-    settings: Codesign,
-    place: Path | None = None,
+    plan: Plan,
     listeners: Sequence[Listener] = (),
-    *,
-    search: Search | None = None,
     executor: Executor | None = None,
+    finish: Callable[[Found], object] = lambda _: None,
 ) -> Found:
-    """Make a search, or go on with one. Nothing is written before everything has been checked.
+    """Make a search, or go on with one.
 
     Args:
-        place: its folder; a search that is there is gone on with. None: a new one in ``output_dir``, named by the time.
-        search: proposes designs; None: the one that the settings name.
-        executor: evaluates them; None: the one that the settings name.
+        executor: where designs are evaluated; None: where the settings say.
+        finish: called with the result when the search is done, before another process may write to its folder.
 
     Raises:
-        WarpvoxError: something asked for is not valid, an evaluation has failed, or nothing can be written; what was
-            finished is kept.
+        WarpvoxError: an evaluation has failed, the search in the folder is another one, or nothing can be written; what
+            was finished is kept.
         KeyboardInterrupt: interrupted; the state has been saved.
     """
-    resumed = place if place is not None and (place / ARCHIVE).is_file() else None
+    settings = plan.settings
+    evaluation = settings.evaluation
+    resumed = plan.place if plan.resumed else None
     with ExitStack() as opened:
         with own_torch(settings.torch_threads):
-            settings = check(settings, resumed, search)
-            start = read_start(settings, resumed)
-            known = settings.evaluation.begins_with(settings, start, resumed)
+            # Where designs are evaluated
             if executor is None:
-                executor = make_executor(settings, known)
+                executor = _make_executor(plan)
                 opened.callback(executor.close)
-            with Archive.read(resumed / ARCHIVE) if resumed else nullcontext() as archive:
-                known_settings = search_as_now(archive.settings, resumed) if archive else {}
-            settings = dataclasses.replace(settings, batch=_batch(settings, executor, known_settings))
+            workers = cast(Any, executor).size if settings.executor == "ray" else 0
+
+            # What is stored of the settings. A search that is resumed must have the same.
+            previous = {}
+            if resumed is not None:
+                with Archive.read(resumed / ARCHIVE) as archive:
+                    previous = search_as_now(archive.settings, resumed)
+            settings = dataclasses.replace(settings, batch=_batch_size(settings, workers, previous))
             written = dataclasses.replace(settings, task=task_name(settings.task))
-            plain = dataclasses.asdict(Codesign.of(vars(written)))  # without the keys of the command line
-            kept = {name: value for name, value in plain.items() if name not in CHANGEABLE}
-            kept = json.loads(json.dumps(kept))  # as an archive has it
-            if resumed:
-                _check_same(known_settings, kept, resumed)
-            folder = opened.enter_context(run_folder(resumed, written, "codesign", to_yaml(written), place, BEFORE))
-            if not resumed:
-                keep_start(start, folder)
+            fixed = dataclasses.asdict(Codesign.of(vars(written)))  # without the keys of the command line
+            for name in CHANGEABLE:
+                fixed.pop(name, None)
+            fixed = json.loads(json.dumps(fixed))  # as an archive has it
+            if resumed is not None:
+                _check_same(previous, fixed, resumed)
+
+            # Its folder, from here on files are written. A search that could not begin may have left some.
+            left = (CONFIG, "log.txt", "training", "code", "designs", f"{ARCHIVE}.lock")
+            folder = opened.enter_context(run_folder(resumed, written, "codesign", to_yaml(written), plan.place, left))
+            if resumed is None:
+                keep_start(plan.start, folder)
             keep_code(settings, folder)
-            if search is None:
-                bodies = [robot.body for robot in start]
-                search = make_search(settings.search, cast(Any, tuple(settings.shape)), settings.seed, bodies)
+
+            # Where results are stored
             path = folder / ARCHIVE
-            archive = opened.enter_context(Archive.open(path) if resumed else Archive.create(path, kept))
+            archive = opened.enter_context(Archive.open(path) if resumed else Archive.create(path, fixed))
+            config_of_design = functools.partial(_config_of_design, settings, written.task)
+            policies = StoredPolicies(folder, settings.training.ppo, config_of_design)
             results = Results(folder, archive, written)
-        run, loop = _loop(settings, search, executor, results, listeners, resumed is not None)
+
+        # At the end the best designs are evaluated once more.
+        search = plan.search
+        total = settings.search.max_evaluations + evaluation.finalists
+        costs = evaluation.cost(settings, get_task(settings.task))
+        if evaluation.finalists:
+            search = Finalists(search, evaluation.finalists)
+            if costs is not None:
+                costs = (costs[0], costs[1] / evaluation.finalists)
+
+        # Ask, evaluate, store, tell
+        loop = Loop(
+            search,
+            executor,
+            archive,
+            seed=settings.seed,
+            policies=policies,
+            batch=settings.batch,
+            reuse=settings.reuse,
+            inherit=evaluation.inherits(settings),
+            listeners=[results, *listeners],
+        )
+        run = SearchRun(folder, archive, written, total, evaluation.finalists, costs, workers, plan.resumed)
         opened.enter_context(ambient(settings.torch_threads))
         torch.manual_seed(settings.seed)  # of code of the user's
-        summary = _search(run, loop, results, settings, listeners)
-    return Found(folder, written, summary)
+        summary = _run_to_end(run, loop, results, settings, listeners)
+        found = Found(folder, written, summary)
+        finish(found)
+    return found
 
 
-def _loop(
-    settings: Codesign, search: Search, executor: Executor, results: Results, heard: Sequence[Listener], resumed: bool
-) -> tuple[SearchRun, Loop]:
-    """The loop, and what listeners see of it."""
-    how, folder = settings.evaluation, results.folder
-    total, finalists = settings.search.max_evaluations, how.finalists
-    cost = how.cost(settings, get_task(settings.task))
-    if finalists:
-        search, total = Finalists(search, finalists), total + finalists
-        cost = cost and (cost[0], cost[1] / finalists)
-    run_of_design = functools.partial(_run_of_design, settings, results.settings.task)
-    loop = Loop(
-        search,
-        executor,
-        results.archive,
-        seed=settings.seed,
-        policies=StoredPolicies(folder, settings.training.ppo, run_of_design),
-        batch=settings.batch,
-        reuse=settings.reuse,
-        inherit=how.inherits(settings),
-        listeners=[results, *heard],
-    )
-    workers = cast(Any, executor).size if settings.executor == "ray" else 0
-    return SearchRun(folder, results.archive, results.settings, total, finalists, cost, workers, resumed), loop
-
-
-def _search(
+def _run_to_end(
     run: SearchRun, loop: Loop, results: Results, settings: Codesign, listeners: Sequence[Listener]
 ) -> dict[str, Any]:
-    """Run the loop, and sum up however it ends; who has heard its beginning hears its end."""
-    status, summary, begun = "failed", {}, []
+    """Run the loop, and sum up however it ends. Listeners that were begun are ended."""
+    status = "failed"
+    summary: dict[str, Any] = {}
+    begun = []
     try:
         for listener in listeners:
             listener.begun(run)
@@ -210,81 +282,98 @@ def _search(
     return summary
 
 
-def _check_same(known: Mapping[str, Any], values: Mapping[str, Any], folder: Path) -> None:
-    """Raise RunError unless the search in ``folder``, which has the settings ``known``, has these values."""
-    before, now = flat(known), flat(values)
+def _check_same(previous: Mapping[str, Any], values: Mapping[str, Any], folder: Path) -> None:
+    """Raise RunError unless the search in ``folder``, which has the settings ``previous``, has these values."""
+    before = flat(previous)
+    now = flat(values)
     for key in now | before:
-        old, new = before.get(key), now.get(key)
+        old = before.get(key)
+        new = now.get(key)
         if old != new and key not in CHANGEABLE and not same_code(old, new):
             raise RunError(f"{folder} is a search with {key}={old}, asked for {key}={new}: give that another folder.")
 
 
-def _batch(settings: Codesign, executor: Executor, known: Mapping[str, Any]) -> int | None:
+def _batch_size(settings: Codesign, workers: int, previous: Mapping[str, Any]) -> int | None:
     """How many designs are evaluated together, see the key ``batch``; None: a whole generation.
 
     Args:
-        known: settings of a search that is resumed, which keeps its size; empty: it is new.
+        workers: of Ray; 0: this process.
+        previous: settings of a search that is resumed, which keeps its size; empty: it is new.
     """
-    if settings.batch is not None or known:
-        return settings.batch or known.get("batch")
+    if settings.batch is not None or previous:
+        return settings.batch or previous.get("batch")
 
-    # A killed search repeats what its last batch has taken.
+    # A killed search repeats what its last batch has taken: 20 million control steps are about ten minutes of a core.
     size = settings.search.population
     cost = settings.evaluation.cost(settings, get_task(settings.task))
     if cost is not None:
-        size = min(size, max(1, int(MAX_BATCH_STEPS / max(cost[0], 1))))
+        size = min(size, max(1, int(20e6 / max(cost[0], 1))))
 
     # All workers have something to do.
-    if settings.executor == "ray":
-        size = min(size, math.ceil(settings.search.population / cast(Any, executor).size))
+    if workers:
+        size = min(size, math.ceil(settings.search.population / workers))
     return None if size == settings.search.population else size
 
 
-def _run_of_design(settings: Codesign, task: str, candidate: Candidate, outcome: Outcome) -> str:
+def _config_of_design(settings: Codesign, task: str, candidate: Candidate, outcome: Outcome) -> str:
     """The text of ``config.yaml`` beside the policy of a design: that of a training which ``warpvox play`` can show."""
+    # What the training of a design has from its search
+    shared = (
+        "rules", "seed", "device", "dtype", "arithmetic", "threads", "torch_threads", "output_dir", "fitness"
+    )  # fmt: skip
+    values = {name: getattr(settings, name) for name in shared}
     training = settings.training
-    values = {name: getattr(settings, name) for name in OF_DESIGNS} | {
+    values |= {
         "task": task,
+        "design": candidate.body,
         "num_envs": training.envs,
         "max_iterations": training.iterations,
-        **{name: getattr(training, name) for name in ("eval_interval", "eval_envs")},
-        "fitness": settings.fitness,
+        "eval_interval": training.eval_interval,
+        "eval_envs": training.eval_envs,
         "physics": dataclasses.asdict(settings.physics),
         "ppo": dataclasses.asdict(training.ppo),
     }
+
+    # A policy for voxels is of an evaluation of the user's own.
     voxels = (outcome.spec or {}).get("voxels")
-    if voxels is not None:  # of an evaluation of the user's own
+    if voxels is not None:
         values |= {"policy": voxels["network"], "network": voxels["settings"], "obs": observed_by(outcome.spec)}
         if is_on_grid(voxels["layout"]):
             bodies = [candidate.body.tolist()]
             values["designs"] = {"bodies": bodies, "refresh": "none", "held_out": bodies}
+
+    # It is played in simulations like those that have found its fitness.
     values |= settings.evaluation.run_of(settings, candidate, outcome)
-    # as where the fitness was found
     values.setdefault("lanes", lanes_for(episodes_of(values["eval_envs"], settings.fitness)))
-    return to_yaml(Training(design=candidate.body, **values)) + END
+    return to_yaml(Training(**values)) + END
 
 
-def make_evaluator(settings: Codesign, known: Any) -> DesignEvaluator:
-    """The evaluator of resolved settings; called in the process that evaluates."""
+def _make_executor(plan: Plan) -> Executor:
+    """Where designs are evaluated, by the settings."""
+    settings = plan.settings
+    if settings.executor == "local":
+        # code of the user's may wait for threads of its own, in which it trains
+        evaluator = _make_evaluator(settings, plan.known, plan.evaluator)
+        return LocalExecutor(evaluator, alone=not isinstance(settings.evaluation, Custom))
+    from warpvox.algos.codesign.ray_executor import RayExecutor
+
+    threads = settings.threads or 1
+    settings = dataclasses.replace(settings, threads=threads)
+    make = functools.partial(_make_evaluator_on_worker, settings, plan.known, plan.evaluator)
+    return RayExecutor(make, settings.workers, settings.address, threads, gpus=0 if settings.device == "cpu" else None)
+
+
+def _make_evaluator(settings: Codesign, known: Any, evaluator: DesignEvaluator | None) -> DesignEvaluator:
+    """The evaluator that was given, or that of the settings; called in the process that evaluates."""
     start_warp()
+    if evaluator is not None:
+        return evaluator
     device = resolve_device(settings.device, environments(settings))
     return settings.evaluation.build(dataclasses.replace(settings, device=device), known)
 
 
-def _on_worker(settings: Codesign, known: Any) -> DesignEvaluator:
+def _make_evaluator_on_worker(settings: Codesign, known: Any, evaluator: DesignEvaluator | None) -> DesignEvaluator:
     """The evaluator of a process that does nothing else."""
     torch.set_num_threads(settings.torch_threads)
     torch.manual_seed(settings.seed)
-    return make_evaluator(settings, known)
-
-
-def make_executor(settings: Codesign, known: Any) -> Executor:
-    """Where designs are evaluated, by the settings."""
-    if settings.executor == "local":
-        # code of the user's may wait for threads of its own, in which it trains
-        return LocalExecutor(make_evaluator(settings, known), alone=not isinstance(settings.evaluation, Custom))
-    from warpvox.algos.codesign.ray_executor import RayExecutor
-
-    threads = settings.threads or 1
-    make = functools.partial(_on_worker, dataclasses.replace(settings, threads=threads), known)
-    return RayExecutor(make, settings.workers, settings.address, threads, gpus=0 if settings.device == "cpu" else None)
+    return _make_evaluator(settings, known, evaluator)

@@ -14,18 +14,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from warpvox.algos.protocols import FITNESS, NOMINAL
+from warpvox.algos.robots.entry import Robot, zoo
 from warpvox.algos.search.settings import ALGORITHMS, GA, SearchSettings
-from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, physics_of, sim_of
+from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, Ppo, physics_of, sim_of
 from warpvox.algos.training.settings import DEVICES, MOST_THREADS, RAY, RULE_SETS, TASK, TORCH_THREADS, arithmetic_key
 from warpvox.checks import check_choice
 from warpvox.errors import ConfigError, RunError
 from warpvox.keys import Settings, key, plain
-from warpvox.robots.entry import Robot, zoo
 from warpvox.types import RULES
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
-    from warpvox.algos.codesign.evaluations.workload import Workload
     from warpvox.algos.env_factory import EnvFactory
     from warpvox.envs.spec import TaskSpec
 
@@ -43,6 +42,21 @@ Kind = TypeVar("Kind", bound="Evaluation")
 
 EVALUATIONS: dict[str, type[Evaluation]] = {}
 """The evaluations by name."""
+
+
+@dataclass(frozen=True)
+class Workload:
+    """Designs that are simulated together, for estimates of memory.
+
+    ``envs`` environments for each of ``designs``; ``key`` with its ``value`` sets ``envs``; ``ppo``: of a policy that
+    learns.
+    """
+
+    designs: int
+    envs: int
+    key: str
+    value: int
+    ppo: Ppo | None = None
 
 
 @dataclass
@@ -204,8 +218,8 @@ def _start_name(robot: Any) -> str:
     if isinstance(robot, Robot):
         if not robot.source or zoo(robot.source.removeprefix("zoo:")).sha256 != robot.sha256:
             raise ConfigError(
-                "start: this robot is in no file that the search can name. Write it, warpvox.robots.save_robot(path,"
-                " robot), and give start=['zoo:PATH']."
+                "start: this robot is in no file that the search can name. Write it,"
+                " warpvox.algos.robots.save_robot(path, robot), and give start=['zoo:PATH']."
             )
         return robot.source
     with suppress(RunError):  # of a design whose policy was not kept there is the body

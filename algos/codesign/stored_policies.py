@@ -23,7 +23,7 @@ from warpvox.code import is_code
 from warpvox.io.writing import check_folder, write_text, writing
 from warpvox.runs import BEST
 
-DESIGNS = "designs"
+_DESIGNS = "designs"
 """The folder of all policies."""
 
 
@@ -34,15 +34,17 @@ class StoredPolicies:
     """
 
     def __init__(self, folder: Path, ppo: Ppo, config: Callable[[Candidate, Outcome], str]) -> None:
-        self.folder, self.ppo, self.config = folder, ppo, config
-        with writing(folder / DESIGNS):
-            (folder / DESIGNS).mkdir(exist_ok=True)
+        self.folder = folder
+        self.ppo = ppo
+        self.config = config
+        with writing(folder / _DESIGNS):
+            (folder / _DESIGNS).mkdir(exist_ok=True)
 
     def save(self, candidate: Candidate, outcome: Outcome) -> tuple[str, str]:
         """Write the policy of an outcome; returns its path relative to the run's folder, and its SHA-256."""
-        check_folder(self.folder / DESIGNS)
+        check_folder(self.folder / _DESIGNS)
         policy = outcome.policy or {}
-        place = Path(DESIGNS) / str(candidate.id)
+        place = Path(_DESIGNS) / str(candidate.id)
         # the sizes of the first and last layer are those of the body, which the settings do not know
         layers = [value for name, value in policy.items() if name.startswith("mlp.") and name.endswith(".weight")]
         content = {

@@ -8,9 +8,6 @@ from torch import nn
 
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 
-AMPLITUDE = 0.5
-"""Amplitude of the actions about 1.1: from the shortest to the longest."""
-
 
 class GaitModel(nn.Module):
     """The motion that :class:`warpvox.algos.codesign.gaits.Gait` states, for one body; used as rsl-rl's actors are.

@@ -11,12 +11,11 @@ from warpvox.algos.generators import Generators
 from warpvox.algos.policies.grid import GridNetwork
 from warpvox.algos.policies.layout import CLOCK, FEATURES, VoxelLayout, layout_of
 from warpvox.algos.policies.transformer import TransformerNetwork
-from warpvox.algos.settings import MLP
+from warpvox.algos.settings import MAX_LAYERS, MLP
 from warpvox.checks import is_integer
 from warpvox.code import is_code, load_code
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, did_you_mean, first_line, listing
-from warpvox.robots.network import MAX_LAYERS
 
 NETWORKS: dict[str, type[nn.Module]] = {"grid": GridNetwork, "transformer": TransformerNetwork}
 POLICIES = (MLP, *NETWORKS)

@@ -18,14 +18,14 @@ from warpvox.algos.disturbance import as_judged
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.generators import Generators
-from warpvox.algos.population.model import PopulationActor, PopulationModel
-from warpvox.algos.population.ppo import PopulationPPO, Streams
+from warpvox.algos.ppo.iteration import Iteration
+from warpvox.algos.ppo.networks import PopulationActor, PopulationModel
+from warpvox.algos.ppo.population import PopulationPPO, Streams
+from warpvox.algos.ppo.stock import rsl_rl_config
 from warpvox.algos.settings import DesignTraining, Ppo
-from warpvox.algos.training.ppo import rsl_rl_config
 from warpvox.algos.training.runner import adapt
 from warpvox.design import Design
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
-from warpvox.errors import ActionError
 
 
 @dataclass
@@ -81,6 +81,7 @@ class PopulationTraining:
             if prepare is not None:
                 prepare(d, inner, networks[-1])
         self.algorithm = self._algorithm(networks)
+        self._iterate = Iteration(self.env, self.algorithm, self.env.env.capture)
 
     def _make_environments(self) -> None:
         settings = self.settings
@@ -93,13 +94,18 @@ class PopulationTraining:
 
     def _algorithm(self, networks: Sequence[Networks]) -> PopulationPPO:
         device, obs = str(self.env.device), self.env.get_observations()
-        streams = Streams(self.seeds, [network.random_state for network in networks], device)
+        # On the CPU a design's stream goes on where its networks were made; on another device it begins with the seed.
+        generators = [torch.Generator(device).manual_seed(seed) for seed in self.seeds]
+        if device == "cpu":
+            for generator, network in zip(generators, networks, strict=True):
+                generator.set_state(network.random_state)
         actor = PopulationActor([network.actor for network in networks]).to(device)
         critic = PopulationModel([network.critic for network in networks]).to(device)
         storage = RolloutStorage("rl", self.env.num_envs, self.ppo.steps, obs, [self.env.num_actions], device)
         settings = dict(rsl_rl_config(self.ppo, self.settings.iterations)["algorithm"])
         settings.pop("class_name")
         threads = self.env.env.sim.threads if device == "cpu" else 1
+        streams = Streams(generators, device)
         return PopulationPPO(actor, critic, storage, streams, threads=threads, device=device, **settings)
 
     @property
@@ -115,29 +121,14 @@ class PopulationTraining:
         if self.iteration == 0 and self.ppo.random_start:
             lengths = self.algorithm.streams.integers(int(self.env.max_episode_length), self.settings.envs)
             self.env.episode_length_buf = lengths.flatten().to(self.env.device)
-        self._collect()
-        self.algorithm.update()
+        self._iterate()
         self.iteration += 1
-
-    @torch.no_grad()
-    def _collect(self) -> None:
-        algorithm, env = self.algorithm, self.env
-        obs = env.get_observations()
-        for _ in range(self.ppo.steps):
-            actions = algorithm.act(obs)
-            try:
-                obs, rewards, dones, extras = env.step(actions)
-            except ActionError:
-                # A design has diverged. The others go on; what its update learns from shows it to be unhealthy.
-                obs, rewards, dones, extras = env.step(actions.nan_to_num(0.0, 0.0, 0.0))
-            algorithm.process_env_step(obs, rewards, dones, extras)
-        algorithm.compute_returns(obs)
 
     def evaluate(self) -> torch.Tensor:
         """float64 ``[designs]``: the mean return of deterministic episodes, the same ones every time.
 
         NaN for a design whose policy gives actions that are not numbers; the others are not affected. The networks are
-        evaluated in float64, as :class:`warpvox.algos.checkpoints.files.Controller` does.
+        evaluated in float64, as :class:`warpvox.algos.checkpoints.policy.Policy` is.
         """
         actor = self.algorithm.actor.part(slice(None)).double()
 
@@ -162,3 +153,4 @@ class PopulationTraining:
         self._make_environments()
         self.env.set_state(state)
         self.algorithm.keep(index, self.env.get_observations())
+        self._iterate = Iteration(self.env, self.algorithm, self.env.env.capture)

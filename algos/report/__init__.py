@@ -7,6 +7,7 @@ import base64
 import html
 import json
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from warpvox.algos.archive import Archive, Record
@@ -14,17 +15,15 @@ from warpvox.algos.candidate import FINALIST, best_so_far
 from warpvox.algos.find import find_run
 from warpvox.algos.report.charts import Series, chart, sparkline
 from warpvox.algos.report.members import SearchResult
-from warpvox.algos.report.page import NOTHING, card, fact_list, page, row
 from warpvox.code import words_of_code
 from warpvox.errors import RunError
 from warpvox.io.text import in_html, shell_argument
 from warpvox.palette import body_svg
 from warpvox.runs import CONFIG
+from warpvox.view.player import asset, fill_template
 
 FILE, FILM = "report.html", "film.webp"
 """The report in the folder of a search, and an episode of a robot in that of its design."""
-BEST, CURVES = 10, 5
-"""Designs that are shown large, and with their learning curves."""
 
 
 def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str:
@@ -34,23 +33,39 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
         facts: what stands under the title, by name: status, search, version, ...
         folder: of the search, with policies and films of designs.
     """
+    # What is shown
     records = archive.records()
     done = [record for record in records if record.fitness is not None]
-    best = archive.best(BEST)
-    line = [record for record in archive.lineage(best[0].id) if record.fitness is not None] if best else []
+    best = archive.best(10)
+    ancestors = archive.lineage(best[0].id) if best else []
+    line = [record for record in ancestors if record.fitness is not None]
     search = SearchResult(folder, "", archive.settings, records, best[0] if best else None, {})
-    learning = [Series(f"#{one.id}", best_so_far(one.curve), "step", k) for k, one in enumerate(best[:CURVES], 1)]
-    title = " · ".join(str(facts[name]) for name in ("task", "search") if name in facts)
-    slots = {
-        "facts": fact_list(_figures(done, best) | dict(facts)),
+    learning = []
+    for colour, record in enumerate(best[:5], 1):
+        learning.append(Series(f"#{record.id}", best_so_far(record.curve), "step", colour))
+    facts = _figures(done, best) | dict(facts)
+    title = " · ".join(facts[name] for name in ("task", "search") if name in facts) or "design search"
+
+    # Its parts
+    named = []
+    for name, value in facts.items():
+        named.append(f"<div><dt>{in_html(name)}</dt><dd>{in_html(str(value))}</dd></div>")
+    parts = {
+        "facts": "".join(named),
         "progress": _progress(search, archive),
-        "best": "".join(_card(one, folder) for one in best) or NOTHING,
+        "best": "".join(_card(record, folder) for record in best) or '<p class="faint">No design is evaluated yet.</p>',
         "curves": chart(learning, "control steps", "best return so far"),
         "tree": family_tree(line) if line else '<p class="faint">Nothing to show yet.</p>',
         "rows": "".join(_row(record) for record in records),
         "settings": html.escape(json.dumps(archive.settings, indent=2)),
     }
-    return page("search.html", title or "design search", slots)
+
+    # The page. It needs no network and links to nothing.
+    text = partial(asset, package="warpvox.algos.report")
+    main = fill_template(text("search.html"), {}, **parts)
+    style = text("page.css")
+    script = text("page.js")
+    return fill_template(text("page.html"), {}, main=main, title=in_html(title), style=style, script=script)
 
 
 def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
@@ -70,7 +85,9 @@ def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
 def _progress(search: SearchResult, archive: Archive) -> str:
     """Fitness over evaluations: every design, finalists by themselves, the best so far, the mean of each generation."""
     trained = [record for record in search.records if record.reused is None and record.fitness is not None]
-    dots, notes, finals = [], [], []
+    dots = []
+    notes = []
+    finals = []
     ends: dict[int, int] = {}
     for number, record in enumerate(trained, start=1):
         if record.candidate.origin == FINALIST:
@@ -93,106 +110,135 @@ def _progress(search: SearchResult, archive: Archive) -> str:
 
 def _card(record: Record, folder: Path) -> str:
     """A design, in motion if there is a film of it, with the command that plays it if it is there."""
-    item = record.candidate
-    parents = ", ".join(f"#{parent}" for parent in item.parents)
-    lines = f"#{record.id} · generation {item.generation}", f"{item.origin}{f' of {parents}' if parents else ''}"
-    more, film = sparkline([value for _, value in best_so_far(record.curve)]), ""
+    candidate = record.candidate
+    parents = ", ".join(f"#{parent}" for parent in candidate.parents)
+    descent = f"{candidate.origin} of {parents}" if parents else candidate.origin
+    lines = [f"#{record.id} · generation {candidate.generation}", descent]
+    text = "".join(f"<span>{in_html(line)}</span>" for line in lines)
+    text += sparkline([value for _, value in best_so_far(record.curve)])
+
+    # The folder of its policy
+    film = ""
     place = (folder / str(record.policy)).parent
     if record.policy is not None and (place / CONFIG).is_file():
         try:
             keys = words_of_code(find_run(str(place), "").config)
-            more += f"<code>warpvox play {in_html(shell_argument('run', place) + keys)}</code>"
+            text += f"<code>warpvox play {in_html(shell_argument('run', place) + keys)}</code>"
         except RunError as error:  # of this design alone
-            more += f'<p class="faint">{in_html(str(error))}</p>'
+            text += f'<p class="faint">{in_html(str(error))}</p>'
         if (place / FILM).is_file():
             data = base64.b64encode((place / FILM).read_bytes()).decode()
             film = f'<img src="data:image/webp;base64,{data}" alt="an episode of design {record.id}">'
-    return card(record, lines, more=more, film=film)
+
+    body = body_svg(candidate.body, 22)
+    return f'<figure class="card">{film}{body}<figcaption><b>{record.fitness:.3f}</b>{text}</figcaption></figure>'
 
 
 def _row(record: Record) -> str:
-    item = record.candidate
-    states = {
-        f"same body as #{record.reused}": record.reused is not None,
-        "diverged": record.diverged,
-        "stopped early": record.stopped,
-        "policy of its own": item.origin == FINALIST,
-        "waiting": record.fitness is None,
-    }
-    state = next((text for text, holds in states.items() if holds), "")
+    """The row of a design in the table of all."""
+    candidate = record.candidate
+    state = ""
+    if record.reused is not None:
+        state = f"same body as #{record.reused}"
+    elif record.diverged:
+        state = "diverged"
+    elif record.stopped:
+        state = "stopped early"
+    elif candidate.origin == FINALIST:
+        state = "policy of its own"
+    elif record.fitness is None:
+        state = "waiting"
+    fitness = "" if record.fitness is None else record.fitness
+
+    # By what a column is sorted (None: it is not), and HTML
     cells = (
         (record.id, f"{record.id}"),
-        (None, body_svg(item.body, 5)),
-        ("" if record.fitness is None else record.fitness, "" if record.fitness is None else f"{record.fitness:.4f}"),
-        (item.generation, f"{item.generation}"),
-        (None, in_html(item.origin)),
-        (None, ", ".join(f"#{parent}" for parent in item.parents)),
+        (None, body_svg(candidate.body, 5)),
+        (fitness, f"{fitness:.4f}" if fitness != "" else ""),
+        (candidate.generation, f"{candidate.generation}"),
+        (None, in_html(candidate.origin)),
+        (None, ", ".join(f"#{parent}" for parent in candidate.parents)),
         (record.steps or 0, "" if record.steps is None else f"{record.steps:,}"),
         (None, sparkline([value for _, value in best_so_far(record.curve)], 72, 20)),
         (None, state),
     )
-    return row(cells)
-
-
-LIMIT = 60
-"""Ancestors that are shown at most, the nearest ones."""
-CELL, COLUMN, ROW, MARGIN = 8, 98, 92, 12
+    parts = []
+    for key, content in cells:
+        sorted_by = "" if key is None else f' data-v="{key}"'
+        parts.append(f"<td{sorted_by}>{content}</td>")
+    return f"<tr>{''.join(parts)}</tr>\n"
 
 
 def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
     """Column and row of each node: generations from left to right, parents about where their children are."""
+    # Columns. A parent may, in a search that evaluates one design at a time, be of the same generation as its child.
     order = sorted({record.candidate.generation for record in line})
-    # A parent may, in a search that evaluates one design at a time, be of the same generation as its child.
     column = {record.id: order.index(record.candidate.generation) for record in line}
+
+    # Children
     children: dict[int, list[int]] = {record.id: [] for record in line}
     for record in line:
         for parent in record.candidate.parents:
             if parent in children:
                 children[parent].append(record.id)
+
+    # Rows, from the last column on: nodes in the order of the mean rows of their children
     row: dict[int, int] = {}
     for number in reversed(range(len(order))):
-        nodes = [record.id for record in line if column[record.id] == number]
-        known = {node: [row[child] for child in children[node] if child in row] for node in nodes}
-        wish = {node: sum(rows) / max(1, len(rows)) for node, rows in known.items()}
-        for place, node in enumerate(sorted(nodes, key=lambda node: (wish[node], node))):
+        wish = {}
+        for record in line:
+            if column[record.id] == number:
+                known = [row[child] for child in children[record.id] if child in row]
+                wish[record.id] = sum(known) / max(1, len(known))
+        for place, node in enumerate(sorted(wish, key=lambda node: (wish[node], node))):
             row[node] = place
     return {record.id: (column[record.id], row[record.id]) for record in line}
 
 
 def family_tree(line: Sequence[Record]) -> str:
     """The tree as an ``<svg>`` element, with a sentence if it had to be cut."""
-    shown = list(line)[-LIMIT:]
-    where = places(shown)
-    rows, columns = (max(record.candidate.body.shape[axis] for record in shown) for axis in (0, 1))
-    column, row = max(COLUMN, columns * CELL + 60), max(ROW, rows * CELL + 48)
+    # The nearest ancestors, and where they stand in pixels
+    shown = list(line)[-60:]
+    cell = 8
+    margin = 12
+    wide = cell * max(record.candidate.body.shape[1] for record in shown)
+    high = cell * max(record.candidate.body.shape[0] for record in shown)
+    column_width = max(98, wide + 60)
+    row_height = max(92, high + 48)
+    corner = {}
+    for node, (column, row) in places(shown).items():
+        corner[node] = margin + column * column_width, margin + row * row_height
+
+    # Edges
     parts = []
     for record in shown:
         for parent in record.candidate.parents:
-            if parent in where:
-                (x0, y0), (x1, y1) = (_corner(where[node], column, row) for node in (parent, record.id))
-                x0, y0, y1 = x0 + columns * CELL + 4, y0 + rows * CELL / 2, y1 + rows * CELL / 2
+            if parent in corner:
+                x0 = corner[parent][0] + wide + 4
+                y0 = corner[parent][1] + high / 2
+                x1 = corner[record.id][0]
+                y1 = corner[record.id][1] + high / 2
                 handle = max(20.0, (x1 - x0) / 2)
                 curve = f"M{x0:g} {y0:g}C{x0 + handle:g} {y0:g} {x1 - handle - 4:g} {y1:g} {x1 - 4:g} {y1:g}"
                 parts.append(f'<path class="edge" d="{curve}"/>')
+
+    # Nodes
     for record in shown:
-        x, y = _corner(where[record.id], column, row)
+        x, y = corner[record.id]
         item = record.candidate
         note = f"design {record.id}, generation {item.generation}, {in_html(item.origin)}, fitness {record.fitness:.3f}"
         last = " winner" if record is shown[-1] else ""
         parts.append(
             f'<g class="node{last}" transform="translate({x} {y})"><title>{note}</title>'
-            f'<rect x="-5" y="-5" width="{columns * CELL + 10}" height="{rows * CELL + 10}" rx="6"/>'
-            f"{body_svg(item.body, CELL)}"
-            f'<text y="{rows * CELL + 20}">#{record.id}</text>'
-            f'<text y="{rows * CELL + 34}" class="value">{record.fitness:.2f}</text></g>'
+            f'<rect x="-5" y="-5" width="{wide + 10}" height="{high + 10}" rx="6"/>'
+            f"{body_svg(item.body, cell)}"
+            f'<text y="{high + 20}">#{record.id}</text>'
+            f'<text y="{high + 34}" class="value">{record.fitness:.2f}</text></g>'
         )
-    wide = MARGIN * 2 + (1 + max(x for x, _ in where.values())) * column
-    high = MARGIN + (1 + max(y for _, y in where.values())) * row
+
+    width = max(x for x, _ in corner.values()) + column_width + margin
+    height = max(y for _, y in corner.values()) + row_height
     cut = len(line) - len(shown)
     note = f'<p class="faint">{cut} earlier ancestors are not shown.</p>' if cut else ""
-    size = f'viewBox="0 0 {wide} {high}" width="{wide}" height="{high}"'
+    size = f'viewBox="0 0 {width} {height}" width="{width}" height="{height}"'
     return f'{note}<div class="scroll"><svg class="tree" {size}>{"".join(parts)}</svg></div>'
-
-
-def _corner(place: tuple[int, int], column: int, row: int) -> tuple[int, int]:
-    return MARGIN + place[0] * column, MARGIN + place[1] * row

@@ -17,11 +17,7 @@ from warpvox.types import VOXEL
 from warpvox.view.body_picture import scene_of_world
 from warpvox.view.painter import BELOW, INK, PNG_SUFFIXES, Canvas, font, save_png
 
-COLUMNS, TILE, SCALE = 4, (324, 150), 8
-LABEL, GAP = 24, 10
-PAPER = (255, 255, 255)
-AHEAD = 5.0  # voxels between the left rim of a picture and the robot
-HEIGHT = 0.42  # of the middle of the robot in its picture, where the ground is not in sight
+COLUMNS, TILE = 4, (324, 150)
 
 
 def everywhere(design: str = "walker") -> list[tuple[str, Design, str]]:
@@ -32,16 +28,22 @@ def everywhere(design: str = "walker") -> list[tuple[str, Design, str]]:
 
 def draw_gallery(shown: Sequence[tuple[str, Design, str]]) -> Image.Image:
     """Bodies in the worlds of tasks, row by row; ``shown``: (task, body, caption) of each."""
+    # Pixels of a caption, and between the worlds
+    label = 24
+    gap = 10
     columns = min(COLUMNS, len(shown))
     rows = -(-len(shown) // columns)
-    width, height = TILE[0] + GAP, TILE[1] + LABEL + GAP
-    sheet = Image.new("RGB", (columns * width + GAP, rows * height + GAP), PAPER)
-    draw, letters = ImageDraw.Draw(sheet), font(14)
+    width = TILE[0] + gap
+    height = TILE[1] + label + gap
+    sheet = Image.new("RGB", (columns * width + gap, rows * height + gap), (255, 255, 255))
+    draw = ImageDraw.Draw(sheet)
+    letters = font(14)
     for number, (task, body, caption) in enumerate(shown):
         row, column = divmod(number, columns)
-        x, y = GAP + column * width, GAP + row * height
+        x = gap + column * width
+        y = gap + row * height
         sheet.paste(_tile(get_task(task), body), (x, y))
-        draw.text((x + 2, y + TILE[1] + LABEL / 2), caption, INK, letters, "lm")
+        draw.text((x + 2, y + TILE[1] + label / 2), caption, INK, letters, "lm")
     return sheet
 
 
@@ -49,15 +51,20 @@ def _tile(task: Any, body: np.ndarray) -> Image.Image:
     """A world with the robot at the left, so that what lies ahead is in sight."""
     scene, points = scene_of_world(task_world(task, body))
     robot = points[scene.robot_points] / VOXEL
-    view = np.array(TILE) / SCALE
-    left = robot[:, 0].min() - AHEAD
+    scale = 8  # pixels of a voxel
+    view = np.array(TILE) / scale
+
+    # Five voxels are between the left rim of the picture and the robot.
+    left = robot[:, 0].min() - 5.0
     if scene.width + 2 * BELOW > view[0]:
         left = np.clip(left, -BELOW, scene.width + BELOW - view[0])
     else:
         left = (scene.width - view[0]) / 2
-    bottom = max(-BELOW, robot[:, 1].mean() - HEIGHT * view[1])
-    corner = np.rint(np.array([left, bottom]) * SCALE).astype(int)
-    return Canvas(scene, TILE, SCALE).picture(points, (int(corner[0]), int(corner[1])))
+
+    # The middle of the robot lies below that of the picture, where the ground is not in sight.
+    bottom = max(-BELOW, robot[:, 1].mean() - 0.42 * view[1])
+    corner = np.rint(np.array([left, bottom]) * scale).astype(int)
+    return Canvas(scene, TILE, scale).picture(points, (int(corner[0]), int(corner[1])))
 
 
 def write_gallery(path: str | os.PathLike[str], shown: Sequence[tuple[str, Design, str]]) -> Path:

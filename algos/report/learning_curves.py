@@ -19,12 +19,7 @@ from warpvox.runs import Run
 
 SUFFIXES = (".png", ".svg", ".pdf")
 AXES = {"steps": "control steps", "elapsed": "seconds", "iteration": "iterations", "evaluations": "designs trained"}
-PANELS = 4
-"""Pictures beside each other at most."""
-COLOURS = ("#d96a14", "#2f6fb0", "#3a8a4d", "#8a4fa3", "#b03a48", "#5b6473")
-STYLES = ("-", "--", ":", "-.")
-"""Line styles of groups: the next one after each turn of the colours."""
-POINTS = 200  # of the mean of several runs
+_COLOURS = ("#d96a14", "#2f6fb0", "#3a8a4d", "#8a4fa3", "#b03a48", "#5b6473")
 
 
 @dataclass(frozen=True)
@@ -72,10 +67,22 @@ def curves_of(groups: Sequence[Group], x: str = "steps") -> list[Curve]:
     """
     curves = []
     for group in groups:
-        runs = [_points(each_run, x) for each_run in group.runs]
-        places, values = runs[0][0], runs[0][1:].T
-        if len(runs) > 1:
-            places = np.linspace(max(points[0, 0] for points in runs), max(points[0, -1] for points in runs), POINTS)
+        # The evaluations of each run, float64 [2, k]: where and what
+        runs = []
+        for each_run in group.runs:
+            rows = evaluations_of(each_run)
+            where = [row[x] for row in rows]
+            what = [row["eval_return"] for row in rows]
+            runs.append(np.array([where, what], float))
+
+        # Runs are evaluated at different steps: they are interpolated at 200 common ones.
+        if len(runs) == 1:
+            places = runs[0][0]
+            values = runs[0][1:].T
+        else:
+            first = max(points[0, 0] for points in runs)
+            last = max(points[0, -1] for points in runs)
+            places = np.linspace(first, last, 200)
             values = np.stack([np.interp(places, *points) for points in runs], axis=1)
         curves.append(_mean_curve(group.label, places, values, runs))
     return curves
@@ -84,11 +91,14 @@ def curves_of(groups: Sequence[Group], x: str = "steps") -> list[Curve]:
 def _mean_curve(label: str, places: np.ndarray, values: np.ndarray, runs: Sequence[np.ndarray]) -> Curve:
     """The curve of values ``[places, runs]``."""
     intervals = [mean_interval(row) for row in values]
-    mean, low, high = (np.array([getattr(i, name) for i in intervals]) for name in ("mean", "low", "high"))
+    mean = np.array([interval.mean for interval in intervals])
+    low = np.array([interval.low for interval in intervals])
+    high = np.array([interval.high for interval in intervals])
     return Curve(label, places, mean, low, high, runs)
 
 
 def evaluations_of(found: Run) -> list[dict[str, float]]:
+    """The rows of ``metrics.csv`` that have an evaluation."""
     return [row for row in read_metrics(found.folder) if np.isfinite(row["eval_return"])]
 
 
@@ -115,7 +125,9 @@ def write_curves(
         from matplotlib.figure import Figure
     except ImportError:
         raise ConfigError("Curves need matplotlib, which is not installed: pip install 'warpvox[view]'.") from None
-    columns = min(PANELS, len(panels))
+
+    # At most four pictures beside each other; a legend takes room from its fifth line on
+    columns = min(4, len(panels))
     rows = -(-len(panels) // columns)
     more = max(0, *(len(several) - 4 for several in panels.values()))
     inches = (columns * size[0] / 100, rows * (size[1] + 22 * more) / 100)
@@ -127,10 +139,12 @@ def write_curves(
 
         # Lines
         for index, curve in enumerate(several):
-            turn, colour = divmod(index, len(COLOURS))
-            look: dict[str, Any] = {"color": COLOURS[colour], "linestyle": STYLES[turn % len(STYLES)]}
+            turn, number_of_colour = divmod(index, len(_COLOURS))
+            colour = _COLOURS[number_of_colour]
+            styles = ("-", "--", ":", "-.")  # the next one after each turn of the colours
+            look: dict[str, Any] = {"color": colour, "linestyle": styles[turn % len(styles)]}
             if len(curve.runs) > 1:
-                axes.fill_between(curve.places, curve.low, curve.high, color=COLOURS[colour], alpha=0.18, linewidth=0)
+                axes.fill_between(curve.places, curve.low, curve.high, color=colour, alpha=0.18, linewidth=0)
                 for points in curve.runs:
                     axes.plot(*points, **look, linewidth=0.8, alpha=0.3)
             label = _plain(f"{curve.label} (n={len(curve.runs)})")

@@ -14,10 +14,6 @@ from warpvox.algos.statistics import Interval
 from warpvox.keys import flat
 from warpvox.runs import read_summary
 
-PLACES = 200
-"""Points of a curve, at most."""
-OWN = ("task", "seed", "shape", "search.algorithm", "search.max_evaluations")
-"""Settings in which runs of one algorithm may differ."""
 SHOWN = 3
 """Settings that a name tells at most."""
 
@@ -98,27 +94,36 @@ def read_members(archives: Sequence[Path]) -> list[SearchResult]:
             best = archive.best()
             found.append((folder, archive.settings, archive.records(), best[0] if best else None))
     names = _names([(folder, settings) for folder, settings, _, _ in found])
-    return [
-        SearchResult(folder, name, settings, records, winner, read_summary(folder))
-        for name, (folder, settings, records, winner) in zip(names, found, strict=True)
-    ]
+    results = []
+    for name, (folder, settings, records, winner) in zip(names, found, strict=True):
+        results.append(SearchResult(folder, name, settings, records, winner, read_summary(folder)))
+    return results
 
 
 def _names(found: Sequence[tuple[Path, Mapping[str, Any]]]) -> list[str]:
+    """Names of searches by their folders and settings."""
     settings = [flat(own) for _, own in found]
     kinds = [(own.get("task"), str(own.get("search.algorithm", "search"))) for own in settings]
+
+    # The settings that tell searches of one task and algorithm apart
+    may_differ = ("task", "seed", "shape", "search.algorithm", "search.max_evaluations")
     keys = {}
     for kind in dict.fromkeys(kinds):
         alike = [own for own, other in zip(settings, kinds, strict=True) if other == kind]
-        keys[kind] = telling(alike, [key for key in differing(alike) if key not in OWN])
-    names, known = [], {}
+        keys[kind] = telling(alike, [key for key in differing(alike) if key not in may_differ])
+
+    # Names: the first of these settings, and a number where those that are shown are another search's
+    names = []
+    known: dict[str, list[dict[str, Any]]] = {}
     for (folder, _), own, kind in zip(found, settings, kinds, strict=True):
         if re.fullmatch(r"seed\d+", folder.name):
             names.append(folder.parent.name)
             continue
-        name = ", ".join([kind[1], *(f"{key}={own[key]}" for key in keys[kind][:SHOWN] if key in own)])
-        values, others = {key: own.get(key) for key in keys[kind]}, known.setdefault(name, [])
-        if values not in others:  # the settings that are shown may be those of another search
+        shown = [f"{key}={own[key]}" for key in keys[kind][:SHOWN] if key in own]
+        name = ", ".join([kind[1], *shown])
+        values = {key: own.get(key) for key in keys[kind]}
+        others = known.setdefault(name, [])
+        if values not in others:
             others.append(values)
         number = others.index(values) + 1
         names.append(name if number == 1 else f"{name} #{number}")
@@ -133,13 +138,15 @@ def differing(groups: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def telling(groups: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> list[str]:
     """The keys, the task first, then always the one that tells most groups apart beside those before it, or alone."""
+
+    def told_apart(names: Sequence[str]) -> int:
+        """How many kinds of groups there are by these settings."""
+        return len({str([group.get(name) for name in names]) for group in groups})
+
     first = [key for key in keys if key == "task"]
     while left := [key for key in keys if key not in first]:
-        kinds = {
-            key: [len({str([one.get(k) for k in names]) for one in groups}) for names in ([*first, key], [key])]
-            for key in left
-        }
-        first.append(max(left, key=lambda key: kinds[key]))
+        ranks = {key: (told_apart([*first, key]), told_apart([key])) for key in left}
+        first.append(max(left, key=ranks.__getitem__))
     return first
 
 
@@ -157,8 +164,16 @@ def progress(members: Sequence[SearchResult], x: str) -> tuple[np.ndarray, np.nd
     if not members or not all(len(one.best) for one in members):
         raise ValueError("A search has not evaluated any design yet.")
     spent = [getattr(one, x) for one in members]
-    first, last = max(s[0] for s in spent), max(s[-1] for s in spent)
+
+    # Where a search has changed, or 200 places
+    first = max(each[0] for each in spent)
+    last = max(each[-1] for each in spent)
     every = np.unique(np.concatenate(spent))
-    places = every[every >= first] if len(every) <= PLACES else np.linspace(first, last, PLACES)
-    values = [one.best[np.searchsorted(s, places, "right") - 1] for one, s in zip(members, spent, strict=True)]
+    places = every[every >= first] if len(every) <= 200 else np.linspace(first, last, 200)
+
+    # The best return by then
+    values = []
+    for one, each in zip(members, spent, strict=True):
+        design = np.searchsorted(each, places, "right") - 1
+        values.append(one.best[design])
     return places.astype(np.float64), np.stack(values, axis=1)

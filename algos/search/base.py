@@ -16,12 +16,6 @@ from warpvox.checks import check_integer, check_shape
 from warpvox.design import are_valid, check_design, draw_bodies
 from warpvox.errors import ConfigError, DesignError, SearchError
 
-BATCH = 32
-"""Random bodies drawn at a time; about one in seven of 5x5 is valid."""
-
-STREAM = 0x5EA2C4
-"""Keeps the random numbers of a search apart from those of the trainings, which follow from (seed, candidate)."""
-
 
 @dataclass(frozen=True)
 class Proposal:
@@ -57,8 +51,11 @@ class BaseSearch(ABC):
     """Whether the first generation may contain bodies that :meth:`propose` has not made."""
 
     def __init__(self, settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
-        self.settings, self.shape, self.seed = settings, check_shape("shape", shape), check_integer("seed", seed, 0)
-        (rows, columns), most = self.shape, settings.max_evaluations
+        self.settings = settings
+        self.shape = check_shape("shape", shape)
+        self.seed = check_integer("seed", seed, 0)
+        rows, columns = self.shape
+        most = settings.max_evaluations
         # a search that has to find nearly every body there is would spend its time on drawing known ones
         # Up to six voxels all bodies can be counted to see whether there are enough.
         if rows * columns <= 6 and (bodies := count_valid(self.shape)) < 2 * most:
@@ -130,7 +127,8 @@ class BaseSearch(ABC):
         Raises:
             SearchError: none turns up.
         """
-        body = self.new_body(lambda: draw_bodies(rng, BATCH, self.shape))
+        # About one random body in seven of 5x5 is valid.
+        body = self.new_body(lambda: draw_bodies(rng, 32, self.shape))
         if body is None:
             fewer = f", or fewer evaluations than max_evaluations={self.settings.max_evaluations}" if self._seen else ""
             raise SearchError(
@@ -166,7 +164,9 @@ class BaseSearch(ABC):
         left = self.settings.max_evaluations - len(self.bodies)
         if left <= 0:
             return []
-        rng = np.random.default_rng([STREAM, self.seed, self.generation])
+        # 0x5EA2C4 keeps the random numbers of a search apart from those of the trainings, which follow from
+        # (seed, candidate).
+        rng = np.random.default_rng([0x5EA2C4, self.seed, self.generation])
         wanted = min(self.settings.population, left)
         proposals = [] if self.generation else [known for known in self._start if self.claim(known.body)]
         if len(proposals) < wanted:
@@ -235,7 +235,8 @@ class BaseSearch(ABC):
         Raises:
             SearchError: they cannot have been the next generation of this search.
         """
-        first, left = len(self.bodies), self.settings.max_evaluations - len(self.bodies)
+        first = len(self.bodies)
+        left = self.settings.max_evaluations - len(self.bodies)
         fits = 0 < len(candidates) <= min(left, self.settings.population)
         for place, candidate in enumerate(candidates):
             in_order = candidate.id == first + place and candidate.generation == self.generation

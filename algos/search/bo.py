@@ -19,15 +19,6 @@ from warpvox.algos.search.bodies import body_key, mutate
 from warpvox.algos.search.settings import BO
 from warpvox.design import are_valid, draw_bodies
 
-TOP = 25
-"""Best designs whose mutants enter the pool."""
-
-DRAWS, ROUNDS = 500, 60
-"""Bodies drawn at a time for the pool, and how often; small shapes may have fewer new bodies than are wanted."""
-
-LARGEST = 1e9
-"""Fitness beyond this is scaled down for the model, whose squares overflow."""
-
 
 class BayesianSearch(BaseSearch):
     """Fits a Gaussian process to all that is known and asks it for the next generation.
@@ -51,7 +42,8 @@ class BayesianSearch(BaseSearch):
         if self.generation == 0:
             return [self.random_proposal(rng) for _ in range(count)]
         propose = self._summits if self.settings.acquisition == "pathwise" else self._improved
-        scale = max(1.0, *(abs(value) / LARGEST for value in self.fitness))
+        # The model takes squares, which overflow for a fitness beyond 1e9.
+        scale = max(1.0, *(abs(value) / 1e9 for value in self.fitness))
         with seeded_torch(int(rng.integers(2**63))):
             proposals = propose(rng, count, [value / scale for value in self.fitness])
         # a tiny shape may have no more to offer
@@ -76,10 +68,10 @@ class BayesianSearch(BaseSearch):
         return [Proposal(body, (), "improvement" if moved else "thompson") for body, moved in chosen]
 
     def _ends_or_starts(self, starts: np.ndarray, ends: np.ndarray) -> Iterator[tuple[np.ndarray, bool]]:
-        """Each end, or its start where the end is not valid or not new; and whether it is the end."""
+        """Each end, or its start where the end is not valid or not new; and whether it has moved."""
         for start, end, good in zip(starts, ends, are_valid(ends), strict=True):
             if good and self.claim(end):
-                yield end, True
+                yield end, not np.array_equal(end, start)
             elif self.claim(start):  # False where an earlier climb has ended at this start
                 yield start, False
 
@@ -125,22 +117,26 @@ class BayesianSearch(BaseSearch):
         Returns:
             New valid bodies int8 ``[m, rows, columns]``, all different, and the parents of each: none, or the one.
         """
-        best = np.array(sorted(range(len(self.bodies)), key=lambda number: (-self.fitness[number], number))[:TOP])
+        # The best 25 designs have mutants in the pool.
+        best = np.array(sorted(range(len(self.bodies)), key=lambda number: (-self.fitness[number], number))[:25])
         stack = np.stack(self.bodies)
 
+        drawn = 500  # at a time
+
         def draw_random() -> tuple[np.ndarray, list[tuple[int, ...]]]:
-            return draw_bodies(rng, DRAWS, self.shape), [()] * DRAWS
+            return draw_bodies(rng, drawn, self.shape), [()] * drawn
 
         def draw_mutants() -> tuple[np.ndarray, list[tuple[int, ...]]]:
-            parents = rng.choice(best, DRAWS)
+            parents = rng.choice(best, drawn)
             # Of 25 voxels about one mutates in two mutants of three, and two to three in the others.
-            rates = rng.choice((0.04, 0.1), DRAWS, p=(2 / 3, 1 / 3))
+            rates = rng.choice((0.04, 0.1), drawn, p=(2 / 3, 1 / 3))
             return mutate(rng, stack[parents], rates[:, None, None]), [(parent,) for parent in parents.tolist()]
 
         found: dict[bytes, tuple[np.ndarray, tuple[int, ...]]] = {}
         for draw, count in (draw_random, random), (draw_mutants, mutants):
             total = len(found) + count
-            for _ in range(ROUNDS):
+            # Small shapes may have fewer new bodies than are wanted.
+            for _ in range(60):
                 if len(found) >= total:
                     break
                 bodies, parents = draw()

@@ -31,7 +31,7 @@ from warpvox.design import are_valid
 from warpvox.devices.startup import own_torch
 from warpvox.errors import SearchError
 
-NOTHING = 1e-9
+_NOTHING = 1e-9
 """Gains below this are rounding."""
 
 
@@ -117,13 +117,16 @@ def ascend(
             bodies beside the last one.
         free: bodies ``[k, rows, columns]`` to bool ``[k]``: what the climb may pass and end at.
     """
-    summit, height, around = None, -math.inf, entries
+    summit = None
+    height = -math.inf
+    around = entries
     while True:
         usable = around[free(around)]
         heights = values(usable) if len(usable) else np.array([-math.inf])
         best = int(heights.argmax())
-        if heights[best] > height + NOTHING:
-            summit, height = usable[best], float(heights[best])
+        if heights[best] > height + _NOTHING:
+            summit = usable[best]
+            height = float(heights[best])
         elif summit is not None or around is not entries:
             return summit
         around = neighbours((entries[-1] if summit is None else summit)[None])[0]
@@ -150,14 +153,15 @@ def climb(values: Callable[[np.ndarray], np.ndarray], pool: np.ndarray) -> Climb
     """
     at_pool = values(pool)
     start = at_pool.argmax(1)
-    current, height = pool[start], at_pool.max(1)
+    current = pool[start]
+    height = at_pool.max(1)
     each = np.arange(len(start))
     while True:
         around = neighbours(current)
         usable = are_valid(around.reshape(-1, *pool.shape[1:])).reshape(around.shape[:2])
         at_neighbours = np.where(usable, values(around), -np.inf)
         best = at_neighbours.argmax(1)
-        higher = at_neighbours[each, best] > height + NOTHING
+        higher = at_neighbours[each, best] > height + _NOTHING
         if not higher.any():
             return Climb(start, at_pool, current, around, at_neighbours)
         current = np.where(higher[:, None, None], around[each, best], current)
@@ -183,7 +187,7 @@ def one_hot(bodies: np.ndarray) -> torch.Tensor:
     return torch.nn.functional.one_hot(flat, CELL_TYPES).flatten(-2).double()
 
 
-def make_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> SingleTaskGP:
+def _make_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> SingleTaskGP:
     """The process before its fit: Matern 5/2 with one variance and one length scale, fitness standardised.
 
     The priors are there for the restarts, which draw from them; without any, all would start alike.
@@ -201,7 +205,7 @@ def make_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> Si
 
 def fit_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> SingleTaskGP:
     """The process with the largest marginal likelihood that L-BFGS finds from several starts."""
-    model = make_model(bodies, fitness, settings)
+    model = _make_model(bodies, fitness, settings)
     try:
         fit_gpytorch_mll(
             ExactMarginalLogLikelihood(model.likelihood, model),

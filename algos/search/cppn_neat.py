@@ -20,12 +20,6 @@ from warpvox.algos.search.settings import CppnNeat
 from warpvox.design import are_valid
 from warpvox.errors import ConfigError, SearchError
 
-INPUTS = 3
-"""Inputs of a network: x, y and the distance from the middle."""
-
-ROUNDS = 2000
-"""Rounds of fresh networks in place of those that paint nothing new, before there is nothing new to paint."""
-
 
 @contextmanager
 def own_random(seed: int) -> Generator[None]:
@@ -55,9 +49,10 @@ def neat_config(settings: CppnNeat) -> neat.Config:
         except Exception as error:  # neat-python raises whatever its parser stumbles on
             raise ConfigError(f"neat-python cannot read '{settings.neat_config}': {error}") from error
     genome = config.genome_config
-    if (genome.num_inputs, genome.num_outputs) != (INPUTS, CELL_TYPES) or not genome.feed_forward:
+    inputs = 3  # x, y and the distance from the middle
+    if (genome.num_inputs, genome.num_outputs) != (inputs, CELL_TYPES) or not genome.feed_forward:
         raise ConfigError(
-            f"The networks must be feed_forward with num_inputs = {INPUTS} (x, y, distance) and num_outputs ="
+            f"The networks must be feed_forward with num_inputs = {inputs} (x, y, distance) and num_outputs ="
             f" {CELL_TYPES} (one per type of voxel); '{settings.neat_config}' has {genome.num_inputs} and"
             f" {genome.num_outputs}."
         )
@@ -111,7 +106,8 @@ class CppnNeatSearch(BaseSearch):
                 raise SearchError("neat_config keeps the whole population as its elite: nothing new is ever tried.")
             proposals = self._new_bodies(children, count)
             self.population = elites | {key: genome for key, (genome, _) in proposals.items()}
-        ancestors, origins = self.reproduction.ancestors, ("random", "mutation", "crossover")
+        ancestors = self.reproduction.ancestors
+        origins = ("random", "mutation", "crossover")
         parents = {key: tuple(sorted({self.ids[parent] for parent in ancestors[key]})) for key in proposals}
         return [Proposal(body, parents[key], origins[len(parents[key])]) for key, (_, body) in proposals.items()]
 
@@ -148,7 +144,8 @@ class CppnNeatSearch(BaseSearch):
     ) -> dict[int, tuple[neat.DefaultGenome, np.ndarray]]:
         """The first ``count`` of the genomes, then of fresh ones, whose bodies are valid and new."""
         chosen: dict[int, tuple[neat.DefaultGenome, np.ndarray]] = {}
-        for _ in range(ROUNDS):
+        # Fresh networks take the place of those that paint nothing new, before there is nothing new to paint.
+        for _ in range(2000):
             bodies = np.stack([paint(genome, self.config, self.shape) for genome in genomes.values()])
             for (key, genome), body, good in zip(genomes.items(), bodies, are_valid(bodies), strict=True):
                 if good and len(chosen) < count and self.claim(body):

@@ -10,8 +10,6 @@ from warpvox.code import check_code, load_code
 from warpvox.design import Design
 from warpvox.errors import ConfigError, listing
 
-VERBS = ("ask", "tell", "replay")
-
 
 def make_search(
     settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed: int = 0, start: Sequence[Design] = ()
@@ -44,10 +42,11 @@ def make_custom(settings: CustomSearch, shape: tuple[int, int], seed: int) -> Se
     """Call what ``settings.make`` names with settings, shape and seed."""
     check_code(settings.make, "search=custom needs search.make", "a search of settings, shape and seed")
     search: Any = load_code(cast(str, settings.make))(settings, shape, seed)
-    missing = [verb for verb in VERBS if not callable(getattr(search, verb, None))]
+    verbs = ("ask", "tell", "replay")
+    missing = [verb for verb in verbs if not callable(getattr(search, verb, None))]
     if missing:
         raise ConfigError(
             f"'{settings.make}' makes a {type(search).__name__}, which cannot {listing(missing)}: a search has"
-            f" {listing(VERBS)}. BaseSearch of warpvox.algos.search brings them along."
+            f" {listing(verbs)}. BaseSearch of warpvox.algos.search brings them along."
         )
     return search

@@ -17,7 +17,8 @@ def survivors_of(settings: GA, generation: int, last: int) -> int:
     ``ceil(population * x)`` with a survival rate x that goes linearly from 0.6 at generation 0 to 0 at the last,
     but at least 2; and never all, so that there is something new.
     """
-    start, end = settings.survivor_rate, settings.final_survivor_rate
+    start = settings.survivor_rate
+    end = settings.final_survivor_rate
     share = start + (end - start) * generation / last
     # 25 * 0.6 * (1 - 1 / 3) must be 10, whatever rounding makes of it
     count = math.ceil(round(settings.population * share, 9))

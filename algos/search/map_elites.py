@@ -15,16 +15,6 @@ try:
 except ImportError as error:
     raise ConfigError("search=map_elites needs the package ribs: pip install 'warpvox[search]'") from error
 
-SHARES = {
-    "actuators": ACTUATORS,
-    "empty": (Cell.EMPTY,),
-    "rigid": (Cell.RIGID,),
-    "soft": (Cell.SOFT,),
-    "horizontal": (Cell.H_ACT,),
-    "vertical": (Cell.V_ACT,),
-}
-"""Shares of all cells of the grid."""
-
 
 class MapElitesSearch(BaseSearch):
     """Mutates designs drawn from a grid that holds the best one of every kind, so that it ends with many good ones.
@@ -59,7 +49,8 @@ class MapElitesSearch(BaseSearch):
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
         """Put each design into its cell, unless a better one is there."""
         bodies = np.stack([candidate.body for candidate in candidates])
-        kinds, ids = describe(bodies, self.settings.descriptors), np.array([candidate.id for candidate in candidates])
+        kinds = describe(bodies, self.settings.descriptors)
+        ids = np.array([candidate.id for candidate in candidates])
         self.archive.add(bodies.reshape(len(bodies), -1), np.asarray(fitness), kinds, id=ids)
 
 
@@ -74,8 +65,18 @@ def describe(bodies: np.ndarray, names: Sequence[str]) -> np.ndarray:
 
 
 def _describe(bodies: np.ndarray, name: str) -> np.ndarray:
-    if name in SHARES:
-        return np.isin(bodies, SHARES[name]).mean((1, 2))
+    """float64 ``[n]``: one descriptor of bodies."""
+    # of all cells of the grid
+    shares = {
+        "actuators": ACTUATORS,
+        "empty": (Cell.EMPTY,),
+        "rigid": (Cell.RIGID,),
+        "soft": (Cell.SOFT,),
+        "horizontal": (Cell.H_ACT,),
+        "vertical": (Cell.V_ACT,),
+    }
+    if name in shares:
+        return np.isin(bodies, shares[name]).mean((1, 2))
     if name == "symmetry":
         return (bodies == bodies[:, :, ::-1]).mean((1, 2))
     # a body is in one piece, so that it touches every row and column between its ends

@@ -15,10 +15,6 @@ from warpvox.keys import Settings, key
 
 DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", "height", "width", "symmetry")
 """What MAP-Elites can sort bodies by, each a number from 0 to 1 (see ``describe`` in ``map_elites.py``)."""
-MOST = 1_000_000
-"""Evaluations of a search, whose generations are counted one by one."""
-MOST_CELLS = 10_000_000
-"""Cells of MAP-Elites, whose archive holds all of them from the beginning."""
 
 
 Kind = TypeVar("Kind", bound="SearchSettings")
@@ -40,7 +36,7 @@ class SearchSettings(Settings):
     algorithm: str = key("", "which search")
     population: int = key(25, "designs of a generation", low=2)
     max_evaluations: int = key(
-        250, "number of different designs to evaluate; in the paper 250, 500 or 750", low=1, high=MOST
+        250, "number of different designs to evaluate; in the paper 250, 500 or 750", low=1, high=1_000_000
     )
 
 
@@ -134,8 +130,9 @@ class MapElites(SearchSettings):
             raise ConfigError(
                 f"search.descriptors must name one or more different ones, got {listing(self.descriptors)}."
             )
-        if self.bins ** len(self.descriptors) > MOST_CELLS:
-            cells = f"search.bins={self.bins} for {len(self.descriptors)} descriptors make over {MOST_CELLS:,} cells"
+        # The archive holds all cells from the beginning.
+        if self.bins ** len(self.descriptors) > 10_000_000:
+            cells = f"search.bins={self.bins} for {len(self.descriptors)} descriptors make over 10,000,000 cells"
             raise ConfigError(f"{cells}, more than memory holds: take fewer bins or descriptors.")
 
 

@@ -5,18 +5,21 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from warpvox.algos.checkpoints.files import load_checkpoint
-from warpvox.algos.checkpoints.policy import Policy, policy_of
+from warpvox.algos.checkpoints.policy import Policy
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator, evaluator
 from warpvox.algos.generators import Generators
+from warpvox.algos.listener import Listener
 from warpvox.algos.metrics import SERVICES, check_logger
 from warpvox.algos.policies.registry import MLP, check_network, check_policy, voxels_of
 from warpvox.algos.protocols import episodes_of
+from warpvox.algos.robots.entry import zoo
+from warpvox.algos.robots.episodes import known_task
 from warpvox.algos.settings import physics_of, sim_of
 from warpvox.algos.training.bodies import (
     Bodies,
@@ -42,8 +45,6 @@ from warpvox.envs.vec_env import make_vec
 from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, ResumeError, RunError, StorageError
 from warpvox.io.writing import check_writable, to_yaml
-from warpvox.robots.entry import zoo
-from warpvox.robots.replay import known_task
 from warpvox.runs import STATE, ZOO, Run, check_unchanged, keep_code, read_summary, run_folder, write_summary
 from warpvox.system import usable_cores
 
@@ -56,23 +57,6 @@ CHANGEABLE = (
 But for ``max_iterations`` where the rate falls to the end (``ppo.schedule=linear``), and rounding: another device, or
 other ``torch_threads``, adds up the products of matrices in another order.
 """
-
-
-class Listener:
-    """Callbacks of a training; the methods of this class do nothing."""
-
-    def preparing(self, what: str) -> AbstractContextManager[object]:
-        """Enter the block in which ``what`` is done before learning begins."""
-        return nullcontext()
-
-    def begin(self, job: Job) -> None:
-        """Learning begins; everything has been checked and made."""
-
-    def __call__(self, row: Mapping[str, float]) -> None:
-        """An iteration is complete; ``row``: of ``metrics.csv``."""
-
-    def end(self, job: Job) -> None:
-        """Learning has ended, one way or another; ``job.summary`` is empty before the first iteration is complete."""
 
 
 class Job:
@@ -113,6 +97,7 @@ class Job:
         *,
         write: bool = True,
         place: Path | None = None,
+        finish: Callable[[], object] = lambda: None,
     ) -> None:
         """Make the run. Nothing is written before everything has been checked.
 
@@ -121,6 +106,7 @@ class Job:
             callbacks: functions that are called with the row of each iteration, after the listeners.
             write: whether there is a folder.
             place: of a new run; None: it lies in ``output_dir`` and is named by the time.
+            finish: called by the first process when the training is done, before another one may write to the folder.
 
         Raises:
             WarpvoxError: something asked for does not exist or is not valid, or learning has diverged.
@@ -137,6 +123,8 @@ class Job:
             self.runner.evaluator = partial(self._keep_best, self.judge)
         with self._folder(place) if write else nullcontext():
             self._learn(listeners, callbacks)
+            if self.group.is_main_process:
+                finish()
 
     def _prepare(self, listeners: Sequence[Listener]) -> None:
         """Make the environments, the evaluator and the runner; nothing is written."""
@@ -297,14 +285,16 @@ class Job:
 
         def report(row: Mapping[str, float]) -> None:
             self.rows.append(row)
-            for callback in (*listeners, *callbacks):
+            for listener in listeners:
+                listener.iterated(row)
+            for callback in callbacks:
                 callback(row)
 
         runner.report = report
         count = runner.env.num_envs
         fewer = f"(num_envs={max(1, count // 2)} instead of {count})"
         for listener in listeners:
-            listener.begin(self)
+            listener.begun(self)
         try:
             with enough_memory(f"Train with fewer environments {fewer} or a lower ppo.steps."):
                 runner.run()
@@ -329,18 +319,18 @@ class Job:
                     if self.folder is not None:
                         write_summary(self.folder, self.summary)
             for listener in listeners:
-                listener.end(self)  # last: it may make films, and fail
+                listener.ended(self.summary)
 
     def _keep_best(self, judge: Evaluator, policy: Any) -> EpisodeReturns:
         found = judge(policy)
         if found.mean_return > self.runner.best_return:
-            self.best = policy_of(policy)
+            self.best = Policy(policy.spec, policy.actor.state_dict())
         return found
 
     @property
     def policy(self) -> Policy:
         """The policy with the best evaluation, of a training that writes nothing."""
-        policy = self.best or policy_of(self.runner.controller)
+        policy = self.best or self.runner.policy
         known = {name: getattr(self.settings, name) for name in ("obs", "dtype", "arithmetic")}
         known["lanes"] = lanes_of(self.settings, len(load_bodies(self.settings.design, self.settings.seed)))
         policy.metadata |= self.runner.trained_on | known | {"physics": dataclasses.asdict(self.settings.physics)}

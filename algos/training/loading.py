@@ -13,11 +13,12 @@ import numpy as np
 import torch
 
 from warpvox.algos.checkpoints.export import read_exported
-from warpvox.algos.checkpoints.files import load_controller
-from warpvox.algos.checkpoints.policy import Policy, policy_of
+from warpvox.algos.checkpoints.policy import Policy, read_policy
 from warpvox.algos.find import find_run, run_of_robot
 from warpvox.algos.metrics import COLUMNS, read_metrics
 from warpvox.algos.protocols import NOMINAL, parts_of
+from warpvox.algos.robots.entry import Robot
+from warpvox.algos.robots.episodes import SEEDS, known_task, robot_env, with_facts
 from warpvox.algos.training.bodies import lanes_of, load_bodies
 from warpvox.algos.training.playing import SHOWN, Playing, disturbed, load_trained
 from warpvox.algos.training.settings import Training
@@ -29,8 +30,6 @@ from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError, DesignError
-from warpvox.robots.entry import Robot
-from warpvox.robots.replay import SEEDS, known_task, robot_env, torch_policy
 from warpvox.runs import CONFIG, Run
 
 if TYPE_CHECKING:
@@ -64,7 +63,7 @@ def find_policy(
             if exported is not None:
                 return exported.to(device)
             if not (path.parent / CONFIG).is_file():
-                return policy_of(load_controller(path, device, network))
+                return read_policy(path, device, network)
         return find_run(str(source), str(output_dir))
     # a torch module that has no forward can be called, but fails
     has_forward = not isinstance(source, torch.nn.Module) or type(source).forward is not torch.nn.Module.forward
@@ -112,14 +111,14 @@ def load_policy(
     if not isinstance(run, Run):
         return cast(Any, run)
     if run.robot is not None:
-        return torch_policy(run.robot, device)
+        return with_facts(run.robot).to(device)
     names = ("task", "rules", "obs", "design", "physics", "dtype", "arithmetic")
     known = {name: run.config.get(name) for name in names} | ({"design": None} if run.is_many else {})
     trained = Training.of(run.config, run.folder / CONFIG)
     known["lanes"] = lanes_of(trained, len(load_bodies(trained.design, trained.seed)))
     file = run.find_checkpoint(str(checkpoint))
     network = passed_code("policy", run.config.get("policy"), network, run.folder)
-    return policy_of(load_controller(file, device, network), known | {"source": str(file)})
+    return read_policy(file, device, network, known | {"source": str(file)})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -221,4 +220,8 @@ def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv,
     options |= {"device": resolve_device(config.device, count), "num_envs": count * len(parts)}
     first = SEEDS[0] if config.seed is None else config.seed
     env = robot_env(robot, list(range(first, first + count)) * len(parts), **options)
-    return env, disturbed(policy, env, parts, first)
+
+    def act(obs: torch.Tensor) -> torch.Tensor:
+        return policy(obs).double()  # noise is added in float64, as in the recorded episodes
+
+    return env, disturbed(act, env, parts, first)

@@ -1,13 +1,14 @@
 """Trained policies in environments of their run, to be played and evaluated."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 from rsl_rl.modules import GaussianDistribution
 
-from warpvox.algos.checkpoints.files import Controller, actions_of, load_controller
+from warpvox.algos.checkpoints.files import actions_of, load_checkpoint
+from warpvox.algos.checkpoints.policy import Policy, policy_of
 from warpvox.algos.disturbance import Disturbed
 from warpvox.algos.policies.network import VoxelGaussian
 from warpvox.algos.protocols import NOMINAL, parts_of
@@ -59,27 +60,34 @@ def own_code(settings: Any) -> dict[str, Any]:
     return {"task": task, "policy": policy if is_code(policy) else None}
 
 
-class SampledController:
-    """Draws actions from the Gaussian distribution of a policy, instead of taking its mean."""
+class SampledPolicy:
+    """Draws actions from the Gaussian distribution that a policy was trained with, instead of taking its mean.
 
-    def __init__(self, controller: Controller, seed: int = 0) -> None:
-        self.controller, self.spec, self.reset = controller, controller.spec, controller.reset
-        distribution = getattr(controller.actor, "distribution", None)
-        if not isinstance(distribution, GaussianDistribution):
+    Args:
+        policy: the mean.
+        actor: the state of the checkpoint's actor, which has the deviations.
+        seed: of what is drawn.
+    """
+
+    def __init__(self, policy: Policy, actor: Mapping[str, torch.Tensor], seed: int = 0) -> None:
+        if "distribution.log_std_param" not in actor:
             raise ConfigError("stochastic=true goes with a trained policy; this one is an open-loop gait.")
-        self._distribution = distribution
-        self._std = distribution.log_std_param.detach().clamp(*distribution.log_std_range).exp()
-        self._generator = torch.Generator(self._std.device).manual_seed(seed)
+        self.policy = policy
+        self.reset = policy.reset
+        log_std = actor["distribution.log_std_param"]
+        self._std = log_std.clamp(*GaussianDistribution(1).log_std_range).exp()
+        self._generator = torch.Generator(log_std.device).manual_seed(seed)
 
     @torch.no_grad()
     def __call__(self, obs: torch.Tensor) -> torch.Tensor:
         """``obs`` ``[n, num_obs]`` to actions ``[n, num_actions]`` in [0.6, 1.6]."""
-        mean = self.controller.outputs(obs)
+        mean = self.policy.network(obs).float()
         noise = torch.randn(mean.shape, generator=self._generator, device=mean.device)
         deviation = self._std
-        if isinstance(self._distribution, VoxelGaussian):  # of the types of actuators
-            deviation = self._distribution.by_kind(deviation).to(deviation.dtype)
-        return actions_of(mean + deviation * noise, self.spec.action_scale)
+        distribution = getattr(self.policy.actor, "distribution", None)
+        if isinstance(distribution, VoxelGaussian):  # of the types of actuators
+            deviation = distribution.by_kind(deviation).to(deviation.dtype)
+        return actions_of(mean + deviation * noise, self.policy.spec.action_scale)
 
 
 def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:
@@ -105,8 +113,9 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
         named = {"arithmetic": None} | named
     trained = dataclasses.replace(trained, threads=config.threads, memory_check=config.memory_check, **named)
     bodies = training_bodies(trained)
-    controller = load_controller(path, device, trained.policy)
-    parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=controller.spec.has_feedback)
+    content = load_checkpoint(path, device)
+    policy = policy_of(content, path, trained.policy).double()
+    parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=policy.spec.has_feedback)
     judged, drawn = bodies.judged, config.stochastic or parts != (NOMINAL,) or get_task(trained.task).is_random
     if trained.is_many:
         judged = judged if designs is None else read_bodies(designs, trained.seed, "designs", bodies.trained)
@@ -123,9 +132,9 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
     sim = dataclasses.replace(sim_of(trained), device=device, lanes=bodies.lanes(trained, device), grid=bodies.grid)
     options: dict[str, Any] = {"rules": trained.rules, "obs": trained.obs, "seed": trained.seed, "sim": sim}
     env = make_vec(trained.task, judged, count * len(parts), auto_reset=False, **options)
-    controller.check(env)
-    policy = SampledController(controller, trained.seed) if config.stochastic else controller
-    return env, disturbed(policy, env, parts, trained.seed)
+    policy.check_sizes(env.num_obs, env.num_actions)
+    acting = SampledPolicy(policy, content["actor_state_dict"], trained.seed) if config.stochastic else policy
+    return env, disturbed(acting, env, parts, trained.seed)
 
 
 def load_result(run: Run, settings: Any, device: str = "cpu") -> tuple[VoxelVecEnv, Any]:

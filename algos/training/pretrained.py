@@ -34,9 +34,10 @@ def find_pretrained(source: str, output_dir: str) -> tuple[Path, dict[str, Any]]
 
 def check_learned(path: Path, content: Mapping[str, Any], network: str | None) -> PolicySpec:
     """The policy of a checkpoint, all of which is checked, if a training can go on from it."""
-    from warpvox.algos.checkpoints.files import checked_weights, load_controller
+    from warpvox.algos.checkpoints.files import checked_weights
+    from warpvox.algos.checkpoints.policy import policy_of
 
-    spec = load_controller(path, network=network).spec
+    spec = policy_of(content, path, network).spec
     if "critic_state_dict" not in content or "optimizer_state_dict" not in content:
         raise ConfigError(f"{path} holds no value function to learn with: take a checkpoint of a training.")
     try:

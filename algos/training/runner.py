@@ -5,6 +5,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,6 @@ from rsl_rl.utils.logger import Logger
 
 from warpvox.algos.checkpoints.files import (
     RNN,
-    Controller,
     check_fits,
     damaged,
     load_checkpoint,
@@ -26,20 +26,22 @@ from warpvox.algos.checkpoints.files import (
     spec_for,
     spec_of,
 )
+from warpvox.algos.checkpoints.policy import Policy
 from warpvox.algos.evaluate import EpisodeReturns, Evaluator
 from warpvox.algos.expected import check_like
 from warpvox.algos.generators import Generators
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.metrics import Metrics, read_metrics
-from warpvox.algos.settings import Ppo
+from warpvox.algos.ppo.iteration import Iteration
+from warpvox.algos.ppo.population import PopulationPPO
+from warpvox.algos.ppo.stock import PPO, rsl_rl_config
+from warpvox.algos.settings import WIDEST, Ppo
 from warpvox.algos.training.bodies import Bodies
 from warpvox.algos.training.distributed import SINGLE_PROCESS, ProcessGroup
-from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.devices.startup import own_torch
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.errors import ActionError, ConfigError, DivergenceError, RunError
 from warpvox.io.writing import check_folder
-from warpvox.robots.network import WIDEST
 from warpvox.runs import BEST, STATE, Run
 
 COUNTERS = {
@@ -47,6 +49,21 @@ COUNTERS = {
     "memory": dict,
 }  # fmt: skip
 """Entries of a state beside networks and optimiser, and their types."""
+
+HOST_BOUND = 0.1
+"""Where the host waits for a GPU for a smaller part of the time, the GPU waits for its host."""
+
+
+@dataclass(frozen=True)
+class _Evaluation:
+    """An evaluation that a thread makes while learning goes on.
+
+    ``policy``: what is evaluated, as a checkpoint has it. ``state``: of the runner, to come back to; None: not wanted.
+    """
+
+    result: Future[EpisodeReturns]
+    policy: dict[str, Any]
+    state: dict[str, Any] | None
 
 
 @dataclass(frozen=True)
@@ -71,19 +88,53 @@ def adapt(env: Any, ppo: Ppo, apart: bool = False) -> RslRlVecEnv:
     return RslRlVecEnv(env, reward_gamma=ppo.gamma if ppo.normalize_reward else None, apart=apart, **own)
 
 
+@dataclass
+class TimeSpent:
+    """Seconds of iterations, evaluations left out: what they were spent on, and what the host did for a GPU.
+
+    ``simulation``: rollouts, with the policy's part in them. ``launching`` and ``waiting``: of the host, until the GPU
+    was done with what it was given; 0 on a CPU.
+    """
+
+    simulation: float = 0.0
+    learning: float = 0.0
+    launching: float = 0.0
+    waiting: float = 0.0
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """The parts of simulation and learning, which add up to 1; none where nothing is known."""
+        whole = self.simulation + self.learning
+        return {"simulation": self.simulation / whole, "learning": self.learning / whole} if whole else {}
+
+    @property
+    def is_host_bound(self) -> bool:
+        """True where a GPU is done almost as soon as the host has launched the last of its work."""
+        return self.launching > 0 and self.waiting < HOST_BOUND * (self.launching + self.waiting)
+
+    def __str__(self) -> str:
+        parts = [", ".join(f"{name} {100 * share:.0f} %" for name, share in self.shares.items())]
+        if self.is_host_bound:
+            parts.append("host-bound: more environments cost nothing")
+        return "; ".join(part for part in parts if part)
+
+
 class _Rollout(Logger):
     """Collects what rsl-rl's runner tells of an iteration, in the place of its logger.
 
-    ``ended``: bool ``[num_envs]``, where episodes have ended.
+    ``ended``: bool ``[num_envs]``, where episodes have ended. ``steps``: of a rollout.
     """
 
     writer = None
 
-    def __init__(self, bodies: Bodies | None) -> None:
+    def __init__(self, bodies: Bodies | None, steps: int, spent: TimeSpent) -> None:
         self.bodies = bodies
+        self.steps = steps
+        self.spent = spent
 
     def init_logging_writer(self) -> None:
         """An iteration begins."""
+        self._began = time.perf_counter()
         self._logs: list[dict[str, torch.Tensor]] = []
         self.ended = torch.tensor(False)
 
@@ -95,10 +146,18 @@ class _Rollout(Logger):
         self.ended = dones | self.ended
         if self.bodies is not None:
             self.bodies.record(extras["whole"], extras["returns"])
+        if len(self._logs) == self.steps and dones.device.type == "cuda":
+            # Learning waits for the device a hundred times; one time more says how long the rollout has taken.
+            launched = time.perf_counter()
+            torch.cuda.synchronize(dones.device)
+            self.spent.launching += launched - self._began
+            self.spent.waiting += time.perf_counter() - launched
 
-    def log(self, *, loss_dict: dict[str, float], **_: object) -> None:
+    def log(self, *, loss_dict: dict[str, float], collect_time: float, learn_time: float, **_: object) -> None:
         """The update is done."""
         self.losses = loss_dict
+        self.spent.simulation += collect_time
+        self.spent.learning += learn_time
         # copied from the device at once
         steps = torch.stack([torch.stack([value.double() for value in log.values()]) for log in self._logs])
         self.means = dict(zip(self._logs[0], steps.mean(0).tolist(), strict=True))
@@ -111,7 +170,7 @@ class Runner(OnPolicyRunner):
     ``current_learning_iteration`` counts complete iterations. With ``folder`` the run leaves there
     ``model_<iteration>.pt``, ``model_best.pt`` (best evaluation), ``state.pt`` (for :meth:`resume`),
     ``metrics.csv`` and TensorBoard events; without, nothing. ``saved_iteration`` is that of the newest ``state.pt``.
-    ``report`` is called after every iteration with its row of ``metrics.csv``.
+    ``report`` is called after every iteration with its row of ``metrics.csv``; ``spent`` says where time has gone.
 
     Args:
         env: see :func:`adapt`.
@@ -120,7 +179,7 @@ class Runner(OnPolicyRunner):
         logger: where metrics go besides ``metrics.csv``, :data:`warpvox.algos.settings.LOGGERS`.
         group: the processes that train this policy together, each with its own ``env``. The first evaluates, writes
             and reports; its ``evaluator`` and ``report`` are the only ones that are used.
-        voxels: of a policy for voxels, see :func:`warpvox.algos.training.ppo.rsl_rl_config`.
+        voxels: of a policy for voxels, see :func:`warpvox.algos.ppo.stock.rsl_rl_config`.
         bodies: which bodies take the place of others; None: all stay.
         generators: random numbers for the networks, the actions and the order of learning; None: those that torch's own
             generators would give.
@@ -177,7 +236,8 @@ class Runner(OnPolicyRunner):
         )
 
         # Progress
-        self.logger = _Rollout(bodies)
+        self.spent = TimeSpent()
+        self.logger = _Rollout(bodies, ppo.steps, self.spent)
         self._writer = logger
         self._metrics: Metrics | None = None
         self._judged: EpisodeReturns | None = None
@@ -189,6 +249,14 @@ class Runner(OnPolicyRunner):
         self.last_return = math.nan
         self._kept = -math.inf  # the return of the file of the best, which may be later than the state
         self._turned_back = False  # to a checkpoint beside a state that may be of a later iteration
+
+        # What learns in the place of `alg`, which is behind until somebody asks for it
+        self._iteration: Iteration | None = None
+        self._is_behind = False
+
+        # Rows that are not reported yet, with what loggers get besides, and the evaluation that the first waits for
+        self._rows: list[tuple[dict[str, float], dict[str, float]]] = []
+        self._evaluation: _Evaluation | None = None
 
     def _configure_multi_gpu(self) -> None:
         """As rsl-rl's, for processes that have met already, on CPUs, too."""
@@ -207,9 +275,10 @@ class Runner(OnPolicyRunner):
         return self.current_learning_iteration * self.steps_per_iteration
 
     @property
-    def controller(self) -> Controller:
-        """The policy as it is now, without exploration."""
-        return Controller(self.alg.get_policy(), self.spec)
+    def policy(self) -> Policy:
+        """The policy as it is now, without exploration, on the CPU."""
+        self._catch_up()
+        return Policy(self.spec, self.alg.get_policy().state_dict())
 
     def run(self) -> None:
         """Learn until the schedule's total or ``stop_return`` is reached.
@@ -228,31 +297,67 @@ class Runner(OnPolicyRunner):
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
         """Learn for so many iterations; random lengths apply to the very first one only."""
         end = self.current_learning_iteration + num_learning_iterations
+        self._rows.clear()
+        self._evaluation = None
+        self._is_default_type_ours = torch.get_default_dtype() == self.env.network_dtype
         with self._own_torch():
             self._begin(init_at_random_ep_len)
+            threads = torch.get_num_threads()
         try:
-            with deferred_interrupts() as interrupted:
+            # torch's number of threads is a setting of every thread
+            with (
+                ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(threads,)) as self._thread,
+                deferred_interrupts() as interrupted,
+            ):
                 while self.current_learning_iteration < end and not self._reached_goal():
-                    with self._own_torch():
-                        row = self._iterate(end)
+                    self._learn_once(end)
 
-                    # Report
-                    if self._metrics is not None:
-                        self._metrics.write(row, self.logger.means)
-                    if self.report is not None and self.group.is_main_process:
-                        self.report(row)
+                    # Report, unless a thread still evaluates and may go on with that
+                    done = self.current_learning_iteration
+                    is_saved = done % self.schedule.save == 0 and done != end
+                    is_stopped = self.group.any(bool(interrupted))
+                    is_wanted = is_saved or is_stopped or done == end or self._is_due(done + 1, end)
+                    if self._evaluation is None or is_wanted or self._evaluation.result.done():
+                        self._await_evaluation()
+                        self._report()
 
                     # Save as scheduled, or because somebody has asked to stop
-                    done = self.current_learning_iteration
-                    if done % self.schedule.save == 0 and done != end:
+                    if is_saved or is_stopped:
                         self.save_all()
-                    if self.group.any(bool(interrupted)):
-                        self.save_all()
+                    if is_stopped:
                         interrupted.stop()
+            self._catch_up()
             self.save_all()
         finally:
             if self._metrics is not None:
                 self._metrics.close()
+
+    def _learn_once(self, end: int) -> None:
+        """One iteration, whose row waits in ``_rows``; where it diverges, what was before it is reported."""
+        try:
+            with self._own_torch():
+                row = self._iterate(end)
+        except DivergenceError:
+            self._await_evaluation()
+            self._report()
+            if not self._reached_goal():
+                raise
+        else:
+            self._rows.append((row, self.logger.means))
+
+    def _report(self) -> None:
+        """Write and report the rows that wait."""
+        while self._rows:
+            row, means = self._rows.pop(0)
+            self.logger.means = means  # which trackers look at
+            if self._metrics is not None:
+                self._metrics.write(row, means)
+            if self.report is not None and self.group.is_main_process:
+                self.report(row)
+
+    def _is_due(self, iteration: int, end: int) -> bool:
+        """Whether an iteration is evaluated."""
+        return iteration % self.schedule.evaluate == 0 or iteration == end
 
     def _reached_goal(self) -> bool:
         goal = self.schedule.stop_return
@@ -288,45 +393,98 @@ class Runner(OnPolicyRunner):
         if self.group.size > 1:
             self.alg.broadcast_parameters()
 
+        # On CUDA launches are what takes time: an iteration is one graph where nothing but our own PPO learns.
+        is_ours = self.spec.is_mlp and not self.ppo.extra and self.group.size == 1
+        if self._iteration is None and is_ours and torch.device(self.device).type == "cuda":
+            self._iteration = self._make_iteration()
+
+    def _make_iteration(self) -> Iteration:
+        """An iteration that goes on from where ``alg`` is."""
+        settings = {name: value for name, value in self.cfg["algorithm"].items() if name != "class_name"}
+        algorithm = PopulationPPO.in_place_of(self.alg, self.generators.on(self.device), **settings)
+        inner = self.env.env
+        return Iteration(self.env, algorithm, None if inner.dump is not None else inner.capture)
+
+    def _catch_up(self) -> None:
+        """Have ``alg`` be what was learned in its place."""
+        if self._iteration is not None and self._is_behind:
+            self._iteration.algorithm.copy_to(self.alg)
+            self._is_behind = False
+
     def _iterate(self, end: int) -> dict[str, float]:
         """One iteration: collect, learn, exchange bodies, evaluate as scheduled; returns its row of the metrics."""
         started = time.perf_counter()
 
-        # Collect and learn; the results are in `logger`.
-        try:
-            super().learn(1)
-        except ActionError as error:
-            raise self._diverged(str(error)) from error
+        # Collect and learn; results that are no figures are in `logger`.
+        figures = self._learn_by_rsl_rl() if self._iteration is None else self._learn_on_device(self._iteration)
 
         # Exchange bodies
         if self.bodies is not None and self.bodies.refresh != "none":
-            with torch.inference_mode():  # as the environments have made steps
+            # in the mode in which the environments have made steps
+            with torch.inference_mode() if self._iteration is None else torch.no_grad():
                 self.bodies.exchange(self.env, self.logger.ended)
                 self.alg.actor.reset(self.logger.ended)
                 self.alg.critic.reset(self.logger.ended)
 
         # Check
-        losses = self.logger.losses
-        self._check(losses)
+        self._check(figures)
         seconds = time.perf_counter() - started
         self.current_learning_iteration += 1
 
         # Evaluate
         done = self.current_learning_iteration
         evaluated = math.nan
-        if done % self.schedule.evaluate == 0 or done == end:
+        if self._is_due(done, end):
             evaluated = self._evaluate()
         self.elapsed += time.perf_counter() - started
-        return self._row(losses, seconds, evaluated)
+        return self._row(figures, seconds, evaluated)
 
-    def _check(self, losses: dict[str, float]) -> None:
-        """Raise DivergenceError if losses, weights or moments are not finite."""
-        for name, value in losses.items():
-            if not math.isfinite(value):
-                raise self._diverged(f"the {name} loss is {value}")
+    def _learn_by_rsl_rl(self) -> dict[str, float]:
+        """Collect and learn; returns figures as :meth:`Iteration.read` does."""
+        try:
+            super().learn(1)
+        except ActionError as error:
+            raise self._diverged(str(error)) from error
         learned = [value for group in self.alg.optimizer.param_groups for value in group["params"]]
         learned += self.alg.get_policy().buffers()
-        if not bool(torch.stack([torch.isfinite(value).all() for value in learned]).all()):
+        deviations: Any = self.alg.get_policy().distribution
+        return {
+            **self.logger.losses,
+            "learning_rate": self.alg.learning_rate,
+            # output_std has a 1 for each action that a body lacks
+            "action_std": deviations.log_std_param.detach().clamp(*deviations.log_std_range).exp().mean().item(),
+            "finite": float(torch.stack([torch.isfinite(value).all() for value in learned]).all()),
+        }
+
+    def _learn_on_device(self, iteration: Iteration) -> dict[str, float]:
+        """Collect and learn without rsl-rl; returns figures."""
+        began = time.perf_counter()
+        iteration()
+        self._is_behind = True
+        launched = time.perf_counter()
+        figures = iteration.read()
+        spent = self.spent
+        spent.launching += launched - began
+        spent.waiting += time.perf_counter() - launched
+        simulation, learning = iteration.seconds()
+        spent.simulation += simulation
+        spent.learning += learning
+        self.logger.losses = {name: figures[name] for name in ("value", "surrogate", "entropy")}
+        self.logger.means = {name: value for name, value in figures.items() if "/" in name}
+        self.logger.ended = iteration.ended
+        if self.bodies is not None:
+            for ended, returns in zip(iteration.whole.cpu(), iteration.returns.cpu(), strict=True):
+                self.bodies.record(ended, returns)
+        if figures["not_finite_total"]:
+            self.env.env.not_finite()  # warns
+        return figures
+
+    def _check(self, figures: dict[str, float]) -> None:
+        """Raise DivergenceError if losses, weights or moments are not finite."""
+        for name, value in self.logger.losses.items():
+            if not math.isfinite(value):
+                raise self._diverged(f"the {name} loss is {value}")
+        if not figures["finite"]:
             raise self._diverged("the networks have weights that are NaN or infinite")
 
     def _diverged(self, reason: str) -> DivergenceError:
@@ -336,12 +494,23 @@ class Runner(OnPolicyRunner):
         )
 
     def _evaluate(self) -> float:
-        """The mean return of a deterministic evaluation; keeps the policy if it is the best so far."""
+        """The mean return of a deterministic evaluation; keeps the policy if it is the best so far.
+
+        NaN where there is no evaluator, and where a thread evaluates: while a graph is replayed the host has nothing
+        else to do. The first evaluation is made at once, for it loads kernels.
+        """
+        is_replayed = self._iteration is not None and self._iteration.is_replayed
+        if is_replayed and self._judged is not None and self.evaluator is not None and self._is_default_type_ours:
+            policy = self.policy.double()
+            content = self._policy_content()
+            state = None if self.schedule.stop_return is None else self.state()
+            self._evaluation = _Evaluation(self._thread.submit(self.evaluator, policy), content, state)
+            return math.nan
         value = math.nan
         if self.group.is_main_process and self.evaluator is not None:
             self.alg.eval_mode()
             try:
-                self._judged = self.evaluator(self.controller)
+                self._judged = self.evaluator(self.policy.double())
                 value = self._judged.mean_return
             except ActionError as error:
                 self.current_learning_iteration -= 1  # it is not complete
@@ -349,34 +518,63 @@ class Runner(OnPolicyRunner):
         value = self.group.broadcast(value)
         if math.isnan(value):  # there is no evaluator
             return value
-        self.last_return = value
-        if value > self.best_return:
-            self.best_return, self.best_iteration = value, self.current_learning_iteration
-            if self.folder is not None and self.group.is_main_process and value >= self._kept:
-                save_checkpoint(self.folder / BEST, self._policy_content())
+        self._keep_if_best(value, self.current_learning_iteration, self._policy_content)
         return value
 
-    def _row(self, losses: dict[str, float], seconds: float, evaluated: float) -> dict[str, float]:
+    def _keep_if_best(self, value: float, iteration: int, policy: Callable[[], dict[str, Any]]) -> None:
+        """Note the return of an evaluation, and write the policy to a file if it is the best so far."""
+        self.last_return = value
+        if value > self.best_return:
+            self.best_return, self.best_iteration = value, iteration
+            if self.folder is not None and self.group.is_main_process and value >= self._kept:
+                save_checkpoint(self.folder / BEST, policy() | {"eval_return": value})
+
+    def _await_evaluation(self) -> None:
+        """Take in what a thread has found, if one evaluates: as if it had been known when its iteration was done."""
+        if self._evaluation is None:
+            return
+        evaluation, self._evaluation = self._evaluation, None
+        iteration = evaluation.policy["iter"]
+        began = time.perf_counter()
+        try:
+            self._judged = evaluation.result.result()
+        except ActionError as error:
+            self._rows.clear()
+            self.current_learning_iteration = iteration - 1
+            raise self._diverged(str(error)) from error
+        finally:
+            self.elapsed += time.perf_counter() - began
+
+        # At the goal later iterations have not been made.
+        value = self._judged.mean_return
+        goal = self.schedule.stop_return
+        if goal is not None and value >= goal and self.current_learning_iteration > iteration:
+            del self._rows[1:]
+            with self._own_torch():
+                self.set_state(evaluation.state or {})
+
+        # The rows, of which the first is that of the evaluation
+        self._keep_if_best(value, iteration, lambda: evaluation.policy)
+        self._rows[0][0].update({"eval_return": value, **self._quantiles(value)})
+        for row, _ in self._rows:
+            row["best_return"] = self.best_return
+
+    def _row(self, figures: dict[str, float], seconds: float, evaluated: float) -> dict[str, float]:
         return {
             "iteration": self.current_learning_iteration,
             "steps": self.steps,
-            **self._episodes(),
+            **self._episodes(figures),
             "eval_return": evaluated,
             "best_return": self.best_return,
             **self._quantiles(evaluated),
-            "value_loss": losses["value"],
-            "surrogate_loss": losses["surrogate"],
-            "entropy": losses["entropy"],
-            "learning_rate": self.alg.learning_rate,
-            "action_std": self._action_std(),
+            "value_loss": figures["value"],
+            "surrogate_loss": figures["surrogate"],
+            "entropy": figures["entropy"],
+            "learning_rate": figures["learning_rate"],
+            "action_std": figures["action_std"],
             "steps_per_second": self.steps_per_iteration / seconds,
             "elapsed": self.elapsed,
         }
-
-    def _action_std(self) -> float:
-        # output_std has a 1 for each action that a body lacks
-        deviations: Any = self.alg.get_policy().distribution
-        return deviations.log_std_param.detach().clamp(*deviations.log_std_range).exp().mean().item()
 
     def _quantiles(self, evaluated: float) -> dict[str, float]:
         """Quantiles of the returns of the last evaluation, over its bodies where there are several."""
@@ -385,9 +583,9 @@ class Runner(OnPolicyRunner):
             return {}
         return {f"eval_q{share}": float(torch.quantile(fitness, share / 100)) for share in (10, 50, 90)}
 
-    def _episodes(self) -> dict[str, float]:
+    def _episodes(self, figures: dict[str, float]) -> dict[str, float]:
         """Number, mean return and length of the episodes that have ended in all processes; how many were stopped."""
-        own = self.env.pop_episodes()
+        own = self.env.pop_episodes() if self._iteration is None else self.env.episodes_of(figures)
         count = own["episodes"]
         sums = [count, *(count * own[name] if count else 0.0 for name in ("return", "length"))]
         count, *means, unstable, diverged = self.group.sum([*sums, own["unstable"], own["diverged"]])
@@ -404,9 +602,17 @@ class Runner(OnPolicyRunner):
             "best_iteration": self.best_iteration if known else None,
             "last_return": self.last_return if math.isfinite(self.last_return) else None,
             "elapsed_seconds": round(self.elapsed, 3),
+            **self._time_spent(),
         }
 
+    def _time_spent(self) -> dict[str, Any]:
+        """Where time has gone in this process; nothing before its first iteration."""
+        shares = {name: round(share, 3) for name, share in self.spent.shares.items()}
+        found: dict[str, Any] = {"time": shares} if shares else {}
+        return found | ({"host_bound": self.spent.is_host_bound} if self.spent.launching else {})
+
     def _policy_content(self) -> dict[str, Any]:
+        self._catch_up()
         own = {"iter": self.current_learning_iteration, "infos": None, "policy": spec_dict(self.spec)}
         return self.alg.save() | own | {"eval_return": self.last_return, "trained_on": self.trained_on}
 
@@ -476,6 +682,7 @@ class Runner(OnPolicyRunner):
             optimizer: whether to take the moments of its optimiser, and the rate that an adaptive schedule has found.
         """
         check_fits(self.spec, spec_of(learned["policy"]))
+        self._iteration = None
         try:
             self.alg.load(dict(learned), None if optimizer else {"actor": True, "critic": True})
         except RunError as error:  # such as a critic with other weights
@@ -487,6 +694,7 @@ class Runner(OnPolicyRunner):
     def set_state(self, content: dict[str, Any]) -> None:
         """Go on from :meth:`state`, or with new episodes from the content of ``model_<iteration>.pt``."""
         check_like(content, {"iter": int, "eval_return": float} | (COUNTERS if "env" in content else {}))
+        self._iteration = None
         self.alg.load(content, None, True)
         self.current_learning_iteration = self.saved_iteration = content["iter"]
         self.last_return = content["eval_return"]

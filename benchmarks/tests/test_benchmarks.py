@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import runpy
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -142,10 +143,12 @@ def test_learning_ends_with_its_goal(run: Callable) -> None:
 
 
 def test_gpu_goes_on_after_a_failure(run: Callable) -> None:
-    parts = "--parts nothing designs tasks --tasks Walker-v0".split()
+    parts = "--parts nothing learners designs tasks --tasks Walker-v0".split()
     code, tables, rows = run("gpu", "--device", "cpu", *parts)
     assert code == 1
     assert "FAILED, nothing: KeyError" in tables
+    assert [len(rates) for rates in rows["learners, 8"]] == [1, 1]
+    assert "one graph an iteration" in tables
     assert rows["designs"][:2] == [2, 8]
     assert rows["Walker-v0"][1][0] > 0
 
@@ -162,4 +165,11 @@ def test_gpu_does_every_part(run: Callable) -> None:
     code, tables, rows = run("gpu", *words)
     assert code == 0, tables
     assert "Tests of tests/envs/test_device.py" in tables
-    assert {"8", "1", "designs", "ppo=parallel, seed 0", "Walker-v0", "3 x 3 in 8"} <= rows.keys()
+    assert {"8", "1", "learners, 8", "designs", "ppo=parallel, seed 0", "Walker-v0", "3 x 3 in 8"} <= rows.keys()
+
+
+def test_short_lives_have_a_table_of_their_own() -> None:
+    command = [sys.executable, str(SCRIPTS / "lives.py"), "--bodies", "2", "Walker-v0"]
+    table = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert table[1].split() == ["task", "gymnasium", "drop-in"]
+    assert all(float(value) > 0 for value in table[2].split()[1:])

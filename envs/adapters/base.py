@@ -213,7 +213,8 @@ def spaces_of(env: Any) -> tuple[Box, Box]:
     """
     dtype = np.dtype(env.sim.options.dtype)
     padding = np.arange(int(env.num_obs)) >= env.layout.always  # is 0
-    low, high = np.where(padding, 0.0, np.inf), np.where(padding, 0.0, -np.inf)
+    low = np.where(padding, 0.0, np.inf)
+    high = np.where(padding, 0.0, -np.inf)
     for term in env.spec.observations:
         at = env.layout.places[term.name]
         low[at], high[at] = np.minimum(low[at], term.about.low), np.maximum(high[at], term.about.high)

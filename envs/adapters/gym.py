@@ -94,11 +94,13 @@ class VoxelEnv(Adapter, OneEnv, gymnasium.Env):
         if render_mode == "human" and (reason := window.why_no_window()) is not None:
             raise DisplayError(f"render_mode='human' shows a window, but {reason}; render_mode='rgb_array' needs none.")
         self.metadata = metadata_here(VoxelEnv.metadata)
-        bodies, links = (None if body is None else [body]), [connections]
+        bodies = None if body is None else [body]
+        links = [connections]
         defaults = {"device": "cpu", "dtype": "float64", "threads": 1}
         limit = {"auto_reset": False, "max_episode_steps": 2**62}  # gymnasium's TimeLimit counts the steps
         self._make(task, bodies, 1, options, defaults, connections=links, body=None, **limit)
-        self.render_mode, self.render_size = render_mode, render_size
+        self.render_mode = render_mode
+        self.render_size = render_size
         self.observation_space, self.action_space = spaces_of(self.vec)
         self._window: window.Window | None = None
         self._next_frame = 0.0
@@ -144,8 +146,11 @@ class VoxelEnv(Adapter, OneEnv, gymnasium.Env):
             obs, terms, terminated, unstable, diverged = self._fast.step(action)
         else:
             row, _, done, _, info = self.vec.step(action[None])
-            obs, terms = row[0].cpu().numpy(), {name: value.item() for name, value in info["reward_terms"].items()}
-            terminated, unstable, diverged = bool(done), bool(info["unstable"]), bool(info["diverged"])
+            obs = row[0].cpu().numpy()
+            terms = {name: value.item() for name, value in info["reward_terms"].items()}
+            terminated = bool(done)
+            unstable = bool(info["unstable"])
+            diverged = bool(info["diverged"])
         if terminated:
             self._ended = obs.copy(), dict.fromkeys(terms, 0.0)
         self._show()

@@ -62,17 +62,42 @@ class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
         **options: Any,
     ) -> None:
         check_choice("render_mode", render_mode, [None, *self.metadata["render_modes"]])
-        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        self.render_mode = render_mode
+        self.render_size = render_size
+
+        # The mode is a member of the enumeration, its name or its value.
+        modes: dict[str, AutoresetMode] = {}
+        for mode in AutoresetMode:
+            modes[mode.name.casefold()] = modes[mode.value.casefold()] = mode
+        word = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else str(autoreset_mode)
+        if word.casefold() not in modes:
+            names = [mode.name for mode in AutoresetMode]
+            hint = did_you_mean(word, names)
+            raise ConfigError(f"autoreset_mode must be one of {listing(names)}, got {autoreset_mode!r:.80}.{hint}")
+        self.autoreset_mode = modes[word.casefold()]
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
+
+        # The environments
         if designs is None and body is None and connections is not None:
             connections = [connections]
-        given = {"body": body, "connections": connections, "auto_reset": self.autoreset_mode is AutoresetMode.SAME_STEP}
-        self._make(task, designs, num_envs, options, {"device": "cpu", "dtype": "float64"}, **given)
-        self.num_envs, self.render_mode, self.render_size = self.vec.num_envs, render_mode, render_size
+        self._make(
+            task,
+            designs,
+            num_envs,
+            options,
+            {"device": "cpu", "dtype": "float64"},
+            body=body,
+            connections=connections,
+            auto_reset=self.autoreset_mode is AutoresetMode.SAME_STEP,
+        )
+        self.num_envs = self.vec.num_envs
+
+        # Spaces
         self.single_spaces = spaces_of(self.vec)
         self.single_observation_space, self.single_action_space = self.single_spaces
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+
         self._obs = np.zeros((self.num_envs, self.vec.num_obs), self.single_observation_space.dtype)
         self._ended = np.zeros(self.num_envs, dtype=bool)  # by the last step, and not reset since
 
@@ -92,12 +117,15 @@ class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
             seed = [int(seed) + env for env in range(self.num_envs)]
         if seed is not None and len(seed) != self.num_envs:
             raise ConfigError(f"seed must be one number, or one for each of {self.num_envs} environments; got {seed}.")
+        # gymnasium's own generator
         super().reset(seed=None if seed is None else seed[0])
         mask: np.ndarray | Sequence[bool] | None = (options or {}).get("reset_mask")
         if mask is None:
+            # Everywhere
             self._obs = self._reset(seed).cpu().numpy()
             self._ended = np.zeros(self.num_envs, dtype=bool)
         else:
+            # Where the mask is True
             if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
                 raise ConfigError(f"options['reset_mask'] must be a bool array [{self.num_envs}], got {mask!r:.80}.")
             if not mask.any():
@@ -132,32 +160,40 @@ class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
                 f"Environments {listing(np.flatnonzero(waiting))} have ended: reset them by"
                 ' env.reset(options={"reset_mask": terminated | truncated}) before the next step.'
             )
+
+        # The step, as numpy arrays
         obs, reward, terminated, truncated, info = self.vec.step(np.asarray(actions))
-        self._obs, rewards = obs.cpu().numpy(), reward.double().cpu().numpy()
-        flags = [terminated.cpu().numpy(), truncated.cpu().numpy()]
+        self._obs = obs.cpu().numpy()
+        rewards = reward.double().cpu().numpy()
+        terminations = terminated.cpu().numpy()
+        truncations = truncated.cpu().numpy()
         details = {"unstable": info["unstable"], "diverged": info["diverged"], **flat(info["reward_terms"])}
         details = {name: value.cpu().numpy() for name, value in details.items()}
-        if self.autoreset_mode is AutoresetMode.SAME_STEP:
-            return self._obs.copy(), rewards, *flags, self._infos_of_same_step(info, details)
-        if waiting.any():  # NEXT_STEP: this step was their reset
-            self.restart(waiting, None)
-            rewards, flags = np.where(waiting, 0.0, rewards), [flag & ~waiting for flag in flags]
-        self._ended = flags[0] | flags[1]
-        infos = {} if waiting.all() else _masked(details, ~waiting)
-        return self._obs.copy(), rewards, *flags, infos
 
-    def _infos_of_same_step(self, info: dict[str, Any], details: dict[str, Any]) -> dict[str, Any]:
-        """``infos`` of a step after which environments have been reset."""
-        done = info["episode"]["done"].cpu().numpy()
-        infos = {} if done.all() else _masked(details, ~done)
-        if done.any():
-            final = np.full(self.num_envs, None, dtype=object)
-            last = info["final_obs"].cpu().numpy()
-            for env in np.flatnonzero(done):
-                final[env] = last[env]
-            infos |= {"final_obs": final, "_final_obs": done, "_final_info": done.copy()}
-            infos["final_info"] = _masked(details, done)
-        return infos
+        # SAME_STEP: environments that have ended have been reset; infos hold what ended.
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            done = info["episode"]["done"].cpu().numpy()
+            infos = {} if done.all() else _masked(details, ~done)
+            if done.any():
+                final = np.full(self.num_envs, None, dtype=object)
+                last = info["final_obs"].cpu().numpy()
+                for env in np.flatnonzero(done):
+                    final[env] = last[env]
+                infos["final_obs"] = final
+                infos["_final_obs"] = done
+                infos["final_info"] = _masked(details, done)
+                infos["_final_info"] = done.copy()
+            return self._obs.copy(), rewards, terminations, truncations, infos
+
+        # NEXT_STEP: this step was the reset of those that had ended in the one before.
+        if waiting.any():
+            self.restart(waiting, None)
+            rewards = np.where(waiting, 0.0, rewards)
+            terminations = terminations & ~waiting
+            truncations = truncations & ~waiting
+        self._ended = terminations | truncations
+        infos = {} if waiting.all() else _masked(details, ~waiting)
+        return self._obs.copy(), rewards, terminations, truncations, infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
@@ -190,15 +226,6 @@ class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({NAMESPACE} {self.vec.spec.id}, num_envs={self.num_envs})"
-
-
-def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
-    """The mode that is meant by a member of the enumeration, its name or its value."""
-    for known in AutoresetMode:
-        if mode is known or str(mode).casefold() in (known.name.casefold(), known.value.casefold()):
-            return known
-    names = [known.name for known in AutoresetMode]
-    raise ConfigError(f"autoreset_mode must be one of {listing(names)}, got {mode!r:.80}.{did_you_mean(mode, names)}")
 
 
 def _masked(values: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, Any]:

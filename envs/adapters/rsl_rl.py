@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import nan
 from typing import Any
 
@@ -18,6 +18,8 @@ from warpvox.types import ACTION_CENTER, ACTION_SCALE
 
 STOP_CAUSES = ("unstable", "diverged")
 """Causes of a termination that are logged: a stopped step, and divergence among those."""
+EPISODE_SUMS = ("sum_episodes", "sum_return", "sum_length", *(f"sum_{name}" for name in STOP_CAUSES))
+"""Names of the sums over the episodes that have ended."""
 OBS_GROUP = "policy"
 """rsl-rl's name for the one group of observations that there is."""
 
@@ -30,6 +32,7 @@ class RslRlVecEnv(VecEnv):
     limits are to be bootstrapped, ``time_outs`` (bool ``[num_envs]``: ended by the time limit alone) with ``final_obs``
     (TensorDict: the last observations of what ended). Episodes that the task stopped, self-folding and divergence
     included, have been reset by the environment. All tensors are fresh.
+    The adapter's own stay where they are: a CUDA graph finds them again.
 
     Args:
         env: made with ``auto_reset=True``.
@@ -69,7 +72,7 @@ class RslRlVecEnv(VecEnv):
             self.reward_norm = _ReturnScale(env.num_envs, reward_gamma, env.device, env.num_designs if apart else 1)
         # The length that random starts pretend is none that the policy has lived through.
         self._shortened = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
-        self._clear_episodes()
+        self._sums = torch.zeros(len(EPISODE_SUMS), dtype=torch.float64, device=env.device)
         self._obs = env.reset()[0]
 
     @property
@@ -90,8 +93,8 @@ class RslRlVecEnv(VecEnv):
     @episode_length_buf.setter  # a variable in rsl-rl
     def episode_length_buf(self, lengths: torch.Tensor) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
         self.env.episode_length = lengths.to(self.env.episode_length)
-        self._obs = self.env.retimed(self._obs)
-        self._shortened = torch.ones_like(self._shortened)
+        self._obs.copy_(self.env.retimed(self._obs))
+        self._shortened.fill_(True)
 
     def get_observations(self) -> TensorDict:
         """The current observations, group ``policy``: ``[num_envs, num_obs]`` in the precision of networks."""
@@ -108,20 +111,21 @@ class RslRlVecEnv(VecEnv):
 
     def _begin(self, obs: torch.Tensor, mask: torch.Tensor) -> None:
         """Take note that episodes have begun where ``mask`` is True."""
-        self._obs, self._shortened = obs, self._shortened & ~mask
+        self._obs.copy_(obs)
+        self._shortened.logical_and_(~mask)
         if self.reward_norm is not None:
             self.reward_norm.forget(mask)
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """One control step; ``actions`` ``[num_envs, num_actions]`` are outputs of the policy."""
         obs, reward, terminated, truncated, info = self.env.step(self.goals(actions))
-        self._obs = obs
+        self._obs.copy_(obs)
         done = terminated | truncated
         whole = done & ~self._shortened
         episode = info["episode"]
         parts = (whole, episode["return"] * whole, episode["length"] * whole, *(info[name] for name in STOP_CAUSES))
-        self._sums = self._sums + torch.stack([part.sum(dtype=torch.float64) for part in parts])
-        self._shortened = self._shortened & ~done
+        self._sums.add_(torch.stack([part.sum(dtype=torch.float64) for part in parts]))
+        self._shortened.logical_and_(~done)
         log = {f"Reward/{name}": values.mean() for name, values in info["reward_terms"].items()}
         log |= {f"Episode/{name}": info[name].float().mean() for name in STOP_CAUSES}
         extras: dict[str, Any] = {"log": log, "returns": info["episode"]["return"], "whole": whole}
@@ -141,9 +145,6 @@ class RslRlVecEnv(VecEnv):
         group = {OBS_GROUP: obs.to(self.network_dtype, copy=True)}
         return TensorDict(group, batch_size=[self.num_envs], device=self.device)
 
-    def _clear_episodes(self) -> None:
-        self._sums = torch.zeros(3 + len(STOP_CAUSES), dtype=torch.float64, device=self.device)
-
     def pop_episodes(self) -> dict[str, float]:
         """The number of ``episodes`` that ended since the last call, their mean ``return`` and ``length`` (NaN: none).
 
@@ -151,8 +152,18 @@ class RslRlVecEnv(VecEnv):
         in ``unstable`` and ``diverged``: how many ended by a step that was stopped, and by divergence among them.
         """
         self.env.not_finite()  # warns of non-finite terms; the device is read below anyway
-        count, total, length, *ends = map(float, self._sums.cpu())
-        self._clear_episodes()
+        return self.episodes_of(dict(zip(EPISODE_SUMS, map(float, self.take_sums().cpu()), strict=True)))
+
+    def take_sums(self) -> torch.Tensor:
+        """Sums over the episodes that ended since the last call, float64, on the device: :data:`EPISODE_SUMS`."""
+        sums = self._sums.clone()
+        self._sums.zero_()
+        return sums
+
+    @staticmethod
+    def episodes_of(sums: Mapping[str, float]) -> dict[str, float]:
+        """The result of :meth:`pop_episodes` from sums by name."""
+        count, total, length, *ends = (sums[name] for name in EPISODE_SUMS)
         means = (total / count, length / count) if count else (nan, nan)
         names = ("episodes", "return", "length", *STOP_CAUSES)
         return dict(zip(names, (int(count), *means, *map(int, ends)), strict=True))
@@ -193,7 +204,8 @@ class RslRlVecEnv(VecEnv):
         own = {"obs": self._obs, "shortened": self._shortened, "sums": self._sums}
         check_fields(state, own | {"env": {}, "reward_norm": None if norm is None else norm.state()})
         self.env.set_state(state["env"])
-        self._obs, self._shortened, self._sums = (state[name].to(self.device) for name in own)
+        for name, tensor in own.items():
+            tensor.copy_(state[name])
         if norm is not None:
             norm.set_state(state["reward_norm"])
 
@@ -212,21 +224,21 @@ class _ReturnScale:
         self._moments = start[:, None].repeat(1, groups)
 
     def __call__(self, reward: torch.Tensor, done: torch.Tensor) -> torch.Tensor:
-        self._return = self._return * self.gamma + reward
+        self._return.mul_(self.gamma).add_(reward)
         count, mean, squares = self._moments
         grouped = self._return.view(len(count), -1)
         new = grouped.shape[1]
         gap = grouped.mean(1) - mean
         total = count + new
         spread = grouped.var(1, unbiased=False) * new + gap.square() * count * new / total
-        self._moments = torch.stack([total, mean + gap * new / total, squares + spread])
-        self._return = self._return.masked_fill(done, 0.0)
+        self._moments.copy_(torch.stack([total, mean + gap * new / total, squares + spread]))
+        self._return.masked_fill_(done, 0.0)
         scale = torch.sqrt(self._moments[2] / self._moments[0] + 1e-8).repeat_interleave(new)
         return (reward / scale).clamp(-10.0, 10.0).to(reward.dtype)
 
     def forget(self, mask: torch.Tensor) -> None:
         """These environments begin new episodes."""
-        self._return = self._return.masked_fill(mask, 0.0)
+        self._return.masked_fill_(mask, 0.0)
 
     def state(self) -> dict[str, torch.Tensor]:
         return {"return": self._return.clone(), "moments": self._moments.clone()}
@@ -236,5 +248,5 @@ class _ReturnScale:
         return {"return": self._return[rows], "moments": self._moments[:, groups]}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        self._return = state["return"].to(self._return)
-        self._moments = state["moments"].to(self._moments)
+        self._return.copy_(state["return"])
+        self._moments.copy_(state["moments"])

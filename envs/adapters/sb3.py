@@ -52,7 +52,8 @@ class VoxelSB3VecEnv(BatchAdapter, VecEnv):
     ) -> None:
         check_choice("render_mode", render_mode, [None, "rgb_array"])
         self._make(task, designs, num_envs, options, {"device": "cpu"}, body=body, auto_reset=True)
-        self.normalize_actions, self.render_size = normalize_actions, render_size
+        self.normalize_actions = normalize_actions
+        self.render_size = render_size
         self.render_mode = render_mode
         self._actions: Any = None
         observations, actions = spaces_of(self.vec)
@@ -90,7 +91,8 @@ class VoxelSB3VecEnv(BatchAdapter, VecEnv):
         if done.any():
             final = self._numbers(info["final_obs"])
             late = (truncated & ~terminated).cpu().numpy()
-            returns, lengths = (info["episode"][name].cpu().tolist() for name in ("return", "length"))
+            returns = info["episode"]["return"].cpu().tolist()
+            lengths = info["episode"]["length"].cpu().tolist()
             for env in np.flatnonzero(done):
                 infos[env] = {
                     "terminal_observation": final[env],

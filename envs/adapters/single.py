@@ -71,7 +71,8 @@ class Sensors:
         points = self._points[name]
         if points is None:
             return self.launched("relative_positions", name)
-        centre, found = self.com(name), np.empty(points.shape)
+        centre = self.com(name)
+        found = np.empty(points.shape)
         for axis in (0, 1):  # one after the other: a broadcast over rows of two takes three times as long
             np.subtract(points[0, axis], centre.item(axis), found[0, axis])
         return found
@@ -127,7 +128,8 @@ class RowTerms:
     """
 
     def __init__(self, spec: TaskSpec, dtype: np.typing.DTypeLike = np.float64) -> None:
-        self._dtype, self._penalty = np.dtype(dtype), spec.unstable_penalty
+        self._dtype = np.dtype(dtype)
+        self._penalty = spec.unstable_penalty
         self._observations = [(term.function, dict(term.params)) for term in spec.observations]
         self._rewards = [(term.name, term.function, dict(term.params), term.weight) for term in spec.rewards]
         self._terminations = [(term.name, term.function, dict(term.params), term.bonus) for term in spec.terminations]
@@ -173,7 +175,8 @@ class SingleStepper:
         self._updates = {memory.name: memory.advance for memory in env.spec.memory if memory.update is not None}
         episodes = self._episodes = env.episodes
         self._memory = {name: value.numpy() for name, value in episodes.memory.items()}
-        self._length, self._return = episodes.length.numpy(), episodes.returns.numpy()
+        self._length = episodes.length.numpy()
+        self._return = episodes.returns.numpy()
         self._terminated = episodes.terminated.numpy()
         self.begin()
 
@@ -202,7 +205,8 @@ class SingleStepper:
         self._sim.advance()
         self._length[0] = self._length.item() + 1  # before it is observed
         self._sensors.moved = True
-        before, after = self._before, Snapshot(self._sensors, self._before.memory_values)
+        before = self._before
+        after = Snapshot(self._sensors, self._before.memory_values)
         obs = self._terms.observe(after)
         self._episodes.drawn = False
         if self._updates:
@@ -210,7 +214,8 @@ class SingleStepper:
             for name in self._updates:
                 self._memory[name][...] = memory_values[name]
         status = self._status.item(self._slot)  # a number of Python's: those of numpy are slow
-        stopped, diverged = bool(status & STOPPED), bool(status & DIVERGED)
+        stopped = bool(status & STOPPED)
+        diverged = bool(status & DIVERGED)
         terms, ended = self._terms.judge(before, after, stopped)
         if diverged:
             terms |= self._without

@@ -12,8 +12,6 @@ from warpvox.envs.worlds import block, rows
 # As far as possible to the right.
 _walk = partial(TaskSpec, max_episode_steps=500, rewards=(rewards(displacement, axis="x"),))
 
-_POSTS, _ROPE = "F 4. F 4. F 7. F 10. F 16. F 11. 2F", "F 4S F 4S F 7S F 10S F 16S F 11S 2F"
-
 
 def _goals(way: int | None) -> tuple[Memory, ...]:
     """Goals between 20 and 49 voxels, the first way from 35, and the number of the present one."""
@@ -32,7 +30,16 @@ TASKS = (
     ),
     _walk(
         *("BridgeWalker-v0", "B.2.2", "Walk as far as possible on a soft rope-bridge.", "easy"),
-        objects=(rows("new_object_2", "60F", _POSTS, _POSTS, _ROPE, _ROPE),),
+        objects=(
+            rows(
+                "new_object_2",
+                "60F",
+                "F 4. F 4. F 7. F 10. F 16. F 11. 2F",
+                "F 4. F 4. F 7. F 10. F 16. F 11. 2F",
+                "F 4S F 4S F 7S F 10S F 16S F 11S 2F",
+                "F 4S F 4S F 7S F 10S F 16S F 11S 2F",
+            ),
+        ),
         robot_cell=(2, 5),
         observations=(observes(velocity), observes(orientation), observes(shape)),
         # As released: the line is the very edge of the bridge, so the centre of mass has to leave it.

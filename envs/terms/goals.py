@@ -42,7 +42,8 @@ def first_goal(draws: RandomStream) -> Tensor:
 def next_goal(state: Snapshot, name: str, within: float) -> Tensor:
     """The first goal from the present one on that is not within a distance of the object, else their count."""
     goals = state.memory("goals")
-    count, xp = goals.shape[1], library(goals)
+    count = goals.shape[1]
+    xp = library(goals)
     number = xp.ones_like(goals[:1]).cumsum(1) - 1
     near = abs(double(goals) * VOXEL - state.com(name)[:, :1]) < within
     ahead = (number >= state.memory("goal")) & (~near | (goals == 0))

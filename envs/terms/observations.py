@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from warpvox.envs.episodes import Episodes
     from warpvox.envs.snapshot import Snapshot
 
-SCAN_RANGE = SIGHT * VOXEL  # how far robots see up and down, in simulator units
+_SCAN_RANGE = SIGHT * VOXEL  # how far robots see up and down, in simulator units
 
 
 def _count(reach: int, **_: object) -> int:
@@ -55,7 +55,7 @@ def separation(state: Snapshot, name: str, other: str) -> Tensor:
 
 
 @about(
-    "floor below {name}, voxels -{reach} to {reach} beside it", unit=LENGTH, entries=_count, low=0.0, high=SCAN_RANGE
+    "floor below {name}, voxels -{reach} to {reach} beside it", unit=LENGTH, entries=_count, low=0.0, high=_SCAN_RANGE
 )
 def floor(state: Snapshot, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
     """How far the terrain lies below, as released: a distance in each of ``2 reach + 1`` windows.
@@ -67,7 +67,7 @@ def floor(state: Snapshot, name: str, reach: int, objects: tuple[str, ...]) -> T
 
 
 @about(
-    "ceiling above {name}, voxels -{reach} to {reach} beside it", unit=LENGTH, entries=_count, low=0.0, high=SCAN_RANGE
+    "ceiling above {name}, voxels -{reach} to {reach} beside it", unit=LENGTH, entries=_count, low=0.0, high=_SCAN_RANGE
 )
 def ceiling(state: Snapshot, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
     """The same as :func:`floor` upward, to the lowest point above."""
@@ -95,7 +95,7 @@ def overhang(state: Snapshot, name: str, reach: int, objects: tuple[str, ...]) -
     far up it is. Reading of what the paper leaves open: without such a point it is 5 voxels above p, the distance
     that the released code gives where it finds none.
     """
-    return _windows(state, name, reach, objects, state.com(name)[:, 1:] + SCAN_RANGE, above=True)
+    return _windows(state, name, reach, objects, state.com(name)[:, 1:] + _SCAN_RANGE, above=True)
 
 
 def _windows(state: Snapshot, name: str, reach: int, objects: tuple[str, ...], nothing: Tensor, above: bool) -> Tensor:

@@ -35,7 +35,8 @@ def drop(before: Snapshot, after: Snapshot, name: str, below: float) -> Tensor:
 @about("[y_{name} < ({below} if x_{name} <= {x} else {below_beyond})] Δy_{name}")
 def staged_drop(before: Snapshot, after: Snapshot, name: str, below: float, x: float, below_beyond: float) -> Tensor:
     """As :func:`drop`, with another height (``below_beyond``) where the centre of mass is now beyond ``x``."""
-    place, height = after.com(name)[:, 0], after.com(name)[:, 1]
+    place = after.com(name)[:, 0]
+    height = after.com(name)[:, 1]
     above = library(height).where(place <= x, height >= below, height >= below_beyond)
     return replaced(height - before.com(name)[:, 1], above, 0.0)
 
@@ -88,8 +89,10 @@ def turned(before: Snapshot, after: Snapshot, name: str) -> Tensor:
     As released: a step from below pi / 3 to above 5 pi / 3 has gone through 0 clockwise, and the other way round. A
     full turn counts 2 pi, although orientations are measured modulo 2 x 3.1415926.
     """
-    start, end = before.orientation(name), after.orientation(name)
-    low, high = pi / 3, 5 * pi / 3
+    start = before.orientation(name)
+    end = after.orientation(name)
+    low = pi / 3
+    high = 5 * pi / 3
     forward = double((start > high) & (end < low))
     backward = double((start < low) & (end > high))
     return end - start + 2 * pi * (forward - backward)

@@ -6,6 +6,7 @@ python -m lab.zoo.add FOLDER ...    # of searches, of designs in them (designs/1
 from __future__ import annotations
 
 import argparse
+import copy
 import dataclasses
 import json
 import re
@@ -19,13 +20,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 import yaml
 
 import warpvox as wv
 from warpvox.algos.codesign.robots import robots_of
-from warpvox.robots import Network, Robot, judge, read_robot, save_robot
+from warpvox.algos.robots import Robot, judge, read_robot, save_robot
 
-ENTRIES = Path(__file__).resolve().parents[2] / "warpvox" / "robots" / "data"
+ENTRIES = Path(__file__).resolve().parents[2] / "warpvox" / "data"
 """Folder of the zoo that comes with warpvox."""
 RECORDED_SEED, CHOOSING_SEED = 1000, 2000
 """First seeds of the episodes under noise that an entry records, and of those that it is chosen by."""
@@ -96,10 +98,12 @@ def is_better(robot: Robot, returns: list[float], known: Robot, known_returns: l
 
 def shortened(robot: Robot) -> Robot:
     """The robot with the last bits of a network's weights set to zero."""
-    if not isinstance(robot.policy, Network):
+    if robot.policy is None or not robot.has_feedback:
         return robot
-    arrays = {name: tuple(map(_rounded, getattr(robot.policy, name))) for name in ("weights", "biases")}
-    return dataclasses.replace(robot, policy=dataclasses.replace(robot.policy, **arrays))
+    policy = copy.deepcopy(robot.policy)
+    for values in policy.parameters():
+        values.copy_(torch.from_numpy(_rounded(values.numpy())))
+    return dataclasses.replace(robot, policy=policy)
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:

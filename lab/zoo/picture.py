@@ -1,8 +1,8 @@
-"""Draw the robots of the zoo at work: python -m lab.zoo.picture [zoo|nudge]
+"""Draw the robots of the zoo at work: python -m lab.zoo.picture [zoo|front|nudge]
 
 Every robot repeats its recorded episode. Its first six seconds are a film for the page of its task, and a tile of the
-film of all. ``nudge`` draws two robots of one task without noise and with it: a gait that was chosen by a single
-episode, and the robot of the zoo.
+film of all. ``front`` draws four of them large and side by side, for the front page. ``nudge`` draws two robots of one
+task without noise and with it: a gait that was chosen by a single episode, and the robot of the zoo.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import warpvox as wv
-from warpvox.robots import Robot, robot_env
+from warpvox.algos.robots import robot_env
 from warpvox.view.render import Film
 from warpvox.view.rollout import Rollout
 
@@ -27,6 +27,8 @@ FRAGILE = Path(__file__).with_name("UpStepper-v0_one_episode.npz")
 FILM = (320, 150)
 """Size of the film of one robot; every other picture is shown, to keep it small."""
 COLUMNS, TILE, LABEL, GAP = 8, (112, 76), 13, 4
+FRONT, FRONT_TILE = ("Walker-v0", "UpStepper-v0", "Carrier-v0", "BridgeWalker-v0"), (300, 220)
+"""Robots of the front page, and the size of each."""
 VOXELS = 13.0
 """Voxels from the bottom to the top of a picture."""
 PICTURES, PAUSE = 60, 80
@@ -54,13 +56,30 @@ def sheets(width: int, height: int) -> list[Image.Image]:
     return [Image.new("RGB", (width, height), PAPER) for _ in range(PICTURES)]
 
 
-def tiles_of(robot: Robot, images: Path) -> list[Image.Image]:
-    """Tiles of a robot's first recorded episode; writes the film for the page of its task."""
+def episode(name: str) -> tuple[Rollout, int]:
+    """The first recorded episode of a robot of the zoo, and the last frame of it that is shown."""
+    robot = wv.zoo(name)
     rollout = wv.record(robot_env(robot, robot.about["seeds"][:1]), robot.own_policy)
-    last = min(int(rollout.lengths[0]), LONGEST)
+    return rollout, min(int(rollout.lengths[0]), LONGEST)
+
+
+def tiles_of(name: str, images: Path) -> list[Image.Image]:
+    """Tiles of a robot of the zoo; writes the film for the page of its task."""
+    rollout, last = episode(name)
     film = pictures(rollout, FILM, last)
-    save(images / "tasks" / f"{robot.task}.webp", film[::2], 2 * PAUSE, quality=40)
+    save(images / "tasks" / f"{name}.webp", film[::2], 2 * PAUSE, quality=40)
     return pictures(rollout, TILE, last)
+
+
+def draw_front(images: Path = IMAGES, tasks: tuple[str, ...] = FRONT) -> None:
+    """Write the film of the front page."""
+    width = FRONT_TILE[0] + GAP
+    frames = sheets(len(tasks) * width - GAP, FRONT_TILE[1])
+    for number, name in enumerate(tasks):
+        rollout, last = episode(name)
+        for frame, tile in zip(frames, pictures(rollout, FRONT_TILE, last), strict=True):
+            frame.paste(tile, (number * width, 0))
+    save(images / "front.webp", frames, PAUSE, quality=50)
 
 
 def draw_zoo(images: Path = IMAGES, tasks: list[str] | None = None) -> None:
@@ -73,7 +92,7 @@ def draw_zoo(images: Path = IMAGES, tasks: list[str] | None = None) -> None:
         robot = wv.zoo(name)
         row, column = divmod(number, COLUMNS)
         x, y = GAP + column * width, row * height
-        for frame, tile in zip(frames, tiles_of(robot, images), strict=True):
+        for frame, tile in zip(frames, tiles_of(name, images), strict=True):
             frame.paste(tile, (x, y + LABEL))
             pen = ImageDraw.Draw(frame)
             pen.text((x, y + LABEL / 2), name.removesuffix("-v0"), INK, letters, "lm")
@@ -121,6 +140,7 @@ def play(source: str, protocol: str) -> Rollout:
 
 
 if __name__ == "__main__":
+    drawings = {"zoo": draw_zoo, "front": draw_front, "nudge": draw_nudge}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="?", choices=("zoo", "nudge"), default="zoo")
-    draw_nudge() if parser.parse_args().what == "nudge" else draw_zoo()
+    parser.add_argument("what", nargs="?", choices=drawings, default="zoo")
+    drawings[parser.parse_args().what]()

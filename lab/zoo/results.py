@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,8 +16,8 @@ from typing import Any
 import numpy as np
 
 import warpvox as wv
+from warpvox.algos.robots import Robot
 from warpvox.envs.registry import KnownReturn, known_returns
-from warpvox.robots import Robot
 
 FOLDER = Path(__file__).resolve().parent
 ROOT = FOLDER.parents[1]
@@ -39,49 +38,12 @@ MANY = 6
 BODIES = 64
 """Random bodies of 5 x 5 cells, one episode each."""
 Row = Mapping[str, str]
-HEAD = """# Results
-
-The best robots found so far, chosen by their mean return under noise (in other episodes than those shown), beside the
-best published returns with bodies of 5 x 5 cells.
-{sizes}
-{summary}
-
-| task | gait | under noise | IQM of 5 | published | by | nominal | sticky | start | sensors | control steps | time |
-|---|---|---:|---:|---:|---|---:|---:|---:|---:|---:|---:|
-"""
+TEXT = FOLDER / "results_page.txt"
+"""The page without its tables."""
 SUMMARY = """\
-With normal noise of 1 % of the action range on every action, {held} of {known} robots are at or above the best
-published return (mean of {episodes} episodes): {networks} with feedback, {gaits} open loop. With sticky actions
-{sticky} are, after random starts {start}."""
-NOTES = """
-- *Under noise*: the mean of {episodes} episodes with its 95 % interval (Student's t), in bold where it is at or above
-  the best published return. Normal noise with a deviation of {sigma:g} is added to each action, which is clipped to
-  0.6 to 1.6. All [protocols](protocols.md) are in exact arithmetic;
-  [a table](../lab/zoo/protocols.csv) has their intervals and 10 % quantiles.
-- *IQM of 5*: the interquartile mean under noise (that of the middle three) of five trainings of this body with five
-  seeds, among them this robot's, the one that it went on from or, of DownStepper-v0, one that went on from it
-  ([all returns](../lab/zoo/repeats.csv)), for {repeated} robots so far. **A robot is the best of some trials; this is
-  what to expect of one.** [How entries are added and repeated](../lab/zoo/README.md).
-- *Nominal*: what `warpvox play zoo=TASK` repeats in the released simulator's arithmetic ([the zoo](zoo.md)), the
-  mean of eight episodes in BidirectionalWalker-v0 and Catcher-v0, which draw at random. ▼ is below the best published
-  return. Where noise takes most of it away, the robot shows what its body can do once, not what it does reliably.
-- ○ is an open-loop [gait](zoo.md#gaits), whose actions depend on the time alone; all others are networks with
-  feedback, which see what the task observes; *sensors* concerns them alone.
-- *Control steps*, *time* (wall): of the whole search or training, and of those that it started from, on one or two
-  cores of a busy machine, so that the time says no more than its order. A training for one body does not include the
-  search that found it. `warpvox zoo task=TASK` shows all commands. Equal seeds give equal results on equal machines, by
-  the commit of a command (`wv.zoo(TASK).about["start"]` has those of the earlier ones, as far as they are known): some
-  keys have other names today, `zoo:TASK` is the robot of that time, and folders that a command names are not in the
-  repository.
-
-## Sources
-
-Published returns are the best of anybody, of one undisturbed episode each; their protocols differ. A score of 1 in a
-[comparison of searches](evaluation.md#comparing-searches) is such a return.
-
-| method | source | protocol | tasks |
-|---|---|---|---|
-"""
+Under 1 % Gaussian action noise, {held} of {known} robots match or beat the best published return (mean of {episodes}
+episodes): {networks} networks with feedback and {gaits} open-loop gaits. With sticky actions {sticky} do, after random
+starts {start}."""
 
 
 def read_arguments(words: list[str] | None = None) -> argparse.Namespace:
@@ -96,22 +58,22 @@ def page(robots: Sequence[Robot], disturbed: Sequence[Row], repeated: Sequence[R
     by_task: dict[str, dict[str, Row]] = {}
     for row in disturbed:
         by_task.setdefault(row["task"], {})[row["episodes"]] = row
-    means: dict[str, list[float]] = {}
-    for row in repeated:
-        means.setdefault(row["task"], []).append(float(row["noise"]))
-    means = {task: values for task, values in means.items() if len(values) == RUNS}
-
     larger = []
     for robot in robots:
         rows, columns = robot.body.shape
         if (rows, columns) != (5, 5):
-            larger.append(f"{robot.task} ({rows}x{columns})")
-    sizes = f"Ours are as large, except those of {', '.join(larger)}.\n" if larger else ""
+            larger.append(f"{robot.task} ({rows} x {columns})")
+    sizes = f"Bodies are 5 x 5 cells, except those of {', '.join(larger)}." if larger else "Bodies are 5 x 5 cells."
 
-    parts = [HEAD.format(sizes=sizes, summary=summary(robots, disturbed))]
-    parts += [_line(robot, by_task[robot.task], means.get(robot.task)) for robot in robots]
-    parts.append(NOTES.format(episodes=EPISODES, sigma=NOISE_DEVIATION, repeated=len(means)))
-    return "".join([*parts, *_sources(known_returns().values())])
+    return TEXT.read_text(encoding="utf-8").format(
+        sizes=sizes,
+        summary=summary(robots, disturbed),
+        robots="".join(_line(robot, by_task[robot.task]["noise"]) for robot in robots),
+        episodes=EPISODES,
+        sigma=NOISE_DEVIATION,
+        repeated=len(repeated_means(repeated)),
+        sources="".join(_sources(known_returns().values())),
+    )
 
 
 def summary(robots: Sequence[Robot], disturbed: Sequence[Row]) -> str:
@@ -132,25 +94,22 @@ def summary(robots: Sequence[Robot], disturbed: Sequence[Row]) -> str:
     )
 
 
-def _line(robot: Robot, disturbed: Mapping[str, Row], repeated: Sequence[float] | None) -> str:
-    known, about = known_returns()[robot.task], robot.about
-    best = math.inf if known.best is None else known.best
-    noisy, high = (float(disturbed["noise"][name]) for name in ("mean", "high"))
-    bold = "**" if noisy >= best else ""
-    below = "▼" if robot.mean_return < best < math.inf else ""
-    cells = [robot.task, "" if robot.has_feedback else "○", f"{bold}{noisy:.3f}{bold} ± {high - noisy:.3f}"]
-    cells.append(f"{np.mean(sorted(repeated)[1:-1]):.3f}" if repeated else "")  # the middle three
-    cells += ["" if known.best is None else f"{best:g}", known.method, f"{robot.mean_return:.3f}{below}"]
-    for part in ("sticky", "start", "sensors"):
-        cells.append(f"{float(disturbed[part]['mean']):.3f}" if part in disturbed else "")
-    cells += [f"{about['control_steps']:,}", duration(about["wall_s"])]
-    return f"| {' | '.join(cells)} |\n"
+def repeated_means(rows: Sequence[Row]) -> dict[str, float]:
+    """Interquartile mean under noise of the trainings of each task that has all of them."""
+    returns: dict[str, list[float]] = {}
+    for row in rows:
+        returns.setdefault(row["task"], []).append(float(row["noise"]))
+    return {task: float(np.mean(sorted(values)[1:-1])) for task, values in returns.items() if len(values) == RUNS}
 
 
-def duration(seconds: float) -> str:
-    """Hours and minutes."""
-    hours, minutes = divmod(round(seconds / 60), 60)
-    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min"
+def _line(robot: Robot, noise: Row) -> str:
+    known = known_returns()[robot.task]
+    mean = float(noise["mean"])
+    half = float(noise["high"]) - mean
+    bold = "**" if known.best is not None and mean >= known.best else ""
+    published = "none" if known.best is None else f"{known.best:g}, {known.method}"
+    kind = "network" if robot.has_feedback else "gait"
+    return f"| {robot.task} | {bold}{mean:.3f}{bold} ± {half:.3f} | {published} | {kind} |\n"
 
 
 def _sources(published: Iterable[KnownReturn]) -> list[str]:

@@ -3,29 +3,39 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from episodes import short_episodes
 from population_cases import candidates, factory
+from refusals import refused
 
 import warpvox as wv
 from warpvox.algos.candidate import candidate_seed
-from warpvox.algos.checkpoints.files import Controller, build_actor, load_controller, spec_of
+from warpvox.algos.checkpoints.files import spec_of
+from warpvox.algos.checkpoints.policy import Policy, read_policy
 from warpvox.algos.codesign.evaluations import Gaits
 from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 from warpvox.algos.disturbance import JUDGED, NOISE, SEARCHED, Disturbed, Draws
 from warpvox.algos.evaluate import evaluator
 from warpvox.algos.protocols import COPIES, DISTURBANCES, PROTOCOLS
+from warpvox.algos.robots.entry import DIGITS, zoo_tasks
 from warpvox.envs.registry import get_task
 from warpvox.errors import ConfigError
-from warpvox.robots.entry import DIGITS, zoo_tasks
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 EPISODES = 32  # under noise, of an entry of the zoo
 
 COUNT = 500
+
+
+@pytest.fixture
+def short_walks() -> Iterator[None]:
+    with short_episodes("Walker-v0", "BridgeWalker-v0", "Jumper-v0"):
+        yield
 
 
 def test_numbers_are_normal_and_uniform() -> None:
@@ -107,7 +117,7 @@ def test_padding_has_no_noise_of_sensors() -> None:
     assert torch.equal(seen[0] != obs, env.obs_mask[env.design_index])
 
 
-def test_the_nominal_rows_of_all_protocols_are_the_same() -> None:
+def test_the_nominal_rows_of_all_protocols_are_the_same(short_walks: None) -> None:
     (nominal,) = wv.evaluate("zoo:BridgeWalker-v0", episodes=2)
     rows = wv.evaluate("zoo:BridgeWalker-v0", episodes=2, protocol="robust")
     assert [row.disturbance for row in rows] == list(PROTOCOLS["robust"])
@@ -134,7 +144,7 @@ def test_all_disturbances_have_the_episodes_of_one_where_a_task_draws() -> None:
 
 
 def test_each_disturbance_has_as_many_episodes_of_every_body() -> None:
-    with pytest.raises(ConfigError, match="5 bodies need a multiple of that of episodes; got 2"):
+    with refused(ConfigError, "5 bodies need a multiple of that of episodes; got 2"):
         wv.evaluate(lambda obs: obs, "Walker-v0", [[[3, 3]]] * 5, episodes=2, protocol="robust", device="cpu")
 
 
@@ -158,22 +168,22 @@ def test_actions_of_a_function_are_disturbed_as_they_are_taken(protocol: str) ->
 @pytest.mark.parametrize(
     ("policy", "words"),
     [
-        (lambda obs: torch.ones(4), r"shape \[2, 4\] .* got \[4\]"),
-        (lambda obs: torch.ones((1, 4)), r"shape \[2, 4\] .* got \[1, 4\]"),
+        (lambda obs: torch.ones(4), "got [4]"),
+        (lambda obs: torch.ones((1, 4)), "got [1, 4]"),
         (lambda obs: None, "tensor or array of numbers"),
     ],
 )
 def test_actions_of_a_function_are_checked_in_disturbed_episodes_too(policy: object, protocol: str, words: str) -> None:
-    with pytest.raises(wv.ActionError, match=words):
+    with refused(wv.ActionError, words):
         short(policy, protocol)
 
 
-def test_a_gait_has_no_sensors() -> None:
+def test_a_gait_has_no_sensors(short_walks: None) -> None:
     rows = wv.evaluate("zoo:Jumper-v0", episodes=2, protocol="robust")
     assert [row.disturbance for row in rows] == ["nominal", "noise", "sticky", "start"]
-    with pytest.raises(ConfigError, match="policy with feedback"):
+    with pytest.raises(ConfigError):
         wv.evaluate("zoo:Jumper-v0", protocol="sensors")
-    with pytest.raises(ConfigError, match="Did you mean 'sticky'"):
+    with pytest.raises(ConfigError):
         wv.evaluate("zoo:Jumper-v0", protocol="stiky")
 
 
@@ -183,21 +193,19 @@ def test_a_robust_gait_is_worth_what_its_policy_gets_in_the_same_copies() -> Non
     where = dataclasses.replace(factory(), fitness="robust")
     how = GaitEvaluator(where, Gaits(gaits=4, passes=1, beam=4, rounds=1, stages=2), episodes=COPIES)
     (outcome,) = how.evaluate([candidate], {})
-    spec = spec_of(outcome.spec)
-    actor = build_actor(spec)
-    actor.load_state_dict(outcome.policy)
+    policy = Policy(spec_of(outcome.spec), outcome.policy).double()
     where = dataclasses.replace(factory(), obs="timed").computed(lanes=8)
     env = where.make([candidate.body], COPIES, [candidate_seed(0, 0)], auto_reset=False)
-    found = evaluator(env, 0, "robust")(Controller(actor, spec))
+    found = evaluator(env, 0, "robust")(policy)
     assert outcome.fitness == pytest.approx(found.mean_return, abs=1e-5)
     assert np.ptp(found.returns.numpy()) > 0
 
 
-def test_a_training_chooses_by_disturbed_copies(tmp_path: Path) -> None:
+def test_a_training_chooses_by_disturbed_copies(tmp_path: Path, short_walks: None) -> None:
     small = {"design": "mini", "num_envs": 8, "max_iterations": 2, "eval_interval": 1, "device": "cpu"}
     run = wv.train(fitness="robust", folder=tmp_path / "run", progress=False, **small)
     env = wv.make_vec("Walker-v0", "mini", COPIES, seed=0, device="cpu", auto_reset=False)
-    policy = load_controller(run.folder / "model_best.pt")
+    policy = read_policy(run.folder / "model_best.pt").double()
     assert run.best_return == evaluator(env, 0, "robust")(policy).mean_return
     assert run.best_return != evaluator(env, 0)(policy).mean_return
 
@@ -206,7 +214,7 @@ def test_a_training_chooses_by_disturbed_copies(tmp_path: Path) -> None:
     ("task", "episodes"),
     [
         ("Catcher-v0", 3),  # a task that draws something in each episode
-        *((t, 1) for t in zoo_tasks()[::4]),
+        *((t, 1) for t in zoo_tasks()[::8]),
         *(pytest.param(t, EPISODES, marks=pytest.mark.slow) for t in zoo_tasks()),
     ],
 )

@@ -27,7 +27,7 @@ def test_a_single_value_tells_nothing_of_others() -> None:
     assert math.isnan(difference([3.0], [1.0, 2.0]).high)
     assert str(mean_interval([3.0])) == "3.000"
     assert difference([1.0, 1.0], [3.0, 3.0]).high == -2.0
-    with pytest.raises(ValueError, match="a list of values"):
+    with pytest.raises(ValueError):
         mean_interval([])
 
 

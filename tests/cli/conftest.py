@@ -1,30 +1,19 @@
 """A command line in an empty folder, with runs so small that they take a second."""
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from episodes import short_episodes
 from tiny import tiny
 
-from warpvox.envs import registry
-from warpvox.envs.registry import get_task
-from warpvox.envs.spec import TaskSpec
 
-
-@pytest.fixture(autouse=True)
-def short_episodes(monkeypatch: pytest.MonkeyPatch) -> TaskSpec:
-    """Walker-v0 of a tenth of its length: whole episodes are most of what these commands do. Its own specification."""
-    own = get_task("Walker-v0")
-    monkeypatch.setitem(registry._TASKS, "Walker-v0", replace(own, max_episode_steps=50))
-    return own
-
-
-@pytest.fixture
-def whole_episodes(short_episodes: TaskSpec, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Walker-v0 as it is."""
-    monkeypatch.setitem(registry._TASKS, "Walker-v0", short_episodes)
+@pytest.fixture(scope="module", autouse=True)
+def short_walks() -> Iterator[None]:
+    """Walker-v0 ends after a tenth of its episode."""
+    with short_episodes("Walker-v0"):
+        yield
 
 
 @pytest.fixture

@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from refusals import refused
 
 import warpvox as wv
-from warpvox.algos.checkpoints.files import load_checkpoint, load_controller
+from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.checkpoints.policy import read_policy
 from warpvox.algos.codesign.stored_policies import policy_sha256
 from warpvox.cli.config import load
 from warpvox.configs.composition import settings_named
@@ -61,7 +63,7 @@ def test_listeners_hear_of_every_iteration_and_may_end_the_training() -> None:
         raise LookupError("enough")
 
     rows.clear()
-    with pytest.raises(LookupError, match="enough"):
+    with pytest.raises(LookupError):
         wv.train(**KEYS, ppo=PPO, folder=None, progress=False, listeners=[rows.append, stop])
     assert [row["iteration"] for row in rows] == [1]
 
@@ -100,27 +102,6 @@ def test_values_of_python_arrive_as_they_are(tmp_path: Path, monkeypatch: pytest
     assert "friction: 0.25" in text
     for line in ("device: cpu", "threads: 1", "lanes: 8"):  # what is given by name goes before sim, as for make_vec
         assert f"\n{line}\n" in text
-
-
-@pytest.mark.parametrize(
-    ("keys", "words"),
-    [
-        ({"ppo": {"step": 4}}, r"ppo: Ppo got an unexpected keyword argument 'step'\. Did you mean 'steps'"),
-        ({"ppo": "evogim"}, "Did you mean 'evogym'"),
-        ({"design": object()}, "design cannot be a object"),
-        ({"folder": "latest"}, "folder cannot be 'latest'"),
-        ({"ppo": 3}, r"ppo must be Ppo\(...\) or values by name, got 3"),
-        ({"sim": wv.SimOptions(layout="group")}, "sim.layout cannot be given"),
-        ({"sim": {"device": "cpu"}}, r"sim must be SimOptions\(device=..., ...\), got"),
-    ],
-)
-def test_mistakes_are_named_and_nothing_is_written(keys: dict, words: str, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(wv.WarpvoxError, match=words):
-        wv.train(**keys, progress=False)
-    with pytest.raises(wv.TaskError):
-        wv.train("Waker-v0", progress=False)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_without_a_folder_nothing_is_written_and_the_same_is_learned(tmp_path: Path, monkeypatch: Any) -> None:
@@ -207,24 +188,6 @@ def test_policies_are_evaluated_side_by_side(train: Callable[..., Path]) -> None
     few = {"episodes": 2, "device": "cpu", "threads": 1}
     (row,) = wv.evaluate(lambda obs: torch.rand(len(obs), 8), "Walker-v0", "mini", stochastic=True, **few)
     assert row.interval.n == 2
-    for policy, options, words in (
-        (len, {}, "Policy 0 must be a run, or a function"),
-        (policies[1], {"stochastic": True}, "policy 0 acts without chance"),
-        (folder, {"task": "Climber-v0"}, "task='Climber-v0' goes with functions"),
-        ([folder], {"task": "Climber-v0"}, "task='Climber-v0' goes with functions"),
-        (folder, {"design": "worm"}, "Other bodies go with a run over many of them"),
-        (folder, {"episods": 3}, "evaluate got an unexpected keyword argument 'episods'. Did you mean 'episodes'"),
-        ("nowhere", {}, "no run at nowhere"),
-        ([], {}, "policies=\\[\\] names none"),
-        (folder, {"episodes": 0}, "episodes must be at least 1, got 0"),
-        (folder, {"level": 95}, "level must be at most 0.9999, got 95"),
-        (folder, {"episodes": 1.5}, "episodes must be an integer, got 1.5"),
-        (policies[1], {"seed": "a"}, "seed must be an integer, got 'a'"),
-        (policies[1], {"seed": -1}, "seed must be at least 0, got -1"),
-        (folder, {"stochastic": "false"}, "stochastic must be true or false, got 'false'"),
-    ):
-        with pytest.raises(wv.WarpvoxError, match=words):
-            wv.evaluate(policy, **options)
 
 
 def test_a_notebook_has_an_element_that_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -264,7 +227,7 @@ def test_policies_are_loaded_by_whatever_names_them(train: Callable[..., Path], 
         (str(folder / "model_2.pt"), "model_2.pt"),
     ):
         policy = wv.load_policy(source)
-        torch.testing.assert_close(policy(obs), load_controller(folder / file)(obs), rtol=0, atol=1e-6)
+        torch.testing.assert_close(policy(obs), read_policy(folder / file).in_float64()(obs), rtol=0, atol=1e-6)
         assert policy.metadata["task"] == "Walker-v0"
     last = wv.load_policy(folder / "model_2.pt")(obs)
     assert torch.equal(wv.load_policy(folder, checkpoint="last")(obs), last)
@@ -285,7 +248,6 @@ def test_policies_are_loaded_by_whatever_names_them(train: Callable[..., Path], 
         wv.train(pretrained=wv.zoo("Walker-v0"), folder=None)
     (folder / "model_best.pt").write_bytes(b"nothing")
     Path("text.pt").write_text("nothing")
-    wrong = {"nowhere": "no run at nowhere", "text.pt": r"not a readable checkpoint \([^()]*\)\.$"}
-    for source, words in (wrong | {folder: "not a readable checkpoint .* checkpoint=last takes the newest"}).items():
-        with pytest.raises(wv.RunError, match=words):
+    for source, advice in ("text.pt", "text.pt"), (folder, "checkpoint=last takes the newest"):
+        with refused(wv.RunError, "not a readable checkpoint", advice):
             wv.load_policy(source)

@@ -2,10 +2,9 @@
 
 import contextlib
 import csv
-import io
 import json
-import math
 import re
+import shutil
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
@@ -18,18 +17,16 @@ from PIL import Image
 from rich.console import Console
 from tiny import tiny
 
-from warpvox.algos.archive import FILE, Archive, Finished
-from warpvox.algos.candidate import FINALIST, Candidate, Outcome
-from warpvox.algos.checkpoints.files import load_controller
+from warpvox.algos.archive import FILE, Archive
+from warpvox.algos.candidate import Candidate
+from warpvox.algos.checkpoints.policy import read_policy
 from warpvox.algos.codesign import results as results_of
-from warpvox.algos.codesign.listener import SearchRun
 from warpvox.algos.codesign.results import Results
 from warpvox.algos.codesign.settings import Codesign
+from warpvox.cli import main
 from warpvox.design import example_design, load_design, sample_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.palette import cell_colour
-from warpvox.progress import search as progress
-from warpvox.progress.search import SearchProgress
 from warpvox.runs import read_summary
 from warpvox.view.cell_text import body_rows
 
@@ -48,6 +45,21 @@ def search(warpvox: Callable) -> Callable[..., Path]:
         return folder
 
     return call
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A search of five designs; not to be changed."""
+    place = tmp_path_factory.mktemp("made")
+    assert main(tiny("codesign", *SIZES, "search.max_evaluations=5", f"output_dir={place}")) == 0
+    (folder,) = place.glob("codesign/*/*")
+    return folder
+
+
+@pytest.fixture
+def copied(made: Path, warpvox: Callable) -> Path:
+    """A copy of it in the folder where commands are run."""
+    return Path(shutil.copytree(made, Path("outputs/codesign/Walker-v0") / made.name))
 
 
 def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) -> None:
@@ -70,7 +82,7 @@ def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) 
             assert record.fitness == max(value for _, value in record.curve)
             stored = yaml.safe_load((folder / "designs" / str(record.id) / "config.yaml").read_text())
             assert stored["design"] == record.candidate.body.tolist()
-            load_controller(folder / record.policy)
+            read_policy(folder / record.policy)
         pictures = sorted((folder / "generations").iterdir())
         assert [file.name for file in pictures] == [f"{row['generation']:03}.png" for row in archive.generations()]
     assert {Image.open(file).format for file in pictures} == {"PNG"}
@@ -111,9 +123,8 @@ def test_the_same_seed_gives_the_same_search_and_a_sweep_makes_several(search: C
     assert found.count(one) == 2
 
 
-def test_resuming_refuses_what_would_be_another_search(search: Callable, warpvox: Callable) -> None:
-    folder = search("search.max_evaluations=5")
-    before = digest(folder)
+def test_resuming_refuses_what_would_be_another_search(copied: Path, warpvox: Callable) -> None:
+    before = digest(copied)
     for word, phrase in {
         "seed=5": "seed cannot change",
         "search.max_evaluations=9": "search.max_evaluations cannot change",
@@ -121,11 +132,11 @@ def test_resuming_refuses_what_would_be_another_search(search: Callable, warpvox
         "search=random": "search.algorithm cannot change",
     }.items():
         warpvox("codesign", "resume=latest", word, fails=phrase)
-    config = folder / "config.yaml"
+    config = copied / "config.yaml"
     config.write_text(config.read_text().replace("reuse: true", "reuse: false"))
     warpvox("codesign", "resume=latest", fails="reuse=True, asked for reuse=False")
-    assert digest(folder) == before
-    warpvox("train", f"resume={folder}", fails="it has no state.pt")
+    assert digest(copied) == before
+    warpvox("train", f"resume={copied}", fails="it has no state.pt")
 
 
 def test_a_search_that_goes_on_is_exported_as_it_was_asked_at_its_beginning(search: Callable, warpvox) -> None:
@@ -169,34 +180,32 @@ def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
             assert (picture.read_bytes() == b"of other designs") != fresh
 
 
-def test_a_report_that_is_made_while_its_search_ends_tells_the_end(search: Callable, warpvox, monkeypatch) -> None:
-    folder = search("search.max_evaluations=5")
-    page, summary, made = (folder / "report.html").read_text(), folder / "summary.json", results_of.report_page
+def test_a_report_that_is_made_while_its_search_ends_tells_the_end(
+    copied: Path, warpvox: Callable, monkeypatch
+) -> None:
+    warpvox("codesign", "report=latest")
+    page, summary, report_page = (copied / "report.html").read_text(), copied / "summary.json", results_of.report_page
     ended = summary.read_text()
 
     def late(*given: Any) -> str:
         summary.write_text(ended)
-        return made(*given)
+        return report_page(*given)
 
     summary.write_text(ended.replace('"done"', '"running"'))
     monkeypatch.setattr(results_of, "report_page", late)
     warpvox("codesign", "report=latest")
-    assert (folder / "report.html").read_text() == page
+    assert (copied / "report.html").read_text() == page
 
 
 DAMAGED = '{"elapsed_seconds": "x", "steps": [], "fresh_seeds": {"mean": 1}, "status": "done"}'
 
 
-def test_a_damaged_summary_stops_no_report(search: Callable, warpvox: Callable) -> None:
-    folder = search("search.max_evaluations=5")
+def test_neither_a_damaged_summary_nor_damaged_designs_stop_a_report(copied: Path, warpvox: Callable) -> None:
+    folder = copied
     for words in ("report=latest", "resume=latest"):
         (folder / "summary.json").write_text(DAMAGED)
         warpvox("codesign", words)
     assert read_summary(folder)["evaluations"] == 5
-
-
-def test_a_damaged_design_stops_no_report(search: Callable, warpvox: Callable) -> None:
-    folder = search("search.max_evaluations=5")
     for film in folder.glob("designs/*/film.webp"):
         film.unlink()
     (folder / "designs/1/config.yaml").write_text("task: Wal")
@@ -210,8 +219,8 @@ def test_a_damaged_design_stops_no_report(search: Callable, warpvox: Callable) -
     assert "designs/1/config.yaml has been cut short" in page
 
 
-def test_a_search_of_version_0_1_goes_on_or_is_refused_in_a_sentence(search: Callable, warpvox: Callable) -> None:
-    folder = search("seed=3")
+def test_a_search_of_version_0_1_goes_on_or_is_refused_in_a_sentence(copied: Path, warpvox: Callable) -> None:
+    folder = copied
 
     def records() -> list[tuple[str, float | None, list]]:
         with Archive.read(folder / FILE) as archive:
@@ -248,75 +257,16 @@ def test_a_search_of_version_0_1_goes_on_or_is_refused_in_a_sentence(search: Cal
         warpvox("play", f"run={folder}", "window=off", fails=("warpvox 0.1.0", key))
 
 
-@pytest.fixture
-def watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable:
-    """``news(watch, seconds, iteration, steps, first)`` of two designs; returns what the last line says is left."""
-    clock, output = [0.0], io.StringIO()
-    monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(progress, "QUIET_SECONDS", 0.0)
-    results = Results(tmp_path, Archive.create(tmp_path / FILE, {}), Codesign())
-
-    def watch(finalists: int = 0) -> SearchProgress:
-        shown = SearchProgress(Console(width=120, file=output))
-        shown.begun(
-            SearchRun(
-                results.folder, results.archive, results.settings, 4 + finalists, finalists, (100.0, 1000.0), 0, False
-            )
-        )
-        return shown
-
-    def news(watch: SearchProgress, seconds: float, asked: list[Candidate], steps: int) -> str:
-        clock[0] += seconds
-        event = {"iteration": 1, "iterations": 10, "steps": steps, "best": [1.0, 1.0], "training": [True, True]}
-        watch.progress(asked, event)
-        return re.findall(r"left (.*)", output.getvalue())[-1]
-
-    with results.archive:
-        yield watch, news, results.archive
+def test_on_a_terminal_a_search_is_watched_live(warpvox: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as rich takes for a terminal
+    shown = warpvox(*tiny("codesign", *SIZES)).out
+    assert "\x1b[?25l" in shown  # the block hides the cursor
+    assert "best so far" in re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown)
 
 
-def pair(generation: int, origin: str = "random") -> list[Candidate]:
-    return [Candidate(2 * generation + k, example_design("walker"), (), origin, generation) for k in (0, 1)]
-
-
-def test_the_time_left_counts_control_steps(watched: Callable) -> None:
-    """The time of designs that are stopped early, and of finalists, which begin when the others are done."""
-    make, news, archive = watched
-    watch, said = make(finalists=2), []
-    for generation, reports, ends in ((0, (20, 60), (100, 60)), (1, (20, 60), (100, 60)), (2, (200, 600), (600, 600))):
-        asked = pair(generation, FINALIST if generation == 2 else "random")
-        archive.propose(asked, 0)
-        watch.proposed(generation, asked, 2)
-        said.append([news(watch, 10.0, asked, steps) for steps in reports])
-        archive.finish([Finished(item.id, Outcome(1.0, steps=end)) for item, end in zip(asked, ends, strict=True)])
-        watch.finished(archive.records(generation))
-        watch.told(generation, fresh=True)
-    assert said[0] == ["-", "0:01:25, then 2 finalists"]  # 40 steps in 10 s, 340 of 4 * 100 are left
-    assert said[1][1] == "0:00:30, then 2 finalists"  # 100 steps in 30 s, and 100 of 2 * 80 are left
-    assert said[2] == ["-", "0:00:35"]  # 400 steps in 10 s, and 1400 of 2 * 1000 are left
-
-
-def test_on_a_terminal_there_is_a_live_block_with_bodies(tmp_path: Path) -> None:
-    console = Console(force_terminal=True, color_system="truecolor", width=120, file=io.StringIO())
+def test_bodies_are_painted_side_by_side_on_a_terminal() -> None:
+    console = Console(force_terminal=True, color_system="truecolor", width=120)
     bodies = [example_design("walker"), sample_design((5, 5), 0)]
-    results = Results(tmp_path, Archive.create(tmp_path / FILE, {}), Codesign(top=2))
-    watch = SearchProgress(console)
-    watch.begun(SearchRun(results.folder, results.archive, results.settings, 4, 0, (500.0, 0.0), 0, False))
-    with results.archive as archive:
-        asked = [Candidate(k, body) for k, body in enumerate(bodies)]
-        archive.propose(asked, 0)
-        watch.proposed(0, asked, 2)
-        for iteration in (1, 5):
-            event = {"iteration": iteration, "iterations": 10, "steps": 100 * iteration}
-            watch.progress(asked, event | {"best": [1.25, math.nan], "training": [True, True]})
-        assert watch.done == 2 * 5 / 10
-        console.file.truncate(0)
-        archive.finish([Finished(0, Outcome(2.5)), Finished(1, Outcome(0.5))])
-        watch.finished(archive.records())
-        watch.told(0, fresh=True)
-        watch.ended(results.write("done"))
-    text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", console.file.getvalue())
-    assert "generation 0 done: 2/4 designs  best 2.500  mean 1.500  best so far 2.500" in text
     rows = body_rows(bodies, ["2.500 #0", "0.500 #1"], console)
     assert rows.plain.splitlines()[-1].split() == ["2.500", "#0", "0.500", "#1"]
     painted = [str(span.style) for span in rows.spans]

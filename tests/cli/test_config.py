@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import yaml
 from omegaconf.errors import OmegaConfBaseException
+from refusals import refused
 
 from warpvox.algos import settings
 from warpvox.algos.settings import physics_of
@@ -73,18 +74,9 @@ def test_what_is_typed_goes_before_a_preset(command: str, words: list[str], path
     assert config.rules == ("evogym" if words == ["rules=evogym"] else "paper")
 
 
-@pytest.mark.parametrize("command", ["train", "codesign"])
-def test_no_preset_and_one_that_does_not_exist(command: str) -> None:
-    assert load(command, ["preset=null"]) == load(command, [])
-    for word in ("papr", "4", "[paper]"):
-        with pytest.raises(ConfigError, match="preset must be") as error:
-            load(command, [f"preset={word}"])
-        assert ("Did you mean 'paper'?" in str(error.value)) == (word != "4")
-
-
 @pytest.mark.parametrize(("command", "words"), [("train", ["seed=7"]), ("codesign", ["top=7"])])
-def test_resume_null_is_no_resumption(command: str, words: list[str]) -> None:
-    assert load(command, ["resume=null", "config=null", *words]) == load(command, words)
+def test_null_is_none(command: str, words: list[str]) -> None:
+    assert load(command, ["resume=null", "config=null", "preset=null", *words]) == load(command, words)
 
 
 def test_a_preset_of_ones_own(tmp_path: Path) -> None:
@@ -96,9 +88,9 @@ def test_a_preset_of_ones_own(tmp_path: Path) -> None:
     assert config == dataclasses.replace(default, preset="mine", seed=9, ppo=expected)
     with pytest.raises(ConfigError):
         load("codesign", ["preset=mine"], tmp_path)
-    for text, words in (("sed: 9\n", "sed"), ("- 9\n", "preset/train/mine"), ("a: [\n", r"mine\.yaml")):
+    for text, named in (("sed: 9\n", "sed"), ("- 9\n", "preset/train/mine"), ("a: [\n", "mine.yaml")):
         file.write_text(text)
-        with pytest.raises(ConfigError, match=words):
+        with refused(ConfigError, named):
             load("train", ["preset=mine"], tmp_path)
 
 
@@ -175,14 +167,6 @@ def test_a_shell_is_told_how_a_line_goes_on(line: str, expected: set[str], capsy
     monkeypatch.setenv("COMP_LINE", line)
     assert main(["-sc", "query=bash"]) == 0
     assert set(capsys.readouterr().out.split()) == expected
-
-
-def test_the_code_for_a_shell_calls_what_is_tested(capsys: pytest.CaptureFixture, monkeypatch) -> None:
-    monkeypatch.setattr("sys.argv", ["/usr/bin/warpvox"])
-    assert main(["-sc", "install=bash"]) == 0
-    text = capsys.readouterr().out
-    assert "-sc query=bash" in text
-    assert text.split()[-1] == "warpvox"
 
 
 def test_a_request_to_end_while_hydra_composes(monkeypatch, capsys: pytest.CaptureFixture, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from PIL import Image
 from warpvox.algos.archive import FILE, Archive, Finished
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.report.gallery import COLUMNS, TILE, draw_gallery, everywhere
-from warpvox.algos.report.learning_curves import _points, curves_of
+from warpvox.algos.report.learning_curves import curves_of
 from warpvox.algos.statistics import mean_interval
 from warpvox.cli.run_groups import group_runs
 from warpvox.design import sample_design
@@ -37,14 +37,14 @@ def test_metrics_without_a_column_are_refused(tmp_path: Path) -> None:
     table = run.folder / "metrics.csv"
     table.write_text(table.read_text().replace("elapsed", "lapsed"))
     with pytest.raises(RunError):
-        _points(run, "steps")
+        curves_of(group_runs([run]))
 
 
 def test_curves_hold_the_evaluations_and_their_interval(tmp_path: Path) -> None:
     first = make_run(tmp_path / "a", [(10, None), (20, 1.0), (30, None), (40, 3.0)])
-    assert _points(first, "steps").tolist() == [[20, 40], [1, 3]]
     second = make_run(tmp_path / "b", [(10, 0.0), (60, 5.0)])
     (alone,) = curves_of(group_runs([first]))
+    assert alone.runs[0].tolist() == [[20, 40], [1, 3]]
     assert (len(alone.runs), alone.mean.tolist(), np.isnan(alone.low).all()) == (1, [1, 3], True)
     (curve,) = curves_of(group_runs([first, second]))
     assert (curve.places[0], curve.places[-1], len(curve.runs)) == (20, 60, 2)

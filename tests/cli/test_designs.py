@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from refusals import refused
 
 import warpvox as wv
 from warpvox.algos.checkpoints.files import load_checkpoint
@@ -69,7 +70,7 @@ def test_folders_of_other_tools_hold_many_bodies(tmp_path: Path) -> None:
 )
 def test_mistakes_are_explained(spec: object, error: type, says: str, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(error, match=says):
+    with refused(error, says):
         read_bodies(spec, 0, "designs")
 
 

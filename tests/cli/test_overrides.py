@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import yaml
+from refusals import refused
 
 from warpvox.cli.config import load
 from warpvox.errors import ConfigError
@@ -81,7 +82,7 @@ def test_a_stored_configuration_runs_again(tmp_path: Path) -> None:
     other = load("codesign", [f"config={file}", "evaluation=specialist"])
     assert other == replace(search, evaluation=load("codesign", ["evaluation=specialist"]).evaluation)
     file.write_text(to_yaml(search).replace("name: gaits", "name: gates"))
-    with pytest.raises(ConfigError, match=r"evaluation must be one of .*got 'gates'"):
+    with refused(ConfigError, "evaluation must be one of", "got 'gates'"):
         load("codesign", [f"config={file}"])
 
 
@@ -98,9 +99,8 @@ def test_a_stored_configuration_runs_again(tmp_path: Path) -> None:
 )
 def test_files_that_do_not_fit(text: str, words: list[str], phrase: str, tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text(text)
-    with pytest.raises(ConfigError) as caught:
+    with refused(ConfigError, phrase):
         load("train", [f"config={tmp_path / 'c.yaml'}", *words])
-    assert phrase in str(caught.value)
 
 
 @pytest.mark.parametrize("text", ["gamma: 0.5\n", "# @package _global_\nppo:\n  gamma: 0.5\nnum_envs: 8\n"])

@@ -10,35 +10,26 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from episodes import short_episodes
 
 import warpvox as wv
 from warpvox.algos.codesign.robots import read_start
-from warpvox.envs import registry
-from warpvox.envs.registry import get_task
-from warpvox.robots import Robot, save_robot
+from warpvox.algos.robots import Robot, save_robot
 
 KEYS = {"design": "mini", "num_envs": 8, "threads": 1, "device": "cpu", "max_iterations": 2, "eval_interval": 1}
 PPO = {"steps": 4, "hidden": [8], "epochs": 1}
 SMALL = {"device": "cpu", "threads": 1}
 EXACT = SMALL | {"dtype": "float64"}  # in which returns do not depend on what is in a batch
 TRAINING = {"envs": 8, "iterations": 1, "eval_interval": 1, "ppo": {"steps": 4, "hidden": [8], "epochs": 1}}
-STEPS = 30
 
 
 @pytest.fixture(scope="module", autouse=True)
 def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """An empty folder to work in, and episodes of a few steps."""
     folder = tmp_path_factory.mktemp("sources")
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, short_episodes("Walker-v0", "Catcher-v0", "Thrower-v0", steps=30):
         patch.chdir(folder)
-        for task in ("Walker-v0", "Catcher-v0", "Thrower-v0"):
-            patch.setitem(registry._TASKS, task, replace(get_task(task), max_episode_steps=STEPS))
         yield folder
-
-
-@pytest.fixture(scope="module", autouse=True)
-def short_episodes() -> None:
-    """Those of :func:`place`, in place of those of the folder."""
 
 
 @pytest.fixture(scope="module")
@@ -141,29 +132,10 @@ def test_a_trained_robot_that_was_changed_acts_as_it_is_now() -> None:
     assert wv.record(env, policy).rewards.sum() != wv.record(env, "zoo:Walker-v0").rewards.sum()
 
 
-@pytest.mark.parametrize(
-    ("policy", "words"),
-    [
-        (3, "must be a run"),
-        (wv.zoo, "task=... and design="),
-        (wv.World, "must be a run"),
-        ("nowhere", "no run at nowhere"),
-        ("zoo:Waker-v0", "Did you mean 'Walker-v0'"),
-    ],
-)
-def test_what_is_no_policy_is_named(policy: Any, words: str) -> None:
-    with pytest.raises(wv.WarpvoxError, match=words):
-        wv.evaluate(policy, episodes=1, **SMALL)
-
-
-def test_what_is_no_agent_is_named(made: SimpleNamespace) -> None:
+def test_a_policy_that_observes_the_time_needs_environments_that_tell_it(made: SimpleNamespace) -> None:
     env = wv.make_vec("Walker-v0", made.run, 1, **EXACT)
-    for policy, words in (("sin", "Did you mean 'sine'"), (3, "must be a run"), ("zoo:Wlker-v0", "'Walker-v0'")):
-        with pytest.raises(wv.WarpvoxError, match=words):
-            wv.record(env, policy)
-    other = wv.zoo("Thrower-v0")  # its policy observes the time
     with pytest.raises(wv.ConfigError):
-        wv.record(env, other)
+        wv.record(env, wv.zoo("Thrower-v0"))
 
 
 # ---- bodies
@@ -243,7 +215,7 @@ def test_a_body_that_a_design_cannot_say_is_refused(place: Path) -> None:
     whole = wv.zoo("Thrower-v0")  # whose policy observes the time alone
     cut = Robot(whole.task, whole.body, whole.connections[:, 1:], whole.policy)
     for door in ("load_design", "designs=", "body=", "gymnasium", "start"):
-        with pytest.raises(wv.WarpvoxError, match=r"lacks connections|in no file"):
+        with pytest.raises((wv.DesignError, wv.ConfigError)):
             DOORS[door](cut)
     with pytest.raises(wv.DesignError):
         wv.Training(design=cut)

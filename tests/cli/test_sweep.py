@@ -86,13 +86,6 @@ def test_an_interrupt_ends_a_sweep(warpvox: Callable, monkeypatch: pytest.Monkey
     assert len(made) == 1
 
 
-def test_a_sweep_over_searches_may_have_settings_of_theirs(warpvox: Callable, monkeypatch) -> None:
-    found = []
-    monkeypatch.setattr("warpvox.cli.commands.codesign.run", lambda config, *_: found.append(config.search))
-    warpvox("codesign", "-m", "search=bo,bo_lbfgs", "search.candidates=500", "output_dir=out")
-    assert [(search.acquisition, search.candidates) for search in found] == [("pathwise", 500), ("lbfgs", 500)]
-
-
 def test_a_summary_says_what_made_it(train: Callable, repository: Path) -> None:
     summary = json.loads((train("max_iterations=1", "seed=5") / "summary.json").read_text())
     assert (summary["seed"], summary["version"]) == (5, wv.__version__)

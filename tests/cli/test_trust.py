@@ -14,11 +14,11 @@ from tiny import tiny
 import warpvox as wv
 from warpvox.algos.codesign.robots import robots_of
 from warpvox.algos.find import find_run
+from warpvox.algos.robots import Robot, gait_policy, save_robot
 from warpvox.cli import main
 from warpvox.cli.config import load
 from warpvox.design import full_connections
 from warpvox.errors import ConfigError, StoredCodeError
-from warpvox.robots import Gait, Robot, save_robot
 
 EVIL = "from pathlib import Path\nPath({!r}).touch()\n"
 OWN = """
@@ -76,7 +76,7 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for folder in (home / "search" / "designs").iterdir():
         change_config(folder, task="evil.py:T")
     body = wv.example_design("mini")
-    gait = Gait([0], [20], *(np.zeros((1, 8)) for _ in range(3)))
+    gait = gait_policy(body, [0], [20], *(np.zeros((1, 8)) for _ in range(3)))
     save_robot(home / "robots/Walker-v0.npz", dataclasses.replace(wv.zoo("BridgeWalker-v0"), task=f"{home}/evil.py:T"))
     save_robot(home / "robots/Gait-v0.npz", Robot("evil:T", body, full_connections(body).T, gait, {"return": 1.0}))
     return home
@@ -139,7 +139,7 @@ def test_python_runs_no_code_that_a_file_names(foreign: Path, monkeypatch: pytes
     one = wv.evaluate("own_network", policy="evil:T", episodes=1, device="cpu", threads=1)  # which holds layers alone
     assert len(one) == 1
     assert not Path("marker").exists()
-    with pytest.raises(ConfigError, match="'T' does not exist"):
+    with pytest.raises(ConfigError):
         wv.make_vec(wv.Code("evil.py:T"))
     assert Path("marker").exists()
     Path("marker").unlink()

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from warpvox.algos.robots.entry import Robot, save_robot, zoo, zoo_tasks
+from warpvox.algos.robots.episodes import judge
+from warpvox.algos.robots.policies import gait_policy
 from warpvox.algos.training.loading import load_policy
 from warpvox.design import full_connections, load_design
-from warpvox.robots.entry import Robot, save_robot, zoo, zoo_tasks
-from warpvox.robots.gait import Gait
-from warpvox.robots.returns import judge
 from warpvox.view.rollout import Rollout
 
 TASK = min(zoo_tasks(), key=lambda task: sum(zoo(task).about["lengths"]))
@@ -66,7 +66,7 @@ def test_keys_that_do_not_go_with_a_robot_are_refused(warpvox: Callable) -> None
 
 def test_a_gait_is_listed_shown_played_and_loaded(warpvox: Callable) -> None:
     body, wave = load_design("mini"), np.linspace(0, 2 * np.pi, 16).reshape(2, 8)
-    gait = Gait([0, 10], [20, 12], np.full((2, 8), 0.9), wave, np.zeros((2, 8)))
+    gait = gait_policy(body, [0, 10], [20, 12], np.full((2, 8), 0.9), wave, np.zeros((2, 8)))
     robot = Robot("Balancer-v0", body, full_connections(body).T, gait)
     save_robot("mine/Balancer-v0.npz", robot)
     assert "○" in warpvox("zoo", "folder=mine").out.split("return: ")[0]

@@ -98,7 +98,7 @@ def test_at_rest_in_the_air_derivatives_are_those_of_the_physics(physics):
 
 def test_velocities_of_points_that_never_move_count_in_what_hangs_on_them():
     hanging, physics = world(6, 4, robot=([[5, 3, 2]], 1, 2)), Physics(gravity=0.0)
-    grads = Gradients(Simulation([hanging], physics=physics, **FIELDS | {"lanes": 1}))
+    grads = Gradients(Simulation([hanging], physics=physics, **FIELDS))
     assert max(errors(grads, grads.state(), torch.ones(1, 1, dtype=torch.float64))) < 1e-5
 
 
@@ -277,8 +277,9 @@ def test_who_stands_still_keeps_its_state_and_its_derivative(grads):
     assert torch.equal(after[2], state[2])
 
 
-def test_limits_pass_no_derivative_of_points_that_never_move():
-    sim = Simulation([world(6, 4, robot=([[5, 1, 3]], 1, 2))], **FIELDS | {"lanes": 1})
+@pytest.mark.parametrize("lanes", [8, pytest.param(1, marks=pytest.mark.slow)])  # which has kernels of its own
+def test_limits_pass_no_derivative_of_points_that_never_move(lanes):
+    sim = Simulation([world(6, 4, robot=([[5, 1, 3]], 1, 2))], **FIELDS | {"lanes": lanes})
     grads, fixed = Gradients(sim), fixed_rows(sim)[0]
     state = grads.state()
     state[0, 0, 0::2] += 0.1 * VOXEL * ~fixed[0::2]  # beyond the limits of rigid and of other springs

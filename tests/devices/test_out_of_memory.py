@@ -76,7 +76,7 @@ def raised_at(monkeypatch: pytest.MonkeyPatch, place: str, call: int, error: Exc
 
 def test_a_training_says_how_many_fewer_environments_and_goes_on(warpvox: Callable, tmp_path, monkeypatch) -> None:
     warpvox(*TRAIN, f"output_dir={tmp_path / 'whole' / 'outputs'}")
-    with raised_at(monkeypatch, "warpvox.algos.training.ppo.PPO.update", 3, ERRORS["torch on CUDA"]):
+    with raised_at(monkeypatch, "warpvox.algos.ppo.stock.PPO.update", 3, ERRORS["torch on CUDA"]):
         outcome = warpvox(*TRAIN, fails=("Memory has run out", "num_envs=4 instead of 8", "2.00 GiB"))
     assert "failed after" in outcome.out
     run = only(tmp_path, "train")
@@ -97,7 +97,7 @@ def test_environments_that_do_not_fit_leave_nothing_behind(warpvox: Callable, tm
 @pytest.mark.slow
 def test_a_search_says_what_to_take_less_of_and_goes_on(warpvox: Callable, tmp_path, monkeypatch) -> None:
     warpvox(*CODESIGN, f"output_dir={tmp_path / 'whole' / 'outputs'}")
-    place = "warpvox.algos.population.ppo.PopulationPPO.update"
+    place = "warpvox.algos.ppo.population.PopulationPPO.update"
     with raised_at(monkeypatch, place, 2, ERRORS["torch on CUDA"]):
         outcome = warpvox(*CODESIGN, fails=("Memory has run out", "training.envs is 8", "batch=1 trains 1"))
     assert "go on: warpvox codesign resume=" in outcome.out

@@ -25,7 +25,7 @@ from tiny import tiny
 from warpvox.algos import evaluate as evaluation
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.population.training import PopulationTraining
-from warpvox.algos.training.ppo import PPO
+from warpvox.algos.ppo.stock import PPO
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.batch.options import SimOptions
 from warpvox.cli.config import load

@@ -8,8 +8,10 @@ from typing import Any
 import notebooks
 import pytest
 import torch
+from episodes import short_episodes
 
-from warpvox.robots import zoo
+from warpvox.algos.robots import zoo
+from warpvox.envs.registry import task_ids
 
 ROOT = Path(__file__).resolve().parents[2]
 PATHS = sorted(notebooks.FOLDER.glob("*.ipynb"))
@@ -45,9 +47,11 @@ def run(path: Path, parameters: dict[str, Any] | None, monkeypatch: pytest.Monke
     assert not list(folder.iterdir()), "a notebook leaves nothing behind"
 
 
+@pytest.mark.usefixtures("narrow_packs")
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
 def test_a_notebook_runs(path: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    run(path, QUICK[path.stem], monkeypatch, tmp_path)
+    with short_episodes(*task_ids()):
+        run(path, QUICK[path.stem], monkeypatch, tmp_path)
 
 
 @pytest.mark.slow

@@ -4,13 +4,16 @@ import importlib
 import re
 import shlex
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
+from episodes import short_episodes
 from tiny import once
 
 from warpvox.cli import main
+from warpvox.envs.registry import task_ids
 
 ROOT = Path(__file__).resolve().parents[2]
 BLOCK = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.DOTALL | re.MULTILINE)
@@ -44,6 +47,14 @@ def test_names_of_python_on_a_page_exist(page: str) -> None:
             assert hasattr(importlib.import_module(module), last), f"{page}: {name}"
 
 
+@pytest.fixture
+def episodes(page: str) -> Iterator[None]:
+    """Short ones, but on the page that repeats recorded episodes."""
+    with short_episodes(*([] if page == "results.md" else task_ids())):
+        yield
+
+
+@pytest.mark.usefixtures("episodes", "narrow_packs")
 @pytest.mark.parametrize("page", PAGES)
 def test_the_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

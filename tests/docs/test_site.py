@@ -8,11 +8,12 @@ from pathlib import Path
 
 import key_tables
 import pytest
+from parts import PARTS
 
 import warpvox
+from warpvox.algos.robots import zoo_tasks
 from warpvox.configs.schema import COMMANDS as WITH_KEYS
 from warpvox.envs.registry import task_ids
-from warpvox.robots import zoo_tasks
 
 ROOT = Path(__file__).resolve().parents[2]
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
@@ -20,8 +21,11 @@ MEGABYTES = 5  # of which up to 3 are the animation of the zoo
 """Of all pictures together: everybody who clones the repository gets them."""
 
 
-WORDS = 1500  # of a page at most, but for those of reference
-REFERENCE = {"commands", "figures", "results"}
+WORDS, ALL_WORDS, PAGES = 1500, 17_000, 22
+"""Words of a page, words of all and number of pages at most; those that are made from tables do not count."""
+MADE = {"commands", "figures", "results"}
+ENTRIES = 8
+"""Pages of the part How to at most: what the left column shows at a glance."""
 
 
 def own_pages() -> list[Path]:
@@ -36,10 +40,20 @@ def test_links_to_files_lead_somewhere(page: Path) -> None:
             assert (page.parent / target.split("#")[0]).exists(), f"{page.name}: {target}"
 
 
-def test_pages_are_short() -> None:
-    pages = (ROOT / "docs").glob("*.md")
-    long = {page.stem for page in pages if len(page.read_text(encoding="utf-8").split()) > WORDS}
-    assert long <= REFERENCE
+def test_pages_are_few_and_short() -> None:
+    pages = {page.stem: page.read_text(encoding="utf-8") for page in (ROOT / "docs").glob("*.md")}
+    words = {name: len(text.split()) for name, text in pages.items() if name not in MADE}
+    assert len(words) <= PAGES
+    assert max(words.values()) <= WORDS
+    assert sum(words.values()) <= ALL_WORDS
+    without = {name for name, text in pages.items() if not re.match(r"# .+\?\n", text)}
+    assert without == {"index", "faq"}, "the title of a page is its question"
+
+
+def test_every_page_is_named_in_the_left_column() -> None:
+    named = [name for pages in PARTS.values() for name in pages]
+    assert sorted([*named, "index"]) == sorted(page.stem for page in (ROOT / "docs").glob("*.md"))
+    assert len(PARTS["How to"]) <= ENTRIES
 
 
 def test_every_picture_is_used_and_all_are_small() -> None:
@@ -57,16 +71,6 @@ def test_every_picture_is_used_and_all_are_small() -> None:
 def test_the_tables_of_keys_are_current(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert key_tables.with_tables(text) == text, "the keys of a command have changed: run `make tables`"
-
-
-def test_keys_of_groups_that_commands_share_are_listed_once() -> None:
-    train, codesign = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8").split("<!-- end of help -->")[:2]
-    assert "| `physics.dt` |" in train
-    assert "| `ppo.gamma` |" in train
-    assert "| `physics.dt` |" not in codesign
-    assert "| `training.ppo.gamma` |" not in codesign
-    assert "| `training.ppo.steps` | `64` |" in codesign  # another default
-    assert "All others of `training.ppo.*`, `physics.*` are as `ppo.*`, `physics.*` of [train](#train)." in codesign
 
 
 @pytest.fixture
@@ -105,3 +109,11 @@ def test_the_site_is_searched_from_disk(site: Path, open_page, wait_for: Callabl
     page.keyboard.type("load_policy")
     wait_for(page, "[...document.querySelectorAll('.md-search-result h2')].some(h => h.innerText == 'load_policy')")
     assert not page.problems
+
+
+def test_no_table_is_cut(site: Path, open_page) -> None:
+    cut = "[...document.querySelectorAll('.md-typeset__scrollwrap')].some(e => e.scrollWidth > e.clientWidth + 1)"
+    pages = [page for page in sorted(site.rglob("*.html")) if page.parent.name not in ("api", "tasks")]
+    for path in [*pages, site / "api" / "index.html", site / "tasks" / "UpStepper-v0.html"]:
+        page = open_page(path.as_uri(), size=(1400, 900))
+        assert not page.evaluate(cut), path

@@ -143,20 +143,6 @@ def test_a_lack_of_memory_stays_one() -> None:
         make(replace(BASE, rewards=(rewards(greedy),)))
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"rewards": (displacement,)},
-        {"rewards": rewards(displacement, axis="x")},
-        {"rewards": (rewards(displacement, axis="x", weight=float("nan")),)},
-        {"max_episode_steps": 2.5},
-    ],
-)
-def test_a_specification_is_made_of_what_it_should(change: dict) -> None:
-    with pytest.raises(TaskError):
-        replace(BASE, **change)
-
-
 AT = 4
 
 

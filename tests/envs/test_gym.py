@@ -1,6 +1,5 @@
 """The tasks as gymnasium has them."""
 
-import re
 import subprocess
 import sys
 import warnings
@@ -12,13 +11,12 @@ import numpy as np
 import pytest
 from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
+from refusals import refused
 
 from warpvox.design import example_design
 from warpvox.envs.adapters.gym import VoxelEnv, register_task
 from warpvox.envs.registry import get_task, task_ids
-from warpvox.errors import ActionError, ConfigError, DesignError, DisplayError, RolloutError, WorldError
-
-ROOT = Path(__file__).resolve().parents[2]
+from warpvox.errors import ActionError, ConfigError, DesignError, DisplayError, WorldError
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
@@ -88,8 +86,6 @@ def test_importing_the_environments_registers_them(tmp_path: Path) -> None:
     code = "import gymnasium; gymnasium.make('warpvox.envs:warpvox/Walker-v0', body='walker')"
     run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
-    page = (ROOT / "docs" / "observations.md").read_text(encoding="utf-8")
-    assert set(re.findall(r'"(\w[\w.]*:warpvox/Walker-v0)"', page)) == {"warpvox.envs:warpvox/Walker-v0"}
 
 
 def test_a_window_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,15 +102,6 @@ def test_a_window_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
     env.close()
     env.step(env.action_space.sample())  # whoever closes the window may go on without it
     assert len(pictures) == 5
-
-
-def test_a_size_that_cannot_be_drawn_opens_no_window(monkeypatch: pytest.MonkeyPatch) -> None:
-    pictures = stand_in(monkeypatch)
-    monkeypatch.setattr("warpvox.view.window.Window", lambda *_: pictures.append(np.zeros(0)))
-    env = gymnasium.make("warpvox/Walker-v0", body="walker", render_mode="human", render_size=(15, 90))
-    with pytest.raises(RolloutError):
-        env.reset()
-    assert not pictures
 
 
 def test_no_display_is_said_and_the_mode_is_not_offered(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,7 +135,7 @@ def test_mistakes_are_named() -> None:
         gymnasium.make("warpvox/Walker-v0", body=np.ones((5, 5)))
     with pytest.raises(ConfigError):
         VoxelEnv("Walker-v0", render_mode="ascii")
-    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):  # TorchRL looks for this
+    with refused(TypeError, "unexpected keyword argument 'frameskip'"):  # TorchRL looks for this
         gymnasium.make("warpvox/Walker-v0", frameskip=1)
     with pytest.raises(ConfigError):
         VoxelEnv("Walker-v0", obs="voxels")

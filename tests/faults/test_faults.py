@@ -29,15 +29,16 @@ from fault_cases import (
     has_begun,
     only,
 )
+from refusals import refused
 
 import warpvox as wv
 from warpvox import system
 from warpvox.algos.archive import BACKUP, FILE, Archive
 from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.robots.entry import read_robot
 from warpvox.errors import ResumeError, RolloutError, RunError, StorageError
 from warpvox.io import writing
 from warpvox.io.writing import MARK, atomic_path, claimed, write_text
-from warpvox.robots.entry import read_robot
 from warpvox.runs import run_folder
 
 resource = pytest.importorskip("resource", reason="signals and limits are those of POSIX")
@@ -53,7 +54,10 @@ MANY = [(how, k / 20) for how in ("killed", "full") for k in range(20)]
 def test_a_run_goes_on_from_any_moment_to_the_undisturbed_end(moments: list, warpvox: Callable, tmp_path: Path) -> None:
     place = tmp_path / "victims"
     line = [sys.executable, Path(__file__).with_name("victim.py"), place, json.dumps(COMMANDS), json.dumps(moments)]
-    subprocess.run(line, check=True, stdout=subprocess.DEVNULL, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    # where there is no git, which a training can do without
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PATH": ""}
+    environment.pop("GIT_PYTHON_REFRESH", None)
+    subprocess.run(line, check=True, stdout=subprocess.DEVNULL, env=environment)
     for command in COMMANDS:
         home = place / command
         codes = json.loads((home / "codes").read_text())
@@ -109,7 +113,7 @@ def test_a_refused_write_leaves_the_old_file_and_says_what_to_do(tmp_path, monke
 
     with monkeypatch.context() as patch:
         patch.setattr(call, refuse)
-        with pytest.raises(StorageError, match=r"a\.txt cannot be written: .*(;|\?)"):
+        with refused(StorageError, "a.txt cannot be written:"):
             write_text(target, "new")
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("a.txt", "old")]
 
@@ -199,7 +203,7 @@ def test_a_folder_that_vanishes_is_told_of_and_not_made_again(command: str, warp
     def remove(*_: Any) -> None:
         shutil.rmtree(tmp_path / "outputs", ignore_errors=True)
 
-    monkeypatch.setattr("warpvox.progress.training.Terminal.__call__", remove)
+    monkeypatch.setattr("warpvox.progress.training.Terminal.iterated", remove)
     monkeypatch.setattr("warpvox.progress.search.SearchProgress.progress", remove)
     warpvox(*COMMANDS[command], fails="outputs")
     assert list(tmp_path.iterdir()) == []
@@ -266,7 +270,7 @@ def test_what_another_process_is_writing_is_no_leftover(copied: Callable, warpvo
 def test_nobody_else_goes_on_with_a_run_while_its_films_are_written(
     command: str, more: list[str], writer: str, copied: Callable, warpvox: Callable, monkeypatch
 ) -> None:
-    run, held, refused = copied(command), [], []
+    run, held, tried = copied(command), [], []
 
     @contextmanager
     def lock(path: Path, *words: Any) -> Iterator[None]:
@@ -275,14 +279,14 @@ def test_nobody_else_goes_on_with_a_run_while_its_films_are_written(
             yield
 
     def write(*_: Any) -> None:
-        with pytest.raises(RunError, match="Another process is writing to"), claimed(run):
+        with refused(RunError, "Another process is writing to"), claimed(run):
             pass
-        refused.append(True)
+        tried.append(True)
 
     monkeypatch.setattr(writing, "path_lock", lock)
     monkeypatch.setattr(writer, write)
     warpvox(command, f"resume={run}", *more)
-    assert refused
+    assert tried
     assert held.count(run) == 1  # not let go between the last iteration and the films
 
 
@@ -328,7 +332,7 @@ def test_a_signal_waits_for_the_iteration_and_a_second_one_does_not(
             signal.raise_signal(number)
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpvox.progress.training.Terminal.__call__", send)
+        patch.setattr("warpvox.progress.training.Terminal.iterated", send)
         outcome = warpvox(*TRAIN, code=code)
     for number, handler in before.items():
         signal.signal(number, handler)
@@ -422,7 +426,7 @@ def test_a_damaged_archive_names_its_copy_and_the_search_goes_on_from_it(copied,
         warpvox(*words, fails=("damaged", f"{BACKUP} beside it", "copy it over"))
     (run / FILE).unlink()
     warpvox("codesign", "resume=latest", fails=(f"has no {FILE}", f"{BACKUP} beside it", "copy it over"))
-    with pytest.raises(RunError, match=f"{FILE} is gone.*copy it over"):  # rather than begin another one
+    with refused(RunError, f"{FILE} is gone", "copy it over"):  # rather than begin another one
         Archive.create(run / FILE, {})
     shutil.copy(run / BACKUP, run / FILE)
     warpvox("codesign", f"resume={run}")

@@ -7,8 +7,8 @@ import torch
 from rsl_rl.algorithms import PPO as StockPPO
 
 from warpvox.algos.metrics import read_metrics
+from warpvox.algos.ppo.stock import rsl_rl_config
 from warpvox.algos.settings import Ppo
-from warpvox.algos.training.ppo import rsl_rl_config
 from warpvox.algos.training.runner import Runner
 from warpvox.cli.config import load
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv

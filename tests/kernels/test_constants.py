@@ -133,7 +133,11 @@ def limited(sim: Simulation, pos: np.ndarray) -> np.ndarray:
 )  # fmt: skip
 @pytest.mark.parametrize(
     ("dtype", "arithmetic", "tolerance"),
-    [("float32", "fast", 1e-7), ("float64", "fast", 1e-14), ("float64", "exact", 1e-14)],
+    [
+        ("float32", "fast", 1e-7),
+        pytest.param("float64", "fast", 1e-14, marks=pytest.mark.slow),
+        ("float64", "exact", 1e-14),
+    ],
 )
 def test_strain_is_limited_as_the_plain_formula_does(dtype, arithmetic: str, tolerance: float, limits: dict) -> None:
     body = np.array([[5, 1, 3], [1, 1, 4], [2, 2, 3]])

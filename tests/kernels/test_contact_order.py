@@ -72,7 +72,7 @@ class Descent:
                 yield from self.descend(int(child), b)
 
 
-@pytest.mark.parametrize("lanes", [1, 8])
+@pytest.mark.parametrize("lanes", [pytest.param(1, marks=pytest.mark.slow), 8])
 @pytest.mark.parametrize("seed", range(4))
 def test_contacts_are_taken_in_the_order_of_the_descent(crowd, seed, lanes):
     sim, arrays = crowd(seed, lanes)

@@ -315,6 +315,7 @@ def test_bodies_with_cut_connections_are_left_to_lanes():
         run(sims, 3)
 
 
+@pytest.mark.slow  # in a kernel of its own: there must be no room beyond the points that move
 def test_points_that_never_move_have_no_contacts():
     """Corners of a fixed cell lie in a wall; on CUDA there is memory for the points that move alone."""
     blocks = {"ground": ground(20), "wall": (np.full((3, 1), 5), 11, 1), "shelf": ([[2, 2, 2, 2, 2, 5]], 5, 3)}

@@ -1,4 +1,4 @@
-"""Files of robots, and their policies in numpy."""
+"""Files of robots, and their policies."""
 
 import json
 from dataclasses import replace
@@ -10,23 +10,23 @@ import pytest
 import torch
 from hypothesis import given, strategies as st
 
-from warpvox.algos.checkpoints.files import PolicySpec, build_actor, load_controller, save_checkpoint, spec_dict
+from warpvox import load_policy
+from warpvox.algos.checkpoints.files import PolicySpec, build_actor, save_checkpoint, spec_dict
+from warpvox.algos.checkpoints.policy import Policy, read_policy
+from warpvox.algos.robots import Robot, judge, network_policy, read_robot, save_robot
+from warpvox.algos.robots.policies import STEP
 from warpvox.design import full_connections, load_design
 from warpvox.errors import RunError
-from warpvox.robots.entry import Robot, read_robot, save_robot
-from warpvox.robots.network import HIGH, LOW, STEP, Network
-from warpvox.robots.replay import policy_of_checkpoint, torch_policy
-from warpvox.robots.returns import judge
 
 SIZES = (7, 5, 4, 3)
 
 
-def random_network(activation: str = "tanh", seed: int = 0) -> Network:
+def random_network(activation: str = "tanh", seed: int = 0) -> Policy:
     rng = np.random.default_rng(seed)
     weights = tuple(rng.normal(size=(b, a)).astype(np.float32) for a, b in pairwise(SIZES))
     biases = tuple(rng.normal(size=b).astype(np.float32) for b in SIZES[1:])
     mean, deviation = rng.normal(size=7).astype(np.float32), rng.uniform(0.5, 2, 7).astype(np.float32)
-    return Network(weights, biases, mean, deviation, activation, 0.5, 1.1)
+    return network_policy(weights, biases, mean, deviation, activation)
 
 
 def some_robot() -> Robot:
@@ -43,7 +43,7 @@ def test_a_file_gives_back_what_was_written(tmp_path: Path) -> None:
     bare = read_robot(save_robot(tmp_path / "bare.npz", replace(robot, policy=None)))
     assert bare.policy is None
     np.testing.assert_array_equal(bare.connections, robot.connections)
-    for play in (judge, torch_policy):
+    for play in (judge, load_policy):
         with pytest.raises(RunError, match="has no policy: there is a body alone"):
             play(bare)
 
@@ -71,9 +71,9 @@ def say(arrays: dict[str, np.ndarray], **about: object) -> None:
         (lambda arrays: arrays.pop("header"), "no header"),
         (lambda arrays: arrays.pop("bias_1"), "bias_1"),
         (lambda arrays: arrays.update(body=arrays["body"] * 0), "empty"),
-        (lambda arrays: arrays.update(weight_1=arrays["weight_0"]), "do not fit together"),
-        (lambda arrays: arrays.update(deviation=arrays["deviation"] * 0), "not positive"),
-        (lambda arrays: arrays.update(mean=arrays["mean"] * np.float32("nan")), "not finite"),
+        (lambda arrays: arrays.update(weight_1=arrays["weight_0"]), "of another network"),
+        (lambda arrays: arrays.update(deviation=arrays["deviation"] * 0), "above 0"),
+        (lambda arrays: arrays.update(mean=arrays["mean"] * np.float32("nan")), "finite"),
         (lambda arrays: arrays.update(header=np.frombuffer(b'{"format": "x"}', np.uint8)), "not one of warpvox robot"),
         (lambda arrays: say(arrays, returns=1.0), "the returns in its header is 1.0, not a list"),
         (lambda arrays: say(arrays, lengths=500), "the lengths in its header is 500, not a list"),
@@ -100,16 +100,16 @@ def test_actions_are_multiples_of_a_step_that_rounding_does_not_change(seed: int
     network = random_network(activation, seed)
     obs = np.random.default_rng(seed).normal(scale=3, size=(20, 7))
     actions = network(obs)
-    assert ((actions >= LOW) & (actions <= HIGH)).all()
+    assert ((actions >= 0.6) & (actions <= 1.6)).all()
     np.testing.assert_array_equal(actions, np.round(actions / STEP) * STEP)
     np.testing.assert_array_equal(actions, actions.astype(np.float32))
     # one at a time, as another size of the batch and other products round
     np.testing.assert_array_equal(actions, np.stack([network(row) for row in obs]))
-    np.testing.assert_array_equal(actions, network(torch.from_numpy(obs)))
+    np.testing.assert_array_equal(actions, network(torch.from_numpy(obs)).numpy())
 
 
 @pytest.mark.parametrize("activation", ["tanh", "relu", "elu", "sigmoid"])
-def test_the_policy_of_a_checkpoint_acts_as_its_controller(activation: str, tmp_path: Path) -> None:
+def test_a_robot_acts_as_the_checkpoint_that_it_was_made_from(activation: str, tmp_path: Path) -> None:
     spec = PolicySpec(7, 3, [5, 4], activation, True, 0.5)
     torch.manual_seed(0)
     actor = build_actor(spec)
@@ -118,9 +118,11 @@ def test_the_policy_of_a_checkpoint_acts_as_its_controller(activation: str, tmp_
     file = tmp_path / "model_best.pt"
     save_checkpoint(file, {"policy": spec_dict(spec), "actor_state_dict": actor.state_dict()})
     obs = 3 * torch.randn(50, 7, dtype=torch.float64)
-    np.testing.assert_allclose(policy_of_checkpoint(file)(obs), load_controller(file)(obs), atol=STEP)
+    policy = read_policy(file)
+    stored = replace(some_robot(), policy=policy).policy
+    np.testing.assert_allclose(stored(obs), policy.in_float64()(obs), atol=STEP)
 
 
 def test_an_activation_that_is_not_known_is_named() -> None:
-    with pytest.raises(RunError, match="Did you mean 'tanh'"):
+    with pytest.raises(RunError, match="tahn"):
         random_network("tahn")

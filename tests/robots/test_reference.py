@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 import reference
 
+from warpvox.algos.robots import gait_policy
+from warpvox.algos.robots.entry import Robot, zoo, zoo_tasks
+from warpvox.algos.robots.episodes import judge, robot_env
 from warpvox.design import full_connections, load_design
 from warpvox.envs.registry import get_task, released_id
-from warpvox.robots.entry import Robot, zoo, zoo_tasks
-from warpvox.robots.gait import Gait
-from warpvox.robots.replay import robot_env
-from warpvox.robots.returns import judge
 from warpvox.view.rollout import record
 
 ROUNDING = 1e-8  # of a sum of up to 1000 rewards; orientations (Flipper-v0) round more
@@ -60,7 +59,7 @@ def test_the_reference_gives_the_recorded_return(task: str) -> None:
 
 def test_the_reference_gives_the_return_of_a_gait() -> None:
     body, wave = load_design("mini"), np.linspace(0, 2 * np.pi, 16).reshape(2, 8)
-    gait = Gait([0, 100], [20, 12], np.full((2, 8), 0.9), wave, np.zeros((2, 8)))
+    gait = gait_policy(body, [0, 100], [20, 12], np.full((2, 8), 0.9), wave, np.zeros((2, 8)))
     robot = Robot("UpStepper-v0", body, full_connections(body).T, gait)
     found = judge(robot)
     check(replace(robot, about={"return": found.mean_return, "lengths": found.lengths}))

@@ -14,10 +14,10 @@ import pytest
 import released_robots
 import torch
 
+from warpvox.algos.robots.entry import read_robot
+from warpvox.algos.robots.policies import STEP
 from warpvox.design import load_design
 from warpvox.errors import RunError
-from warpvox.robots.entry import read_robot
-from warpvox.robots.network import STEP
 
 BODY = load_design("mini")
 
@@ -76,7 +76,7 @@ def test_a_policy_acts_as_its_layers_do(activation: str | None) -> None:
     for name in ("mlp_extractor.policy_net.0", "mlp_extractor.policy_net.2"):
         values = (torch.relu if activation else torch.tanh)(values @ state[f"{name}.weight"].T + state[f"{name}.bias"])
     expected = (values @ state["action_net.weight"].T + state["action_net.bias"]).clamp(0.6, 1.6)
-    np.testing.assert_allclose(released_robots.network_of(saved(state, activation))(obs), expected, atol=2 * STEP)
+    np.testing.assert_allclose(released_robots.policy_of(saved(state, activation))(obs), expected, atol=2 * STEP)
 
 
 class Trap:
@@ -96,7 +96,7 @@ LARGE = state_of(5, 2) | {"action_net.weight": torch.zeros(1).expand(30_000, 30_
         (saved({"trap": Trap()}), "UnpicklingError"),
         (saved({"actor.weight": torch.zeros(2)}), "KeyError"),
         (saved(LARGE), "larger than its storage"),
-        (saved(state_of(5, 2), "Mish"), "activation of a stored policy"),
+        (saved(state_of(5, 2), "Hardtanh"), "hardtanh"),
     ],
     ids=["a pickle", "an object", "other layers", "too large", "an activation"],  # not the bytes, which differ
 )

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 import torch
 
+from warpvox.algos.robots.entry import Robot, zoo, zoo_tasks
+from warpvox.algos.robots.episodes import SEEDS, judge, robot_env
 from warpvox.algos.training.loading import load_policy
 from warpvox.design import ZOO_FOLDER, load_design
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import DesignError, RunError
-from warpvox.robots.entry import Robot, zoo, zoo_tasks
-from warpvox.robots.replay import SEEDS, robot_env
-from warpvox.robots.returns import judge
 
 LARGEST = 1_200_000  # bytes of the whole zoo, which is in the wheel
 TASKS = zoo_tasks()
@@ -64,5 +63,5 @@ def test_a_robot_that_is_not_there_is_named_with_the_nearest() -> None:
 
 def test_a_policy_for_another_body_is_refused() -> None:
     first = zoo(TASKS[0])
-    with pytest.raises(RunError, match="actions"):
+    with pytest.raises(RunError, match="gait is none of this body"):
         robot_env(Robot(first.task, load_design("mini"), np.zeros((2, 0), np.int32), first.policy))

@@ -23,24 +23,17 @@ def run() -> wv.TrainedRun:
     return wv.train("Walker-v0", "mini", num_envs=4, ppo=ppo, folder=None, progress=False, **options)
 
 
-def line(thing: object) -> str:
-    text = repr(thing)
-    assert "\n" not in text
-    assert len(text) < 150
-    return text
-
-
-def test_a_rollout_is_its_player(run: wv.TrainedRun) -> None:
+def test_a_rollout_is_its_player_and_everything_says_in_a_line_what_it_is(run: wv.TrainedRun) -> None:
     env = wv.make_vec("Walker-v0", "mini", 20, device="cpu", threads=1)
-    assert "num_envs=20, num_designs=1" in line(env)
     rollout = wv.record(env, run.policy, 3)
-    assert "Rollout(Walker-v0, 20 environments, 3 steps, returns " in line(rollout)
+    for thing in (env, rollout, run, wv.zoo("Walker-v0")):
+        assert "\n" not in repr(thing)
+        assert len(repr(thing)) < 150
     (page,) = re.fullmatch(r'<iframe srcdoc="([^"]*)"[^>]*></iframe>', rollout._repr_html_()).groups()
     assert html.unescape(page).startswith("<!doctype html>")
 
 
 def test_a_run_is_its_curve(run: wv.TrainedRun) -> None:
-    assert f"best return {run.best_return:.3f}" in line(run)
     (data,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', run._repr_html_())
     assert b'<path class="curve' in base64.b64decode(data)
     table = wv.evaluate(run, "Walker-v0", "mini", episodes=1)
@@ -53,7 +46,6 @@ def test_bodies_and_worlds_are_drawings() -> None:
     robot = wv.zoo("Walker-v0")
     for thing, cells in (world, world.grid()), (robot, robot.body):
         assert thing._repr_html_().count("h1v1h-1z") == np.count_nonzero(cells)
-    assert "Robot(Walker-v0, 5 x 5 cells, " in line(robot)
     assert wv.draw_bodies([body, body]).size[0] > wv.draw_bodies([body]).size[0]
     with pytest.raises(wv.DesignError):
         wv.draw_bodies(body)  # one body, not a list of one

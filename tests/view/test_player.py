@@ -149,15 +149,6 @@ def test_browser_decodes_the_same(show: Callable, rollouts: Callable[..., Rollou
         assert page.evaluate(f"player.envs[{env}].returns[199]") == pytest.approx(rollout.returns[-1, env], rel=1e-4)
 
 
-def test_it_counts_robots_not_environments(show: Callable, rollouts: Callable[..., Rollout], tmp_path: Path) -> None:
-    assert show("paused").inner_text("#about") == "rules evogym · agent sine · 4 robots · 4.0 s"
-    alone = rollouts(11, 1)
-    for part in alone.scenes[0].objects:
-        part.grid[part.grid == 3] = part.grid[part.grid == 4] = 2
-    page = show("paused", write_html(alone, tmp_path / "page.html"))
-    assert page.inner_text("#about") == "rules evogym · agent sine · 0.2 s"
-
-
 def test_it_plays_and_obeys_keys(show: Callable, wait_for: Callable) -> None:
     page = show()
     wait_for(page, "player.time > 3")
@@ -254,16 +245,6 @@ def test_a_click_among_many_shows_that_robot(show: Callable, wait_for: Callable)
     stage = page.locator("#stage").bounding_box()
     page.mouse.click(stage["x"] + box[0], stage["y"] + box[1])
     assert page.evaluate("[player.chosen, player.many]") == [2, False]
-
-
-@pytest.mark.parametrize("theme", ["light", "dark"])
-def test_robots_are_seen_in_their_colours(show: Callable, wait_for: Callable, theme: str) -> None:
-    page = show(f"paused&theme={theme}&frame=0")
-    wait_for(page, "!player.dirty")
-    picture = screenshot(page).astype(int)
-    for colour in ((247, 148, 60), (96, 164, 222)):  # horizontal and vertical actuators at rest
-        assert (np.abs(picture - colour).max(axis=-1) < 6).sum() > 500
-    assert picture[0, 0].mean() > 128 if theme == "light" else picture[0, 0].mean() < 128
 
 
 @pytest.mark.parametrize("frame", [0, 120])

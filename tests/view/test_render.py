@@ -15,7 +15,7 @@ from PIL import Image, ImageSequence
 from warpvox.errors import RolloutError
 from warpvox.palette import LEVELS, colour_index, palette
 from warpvox.types import MATERIALS, Cell
-from warpvox.view import gif, render
+from warpvox.view import render
 from warpvox.view.painter import camera_path
 from warpvox.view.rollout import Rollout
 
@@ -207,10 +207,9 @@ def pictures(count: int, size: tuple[int, int] = (64, 40)) -> Iterator[Image.Ima
 
 
 @pytest.mark.parametrize(("part", "pause"), [(1, 40), (2, 40), (16, 40), (1000, 40), (1000, 300_000)])
-def test_a_gif_in_parts_shows_every_picture_at_its_time(part: int, pause: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gif, "PART_BYTES", 64 * 40 * part)
+def test_a_gif_in_parts_shows_every_picture_at_its_time(part: int, pause: int) -> None:
     file = BytesIO()
-    gif.write_pictures(file, pictures(100), pause)
+    render.write_pictures(file, pictures(100), pause, 64 * 40 * part)
     image = Image.open(BytesIO(file.getvalue()))
     assert image.info["loop"] == 0
     wanted, shown = [np.array(picture.convert("RGB")) for picture in pictures(100)], 0
@@ -229,7 +228,7 @@ def test_the_memory_of_a_gif_does_not_grow_with_its_length(tmp_path: Path) -> No
     code = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
         "from pathlib import Path\nfrom test_render import pictures\n"
-        "from warpvox.view.gif import write_pictures\n"
+        "from warpvox.view.render import write_pictures\n"
         "def status(name): return next(int(line.split()[1]) for line in open('/proc/self/status')"
         " if line.startswith(name))\n"
         "def write(count):\n"

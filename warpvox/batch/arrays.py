@@ -12,15 +12,6 @@ from warpvox.kernels.broadphase import ENTRIES_PER_VOXEL, GRID_FROM
 from warpvox.kernels.device import from_numpy, on_cuda, put, set_fields, shared_memory, zeros
 from warpvox.kernels.group import LINKS, Group, choose
 from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, STALE, allocate, structs
-from warpvox.types import Physics
-
-SIZES = {
-    "point": "rest_pos", "active": "active", "joint": "link_start", "spring": "spring_rest", "link": "link",
-    "rigid": "rigid_spring", "twin": "twin", "twin_end": "twin_end", "voxel": "body", "movable": "movable",
-    "robot": "fold_limit", "row": "order", "object": "object_range", "node": "node", "leaf": "leaf",
-    "plot": "cell_leaf",
-}  # fmt: skip
-"""Capacities and the tables whose second axis has them."""
 
 
 @dataclass
@@ -108,7 +99,15 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
     )
     set_fields(state.model, arrays, MODEL)
     set_fields(state.data, arrays, DATA)
-    _set_constants(state, batch.physics)
+
+    # Constants. The margin is added to boxes when candidates are collected: two fifths of a voxel.
+    physics = batch.physics
+    for name in CONSTANTS:
+        setattr(state.model, name, 0.04 if name == "margin" else getattr(physics, name))
+    contact = types.Contact()
+    for name in CONTACT:
+        setattr(contact, name, getattr(physics, name if name.startswith("friction") else f"contact_{name}"))
+    state.model.contact = contact
 
     # Values
     put_tables(state, tables | {"pack_mesh": which.astype(np.int32)})
@@ -130,7 +129,26 @@ def array_sizes(batch: Batch, tables: dict[str, np.ndarray], room: dict[str, int
     packs = len(batch.pack_group)
 
     # Meshes; x and y have a row each
-    sizes = {symbol: tables[name].shape[1] for symbol, name in SIZES.items()}
+    # capacities, and the tables whose second axis has them
+    sizes_of = {
+        "point": "rest_pos",
+        "active": "active",
+        "joint": "link_start",
+        "spring": "spring_rest",
+        "link": "link",
+        "rigid": "rigid_spring",
+        "twin": "twin",
+        "twin_end": "twin_end",
+        "voxel": "body",
+        "movable": "movable",
+        "robot": "fold_limit",
+        "row": "order",
+        "object": "object_range",
+        "node": "node",
+        "leaf": "leaf",
+        "plot": "cell_leaf",
+    }
+    sizes = {symbol: tables[name].shape[1] for symbol, name in sizes_of.items()}
     sizes["point"] //= 2
     sizes["active"] //= 2
     sizes["action"] = int(tables["actions"].max(initial=0))
@@ -163,16 +181,6 @@ def put_tables(state: Buffers, tables: dict[str, np.ndarray], rows: np.ndarray |
         values = tables[name]
         place = (slice(len(values)) if rows is None else rows, *map(slice, values.shape[1:]))
         put(state.arrays, name, place, values)
-
-
-def _set_constants(state: Buffers, physics: Physics) -> None:
-    for name in CONSTANTS:
-        # The margin is added to boxes when candidates are collected: two fifths of a voxel.
-        setattr(state.model, name, 0.04 if name == "margin" else getattr(physics, name))
-    contact = structs(state.precision).Contact()
-    for name in CONTACT:
-        setattr(contact, name, getattr(physics, name if name.startswith("friction") else f"contact_{name}"))
-    state.model.contact = contact
 
 
 def _capacities(voxels: int, movables: int, width: int, grouped: bool) -> dict[str, int]:

@@ -54,7 +54,8 @@ class Objects:
     """
 
     def __init__(self, batch: Batch, state: Buffers) -> None:
-        self._batch, self._state = batch, state
+        self._batch = batch
+        self._state = state
         self.names = batch.object_names
         self.movable = {body.name for world in batch.compiled for body in world.bodies}
         self.movable |= {name for frame in batch.frames for name in frame.names}

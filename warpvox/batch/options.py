@@ -17,7 +17,7 @@ from warpvox.kernels.step import STAGES
 from warpvox.system import usable_cores
 from warpvox.types import Physics
 
-WIDTHS = (1, 8, 16, 32)
+_WIDTHS = (1, 8, 16, 32)
 """Lane widths offered on the CPU."""
 
 
@@ -157,7 +157,7 @@ def resolve_layout(layout: str | None, arithmetic: str, device: str, lanes: int 
 
 def lanes_for(environments: int) -> int:
     """The lanes that are chosen on the CPU for environments that can share packs: the fewest that hold them."""
-    return next(width for width in WIDTHS if width >= min(environments, most_lanes()))
+    return next(width for width in _WIDTHS if width >= min(environments, most_lanes()))
 
 
 def most_lanes() -> int:
@@ -175,5 +175,5 @@ def choose_lanes(index: np.ndarray, lanes: int | None, device: str) -> int:
         return MAX_WIDTH
     if lanes is None:
         return lanes_for(int(np.bincount(index).max()))
-    check_choice("lanes", lanes, WIDTHS, SimulationError)
+    check_choice("lanes", lanes, _WIDTHS, SimulationError)
     return lanes

@@ -23,7 +23,8 @@ def group(worlds: Sequence[World]) -> tuple[dict[bytes, World], list[int]]:
     """Copies of the different worlds by their keys, and for every world the number of the one that is equal to it."""
     seen: dict[bytes, int] = {}
     by_id: dict[int, int] = {}
-    different, index = {}, []
+    different = {}
+    index = []
     for world in worlds:
         if id(world) not in by_id:
             key = world.key()
@@ -236,7 +237,8 @@ class Batch:
         else:
             rows = np.concatenate([groups[:, None], self.lane_world[packs]], axis=1)
             kinds, which = np.unique(rows, axis=0, return_inverse=True)
-            parts, names = [], []
+            parts = []
+            names = []
             for number, frame in enumerate(self.frames):
                 mine = kinds[kinds[:, 0] == number, 1:]
                 if len(mine):

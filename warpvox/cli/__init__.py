@@ -38,7 +38,6 @@ COMMANDS = {
     "tasks": "list the tasks, or show one in detail",
     "info": "versions, devices, kernel cache",
 }
-DONE, BAD_INPUT, INTERRUPTED, SIGNALLED = 0, 2, 130, 128
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -55,10 +54,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     with lasting_output(gone):
         try:
             with terminable(), enough_memory("Ask for less at once, such as a smaller num_envs."):
-                code = DONE
+                code = 0
                 if name in ("", "-h", "--help", "help"):
-                    print(_help(), file=sys.stdout if name else sys.stderr)
-                    code = DONE if name else BAD_INPUT
+                    commands = "\n".join(f"  {command:<8} {meaning}" for command, meaning in COMMANDS.items())
+                    text = (
+                        f"usage: warpvox COMMAND [KEY=VALUE ...]\n\n{commands}\n\n"
+                        "`warpvox COMMAND --help` lists the keys of a command; `warpvox -sc install=bash` prints code"
+                        " that completes\nthem in bash (zsh, fish). For instance:\n"
+                        "  warpvox train task=Walker-v0 design=walker num_envs=512\n"
+                        "  warpvox play run=latest 'export=[usd,gif,html]'"
+                    )
+                    print(text, file=sys.stdout if name else sys.stderr)
+                    code = 0 if name else 2
                 elif name in ("-V", "--version", "version"):
                     print(f"warpvox {warpvox.__version__}")
                 elif name in ("-sc", "--shell-completion"):
@@ -70,7 +77,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                     raise ConfigError(f"Unknown command '{name}'; there are {', '.join(COMMANDS)}.{hint}")
                 else:
                     if name == "demo":
-                        name, words = "train", ["preset=demo", *words]
+                        name = "train"
+                        words = ["preset=demo", *words]
                     from warpvox.cli.application import read_command
                     from warpvox.io.console import make_console
 
@@ -90,10 +98,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _complain(error)
         except Terminated as request:
             print(f"warpvox: asked to end ({signal.Signals(request.number).name})", file=sys.stderr)
-            return SIGNALLED + request.number
+            return 128 + request.number
         except KeyboardInterrupt:
             print("warpvox: interrupted", file=sys.stderr)
-            return INTERRUPTED
+            return 130
         except PermissionError as error:
             return _complain(f"Permission is denied: {error.filename or error}. Name a place that you may use.")
         except OSError as error:
@@ -107,21 +115,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _complain(f"{where} cannot be written: {complaint(error)}.{hint}")
 
 
-def _help() -> str:
-    commands = "\n".join(f"  {name:<8} {meaning}" for name, meaning in COMMANDS.items())
-    return (
-        f"usage: warpvox COMMAND [KEY=VALUE ...]\n\n{commands}\n\n"
-        "`warpvox COMMAND --help` lists the keys of a command; `warpvox -sc install=bash` prints code that completes\n"
-        "them in bash (zsh, fish). For instance:\n"
-        "  warpvox train task=Walker-v0 design=walker num_envs=512\n"
-        "  warpvox play run=latest 'export=[usd,gif,html]'"
-    )
-
-
 def _complain(error: WarpvoxError | str) -> int:
     from warpvox.io.text import escaped
 
     # one line, with the blanks of paths as they are
     text = " ".join(line.strip() for line in str(error).splitlines())
     print(f"warpvox: {escaped(text)}", file=sys.stderr)
-    return BAD_INPUT
+    return 2

@@ -12,7 +12,6 @@ from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.io.writing import to_yaml
 from warpvox.runs import check_output
 
-FOLDER = "folder with YAML files of your own, for instance FOLDER/ppo/mine.yaml for ppo=mine"
 OPTIONS: dict[tuple[str, str], dict[str, Any]] = {
     ("-h", "--help"): {"action": "store_true", "help": "this text"},
     ("-m", "--multirun"): {
@@ -25,7 +24,11 @@ OPTIONS: dict[tuple[str, str], dict[str, Any]] = {
         "metavar": "job",
         "help": "print the settings as config=FILE takes them",
     },
-    ("-cd", "--config-dir"): {"type": Path, "metavar": "FOLDER", "help": FOLDER},
+    ("-cd", "--config-dir"): {
+        "type": Path,
+        "metavar": "FOLDER",
+        "help": "folder with YAML files of your own, for instance FOLDER/ppo/mine.yaml for ppo=mine",
+    },
 }
 
 

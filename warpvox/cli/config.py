@@ -22,35 +22,6 @@ from warpvox.io.reading import LARGEST_CONFIG, Unreadable, parse_yaml, read_text
 from warpvox.keys import flat
 from warpvox.runs import CODESIGN, CONFIG, TRAINING, search_as_now, without_services
 
-ALIASES = {
-    "env": "task",
-    "lr": "learning_rate",
-    "n_envs": "num_envs",
-    "num_envs": "envs",
-    "batch_size": "minibatches",
-    "out": "file",
-    "evaluations": "max_evaluations",
-    "steps": "max_iterations",
-    "timesteps": "max_iterations",
-    "total_timesteps": "max_iterations",
-    "gif": "export",
-    "mp4": "export",
-    "video": "export",
-}
-"""Names that other libraries have for a key, by the last part of ours: for hints."""
-RENAMED = {
-    "train": {"designs": "designs.bodies"},
-    "play": {"designs": "design", "format": "export"},
-    "export": {"export": "format"},
-    "codesign": {
-        "finalists": "evaluation.finalists",
-        "pretrained": "evaluation.pretrained",
-        "search.algorithm": "search",
-        "evaluation.name": "evaluation",
-    },
-}
-"""Other names of keys, by command: short ones, those of another command, older ones and those of config.yaml."""
-
 
 def load(command: str, words: Sequence[str], config_dir: Path | None = None) -> Any:
     """The settings that the words of a command line ask for, see :func:`settings_of`."""
@@ -70,7 +41,21 @@ def settings_of(command: str, overrides: Mapping[str, Override], config_dir: Pat
         ConfigError: an unknown key, a value that it does not take, or a file that is or has none. RunError: there is no
             run to resume.
     """
-    given = {key: _value(command, key, override) for key, override in overrides.items()}
+    # What is given
+    keys = keys_of(command)
+    given = {}
+    for key, override in overrides.items():
+        if override.is_sweep_override():
+            raise ConfigError(
+                f"'{override.input_line}' lists several values: add --multirun to run them one after another (a value"
+                f" that is itself a list is written {key}=[a,b], one that has commas {key}=\"'a,b'\")."
+            )
+        value: Any = override.value()
+        if key in keys and keys[key].is_list and not isinstance(value, list | None):
+            value = [value]  # export=gif
+        given[key] = value
+
+    # What is stored, but for the groups that are given
     stored, place = _stored(command, given)
     origin = "" if place is None else f"{place}: "
     choosing = [*groups_of(command), *[PRESET] * (PRESET in keys_of(command))]
@@ -115,9 +100,22 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
     """
     keys = keys_of(command)
     found: dict[str, Override] = {}
+
+    # Other names of keys, by command: short ones, those of another command, older ones and those of config.yaml
+    renamed = {
+        "train": {"designs": "designs.bodies"},
+        "play": {"designs": "design", "format": "export"},
+        "export": {"export": "format"},
+        "codesign": {
+            "finalists": "evaluation.finalists",
+            "pretrained": "evaluation.pretrained",
+            "search.algorithm": "search",
+            "evaluation.name": "evaluation",
+        },
+    }
     for word in words:
         name, given, text = word.partition("=")
-        name = RENAMED.get(command, {}).get(name, name)
+        name = renamed.get(command, {}).get(name, name)
         override = _parsed(f"{name}{given}{text}")
         if given and text and name in keys and keys[name].takes_text:
             place = os.path.expanduser(text)
@@ -145,19 +143,6 @@ def _parsed(word: str) -> Override | None:
         return OverridesParser.create().parse_override(word)
     except (HydraException, ValueError, RecursionError):  # numbers of thousands of digits, brackets without end
         return None
-
-
-def _value(command: str, key: str, override: Override) -> Any:
-    """The value that a word gives a key. ConfigError: it lists several."""
-    if override.is_sweep_override():
-        raise ConfigError(
-            f"'{override.input_line}' lists several values: add --multirun to run them one after another (a value that"
-            f" is itself a list is written {key}=[a,b], one that has commas {key}=\"'a,b'\")."
-        )
-    value: Any = override.value()
-    if key in keys_of(command) and keys_of(command)[key].is_list and not isinstance(value, list | None):
-        return [value]  # export=gif
-    return value
 
 
 def _stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path | None]:
@@ -219,9 +204,24 @@ def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
     if owners:
         hint = f" It is a setting of {' and '.join(owners)}."
 
-    # What another library calls this
+    # What another library calls this, by the last part of our key
+    aliases = {
+        "env": "task",
+        "lr": "learning_rate",
+        "n_envs": "num_envs",
+        "num_envs": "envs",
+        "batch_size": "minibatches",
+        "out": "file",
+        "evaluations": "max_evaluations",
+        "steps": "max_iterations",
+        "timesteps": "max_iterations",
+        "total_timesteps": "max_iterations",
+        "gif": "export",
+        "mp4": "export",
+        "video": "export",
+    }
     for name in known:
-        if name.split(".")[-1] == ALIASES.get(last):
+        if name.split(".")[-1] == aliases.get(last):
             hint = f" Did you mean '{name}'?"
             break
     return ConfigError(f"Unknown key '{key}'.{hint} `warpvox {command} --help` lists all keys.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,24 +21,10 @@ if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
 
 ROLLOUT = "rollout.npz"
-ROWS = 20
-"""Environments that a table of returns shows at most."""
-# format -> file, module, function
-WRITERS = {
-    "usd": ("rollout.usd", "warpvox.view.usd", "write_usd"),
-    "gif": ("rollout.gif", "warpvox.view.render", "write_gif"),
-    "mp4": ("rollout.mp4", "warpvox.view.render", "write_mp4"),
-    "html": ("rollout.html", "warpvox.view.player", "write_html"),
-    "png": ("rollout.png", "warpvox.view.render", "write_png"),
-    "strip": ("rollout_strip.png", "warpvox.view.render", "write_filmstrip"),
-}
-TILED = ("gif", "mp4", "png")
-THINNED = {"usd": "stride", "gif": "every", "mp4": "every", "html": "every"}
-"""Parameter of a writer for the key ``every``."""
-TILES, BODIES = 16, 36
+_TILES = 16
 """Environments that a picture shows at most; of a run over many bodies."""
 LARGE = (960, 540)
-"""Size of pictures of more than :data:`TILES`, and of a window, in pixels."""
+"""Size of pictures of more than :data:`_TILES`, and of a window, in pixels."""
 
 
 def record_run(
@@ -86,10 +71,10 @@ def record_agent(config: Any) -> Rollout:
     return record(env, config.agent, config.steps)
 
 
-def tiles_of(rollout: Rollout, most: int = BODIES) -> list[int]:
+def tiles_of(rollout: Rollout, most: int = 36) -> list[int]:
     """The environments that a picture shows: the first ones; of those that have names some, evenly chosen."""
     if "names" not in rollout.metadata:
-        return list(range(min(rollout.num_envs, TILES)))
+        return list(range(min(rollout.num_envs, _TILES)))
     return np.linspace(0, rollout.num_envs - 1, min(rollout.num_envs, most)).round().astype(int).tolist()
 
 
@@ -110,39 +95,53 @@ def write_exports(
     """
     written = [folder / ROLLOUT] if (folder / ROLLOUT).is_file() else []
     for name in dict.fromkeys(formats):
-        file, module, function = WRITERS[name]
+        # format -> file, module, function
+        writers = {
+            "usd": ("rollout.usd", "warpvox.view.usd", "write_usd"),
+            "gif": ("rollout.gif", "warpvox.view.render", "write_gif"),
+            "mp4": ("rollout.mp4", "warpvox.view.render", "write_mp4"),
+            "html": ("rollout.html", "warpvox.view.player", "write_html"),
+            "png": ("rollout.png", "warpvox.view.render", "write_png"),
+            "strip": ("rollout_strip.png", "warpvox.view.render", "write_filmstrip"),
+        }
+        file, module, function = writers[name]
         with console.status(f"writing {file}") as status:
             options: dict[str, Any] = {}
-            if size and name in (*TILED, "strip"):
+            tiled = ("gif", "mp4", "png")
+            if size and name in (*tiled, "strip"):
                 options["size"] = tuple(size)
-            if name in TILED:
+            if name in tiled:
                 options["envs"] = tiles_of(rollout)
-                if len(options["envs"]) > TILES:
+                if len(options["envs"]) > _TILES:
                     options = {"size": LARGE} | options
-            if name in THINNED:
-                options[THINNED[name]] = every
+            # parameter of a writer for the key every
+            thinned = {"usd": "stride", "gif": "every", "mp4": "every", "html": "every"}
+            if name in thinned:
+                options[thinned[name]] = every
             # Films take long enough to say how far they are.
             if name in ("gif", "mp4"):
-                options["on_frame"] = partial(_tell, status, file)
+
+                def tell(done: int, total: int, status: Status = status, file: str = file) -> None:
+                    status.update(f"writing {file}: {done:,} of {total:,} pictures; every=N makes fewer")
+
+                options["on_frame"] = tell
             getattr(import_module(module), function)(rollout, folder / file, **options)
         written.append(folder / file)
     for path in written:
         large = path.stat().st_size
         echo(console, f"{shown(path)}  ({f'{large / 1e6:.1f} MB' if large >= 1e6 else f'{large / 1e3:.0f} kB'})")
     if "html" in formats:
-        echo(console, f"open in a browser: {(folder / WRITERS['html'][0]).resolve().as_uri()}")
-
-
-def _tell(status: Status, file: str, done: int, total: int) -> None:
-    status.update(f"writing {file}: {done:,} of {total:,} pictures; every=N makes fewer")
+        echo(console, f"open in a browser: {(folder / writers['html'][0]).resolve().as_uri()}")
 
 
 def print_returns(rollout: Rollout, console: Console) -> None:
     """A table with a row for each environment (the first ones of many) and their mean."""
-    returns, lengths = rollout.returns[-1], rollout.lengths
+    returns = rollout.returns[-1]
+    lengths = rollout.lengths
     several = len(rollout.scenes) > 1 and "names" not in rollout.metadata
     agent = rollout.metadata.get("agent", "policy")
-    sampled, protocol = rollout.metadata.get("stochastic"), rollout.metadata.get("protocol", NOMINAL)
+    sampled = rollout.metadata.get("stochastic")
+    protocol = rollout.metadata.get("protocol", NOMINAL)
     kinds = ["sampled actions"] * bool(sampled) + [f"protocol {protocol}"] * (protocol != NOMINAL)
     kind = (", ".join(kinds) or "deterministic") if agent == "policy" else f"agent {agent}"
     if rollout.metadata.get("diverged"):
@@ -150,12 +149,13 @@ def print_returns(rollout: Rollout, console: Console) -> None:
     table = Table(title=literal(f"{rollout.title}, {kind}"))
     for heading in ("environment", *(["design"] if several else []), "return", "steps", "end"):
         table.add_column(heading, justify="left" if heading == "end" else "right")
-    for env in range(min(rollout.num_envs, ROWS)):
+    most = 20  # environments that the table shows
+    for env in range(min(rollout.num_envs, most)):
         design = [str(rollout.design_index[env])] if several else []
         row = f"{returns[env]:.3f}", str(lengths[env]), _end(rollout, env)
         table.add_row(literal(rollout.names[env]), *design, *row)
-    if rollout.num_envs > ROWS:
-        table.add_row("...", *([""] if several else []), "", "", f"{rollout.num_envs - ROWS} more")
+    if rollout.num_envs > most:
+        table.add_row("...", *([""] if several else []), "", "", f"{rollout.num_envs - most} more")
     if rollout.num_envs > 1:
         table.add_section()
         mean = [f"{returns.mean():.3f}", f"{lengths.mean():.0f}", f"deviation {np.std(returns):.3f}"]

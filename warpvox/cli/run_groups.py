@@ -12,19 +12,28 @@ from warpvox.cli.help import as_typed, flat_values
 from warpvox.design import example_design, example_designs
 from warpvox.runs import Run
 
-PPO = ("parallel", "evogym")
-"""Sets of settings: names of configs/ppo."""
-LONGEST = 28
-"""Characters of a value in a label."""
-
 
 def group_runs(runs: Sequence[Run]) -> list[Group]:
-    """Runs with the same settings together, in the order in which they are given."""
+    """Runs with the same settings together, in the order in which they are given.
+
+    A label says what differs between the groups, of a single one the task.
+    """
+    # Groups
     found: dict[str, list[Run]] = {}
     for run in runs:
         found.setdefault(json.dumps(settings(run), sort_keys=True, default=str), []).append(run)
-    kept = [settings(several[0]) for several in found.values()]
-    labels = _labels(kept)
+
+    # Labels
+    groups = [settings(several[0]) for several in found.values()]
+    keys = differing(groups)
+    if keys:
+        groups = [_with_presets(values, keys) for values in groups]
+        told = telling(groups, differing(groups))
+        labels = [_label(values, told) for values in groups]
+    else:
+        labels = [str(values.get("task", "run")) for values in groups]
+    if len(set(labels)) < len(labels):  # the first few settings do not distinguish them
+        labels = [f"{label} #{number + 1}" for number, label in enumerate(labels)]
     return [Group(label, tuple(several)) for label, several in zip(labels, found.values(), strict=True)]
 
 
@@ -44,41 +53,38 @@ def settings(run: Run) -> dict[str, Any]:
     return {name: value for name, value in flat.items() if name not in left_out}
 
 
-def _labels(groups: list[dict[str, Any]]) -> list[str]:
-    """A label for each group of settings: what differs; of a single one the task."""
-    keys = differing(groups)
-    if not keys:
-        return [str(values.get("task", "run")) for values in groups]
-    named = [_presets(values, keys) for values in groups]
-    short = differing(named)
-    labels = [_label(values, telling(named, short)) for values in named]
-    if len(set(labels)) < len(labels):  # the first few settings do not distinguish them
-        labels = [f"{label} #{number + 1}" for number, label in enumerate(labels)]
-    return labels
-
-
-def _presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
+def _with_presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
     """Settings with the name of a preset in the place of what it has set."""
     result = dict(values)
-    if "physics.preset" in keys:  # the constants follow from it
+
+    # The constants of physics follow from their preset.
+    if "physics.preset" in keys:
         result = {key: value for key, value in result.items() if not key.startswith("physics.")}
         if values.get("physics.preset") != values.get("rules"):
             result["physics"] = values.get("physics.preset")
+
+    # Settings of PPO are those of a file of configs/ppo, or they are named one by one.
     if sum(key.startswith("ppo.") for key in keys) > SHOWN:
         own = {key.removeprefix("ppo."): value for key, value in values.items() if key.startswith("ppo.")}
-        name = next((name for name in PPO if vars(load("train", [f"ppo={name}"]).ppo) == own), None)
-        if name is not None:
-            result = {key: value for key, value in result.items() if not key.startswith("ppo.")}
-            result = {"ppo": name} | result
+        for name in ("parallel", "evogym"):
+            if vars(load("train", [f"ppo={name}"]).ppo) == own:
+                others = {key: value for key, value in result.items() if not key.startswith("ppo.")}
+                return {"ppo": name} | others
     return result
 
 
 def _label(values: dict[str, Any], keys: list[str]) -> str:
+    """The first few settings that tell a group from others."""
     parts = []
     for key in [key for key in keys if key in values][:SHOWN]:  # a robot of the zoo has but a few
-        text = _design(values[key]) if key == "design" else as_typed(values[key])
-        text = text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
-        parts.append(str(values[key]) if key == "task" else f"{key}={text}")
+        value = values[key]
+        if key == "task":
+            parts.append(str(value))
+            continue
+        text = _design(value) if key == "design" else as_typed(value)
+        if len(text) > 28:
+            text = f"{text[:25]}..."
+        parts.append(f"{key}={text}")
     return ", ".join(parts) + (", ..." if len(keys) > SHOWN else "")
 
 

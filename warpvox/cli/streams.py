@@ -15,7 +15,8 @@ class _Lasting:
     """A text stream that goes to the null device once its reader has gone."""
 
     def __init__(self, stream: Any, message: str | None = None) -> None:
-        self._stream, self._message = stream, message
+        self._stream = stream
+        self._message = message
         self._gone = GONE
         if stream.isatty():
             # A terminal that was closed has these errors; from a file they mean that the disk has failed.

@@ -25,7 +25,7 @@ from warpvox.system import safe_start
 
 LONGEST_LABEL = 80
 """Characters of a folder's name that say what its run differs by."""
-OWN = "++words."
+_OWN = "++words."
 """Beginning of our words for Hydra, which adds them to an empty configuration: it is to expand them, not to compose."""
 
 
@@ -70,17 +70,17 @@ def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
 
     output_dir = getattr(settings, "output_dir", "outputs")
     folder = Path(output_dir).absolute() / command / f"sweep_{datetime.now().strftime(STAMP)}"
-    lines = [f"{OWN}{one.input_line}" for one in overrides.values()]
+    lines = [f"{_OWN}{one.input_line}" for one in overrides.values()]
     task = functools.partial(_run, command, config_dir, frozenset(fixed))
     # Hydra neither logs nor makes folders of its own: every run has its folder and its log.
     quiet = ["hydra/job_logging=none", "hydra/hydra_logging=none", "hydra.output_subdir=null", "hydra.sweep.subdir=."]
-    run_hydra(["--multirun", *quiet, f"hydra.sweep.dir={quoted(str(folder))}", *plugins, *lines], task)
+    _run_hydra(["--multirun", *quiet, f"hydra.sweep.dir={quoted(str(folder))}", *plugins, *lines], task)
 
 
 def _run(command: str, config_dir: Path | None, fixed: Collection[str], _: Any) -> float | None:
     """Make the run whose words Hydra gives; returns what a sweeper that optimises looks at."""
     job = HydraConfig.get()
-    words = [word.removeprefix(OWN) for word in job.overrides.task]
+    words = [word.removeprefix(_OWN) for word in job.overrides.task]
     given = read_words(command, words)
     varied = {}
     for key, one in given.items():
@@ -107,7 +107,7 @@ def label_of(varied: Mapping[str, str]) -> str:
     return as_name("_".join(f"{key}-{value}" for key, value in varied.items() if key != "task"))[:LONGEST_LABEL]
 
 
-def run_hydra(words: Sequence[str], task: Callable[[Any], Any] = lambda _: None) -> None:
+def _run_hydra(words: Sequence[str], task: Callable[[Any], Any] = lambda _: None) -> None:
     """Do what ``@hydra.main`` does of a command line, with an empty configuration.
 
     ConfigError: what Hydra says of a word or plugin. Exception: what ``task`` raises.
@@ -133,7 +133,7 @@ def complete(words: Sequence[str], commands: Collection[str]) -> None:
     """
     if not words or not words[0].startswith("query="):
         try:
-            run_hydra(["-sc", *words])
+            _run_hydra(["-sc", *words])
         except ValueError as error:
             raise ConfigError(f"-sc needs install=SHELL or uninstall=SHELL. {' '.join(str(error).split())}.") from None
         return

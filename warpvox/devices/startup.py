@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 LOGGER = logging.getLogger("warpvox")
 """Takes the line about compilation, as a warning: it shows without any configuration."""
-PROCESS = threading.RLock()
+_PROCESS = threading.RLock()
 """Held by the thread that changes what all threads of the process share."""
 
 
@@ -35,7 +35,7 @@ def start_warp() -> None:
     Raises:
         StorageError: Warp's folder for kernels cannot be made.
     """
-    with PROCESS:  # its output is redirected meanwhile
+    with _PROCESS:  # its output is redirected meanwhile
         _start_warp()
 
 
@@ -92,7 +92,8 @@ def _init_without_complaint() -> None:
 
     sys.stderr.flush()
     try:
-        caught, kept = tempfile.TemporaryFile(), os.dup(2)  # noqa: SIM115  (closed below)
+        caught = tempfile.TemporaryFile()  # noqa: SIM115  (closed below)
+        kept = os.dup(2)
     except OSError:  # no stderr to keep clean, or no room to keep it
         wp.init()
         return
@@ -139,7 +140,7 @@ def own_torch(threads: int | None = None, seed: int | None = None, dtype: torch.
         seed: of torch's global generators; None: they go on as they are.
         dtype: default type of torch; None: float32.
     """
-    with PROCESS, ambient(threads, dtype), _restored():
+    with _PROCESS, ambient(threads, dtype), _restored():
         if seed is not None:
             import torch
 
@@ -183,16 +184,17 @@ class _Shared:
     """Restores what threads share in torch when the last of those inside leaves."""
 
     def __init__(self) -> None:
-        self._inside, self._kept = 0, ExitStack()
+        self._inside = 0
+        self._kept = ExitStack()
 
     def __enter__(self) -> None:
-        with PROCESS:
+        with _PROCESS:
             if not self._inside:
                 self._kept.enter_context(_restored())
             self._inside += 1
 
     def __exit__(self, *error: object) -> None:
-        with PROCESS:
+        with _PROCESS:
             self._inside -= 1
             if not self._inside:
                 self._kept.close()
@@ -206,7 +208,8 @@ def _restored() -> Iterator[None]:
     """Afterwards torch's default type and global generators are as they were."""
     import torch
 
-    dtype, gpus = torch.get_default_dtype(), range(torch.cuda.device_count()) if torch.cuda.is_initialized() else ()
+    dtype = torch.get_default_dtype()
+    gpus = range(torch.cuda.device_count()) if torch.cuda.is_initialized() else ()
     try:
         with torch.random.fork_rng(gpus, device_type="cuda"):
             yield

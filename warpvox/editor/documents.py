@@ -26,11 +26,8 @@ BODY_SIDE = 32
 """Rows and columns that a body may have in the editor."""
 WORLD_SIZE = (400, 100)
 """Columns and rows that a world may have in the editor."""
-OBJECTS = 64
-LONGEST_NAME = 200
-"""Bytes of a file's name, so that the file system takes it with its suffix and a temporary one beside it."""
-FILE_NAME = re.compile(r"[^\W_][\w.-]{0,63}")
-ROBOT = "robot"
+_OBJECTS = 64
+_FILE_NAME = re.compile(r"[^\W_][\w.-]{0,63}")
 
 
 def design_of(document: Mapping[str, Any]) -> Design:
@@ -46,7 +43,13 @@ def world_of(document: Mapping[str, Any]) -> World:
     free of those before it, and terrain may well reach around a robot.
     """
     types = _cells(document, WORLD_SIZE[1], WORLD_SIZE[0], WorldError)
-    names = _names(document)
+    names = document.get("names")
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise WorldError("names must be a list of texts, one or more.")
+    if len(names) > _OBJECTS or any(not 0 < len(name) <= 64 for name in names):
+        raise WorldError(f"There may be up to {_OBJECTS} objects with names of 1 to 64 letters.")
+    if len(set(names)) < len(names):
+        raise WorldError(f"The names of objects must differ; they are {listing(names)}.")
     height, width = types.shape
 
     # Whose each cell is: the number of a name
@@ -79,10 +82,10 @@ def document_of(content: Design | World) -> dict[str, Any]:
     """The document that draws a body or a world."""
     if not isinstance(content, World):
         grid = np.asarray(content)
-        return _document("body", [ROBOT], grid, np.zeros_like(grid))
-    if content.width > WORLD_SIZE[0] or content.height > WORLD_SIZE[1] or len(content.objects) > OBJECTS:
+        return _document("body", ["robot"], grid, np.zeros_like(grid))
+    if content.width > WORLD_SIZE[0] or content.height > WORLD_SIZE[1] or len(content.objects) > _OBJECTS:
         raise WorldError(
-            f"The editor shows worlds of up to {WORLD_SIZE[0]} x {WORLD_SIZE[1]} cells and {OBJECTS} objects; this one"
+            f"The editor shows worlds of up to {WORLD_SIZE[0]} x {WORLD_SIZE[1]} cells and {_OBJECTS} objects; this one"
             f" has {content.width} x {content.height} and {len(content.objects)}."
         )
     types, owners = np.zeros((2, content.height, content.width), np.int16)
@@ -94,7 +97,8 @@ def document_of(content: Design | World) -> dict[str, Any]:
         top = content.height - obj.y - obj.height
         box = slice(top, top + obj.height), slice(obj.x, obj.x + obj.width)
         filled = obj.grid != Cell.EMPTY
-        types[box][filled], owners[box][filled] = obj.grid[filled], number
+        types[box][filled] = obj.grid[filled]
+        owners[box][filled] = number
     return _document("world", list(content.objects) or ["object"], types, owners)
 
 
@@ -102,7 +106,8 @@ def check(document: Mapping[str, Any]) -> str:
     """A sentence that describes a valid document."""
     if _kind(document) == "body":
         body = design_of(document)
-        cells, actuators = counted((body > 0).sum(), "cells"), counted((body >= Cell.H_ACT).sum(), "actuators")
+        cells = counted((body > 0).sum(), "cells")
+        actuators = counted((body >= Cell.H_ACT).sum(), "actuators")
         return f"A valid robot: {body.shape[0]} x {body.shape[1]}, {cells}, {actuators}."
     world = world_of(document)
     parts = []
@@ -117,7 +122,8 @@ def check(document: Mapping[str, Any]) -> str:
 def check_file_name(name: object) -> str:
     """The file that a name stands for, with its suffix."""
     stem = name.removesuffix(".json") if isinstance(name, str) else ""
-    if not FILE_NAME.fullmatch(stem) or len(stem.encode()) > LONGEST_NAME:
+    # The file system takes it with its suffix and a temporary one beside it.
+    if not _FILE_NAME.fullmatch(stem) or len(stem.encode()) > 200:
         raise WorldError(
             "A name may hold up to 64 letters, digits and . _ - (no folder) and begins with a letter or digit; got"
             f" {name!r:.80}."
@@ -129,7 +135,7 @@ def check_file_name(name: object) -> str:
 
 def file_names(folder: Path) -> list[str]:
     """Names of the JSON files in a folder that the editor may open."""
-    return sorted(path.name for path in folder.glob("*.json") if FILE_NAME.fullmatch(path.stem) and _is_here(path))
+    return sorted(path.name for path in folder.glob("*.json") if _FILE_NAME.fullmatch(path.stem) and _is_here(path))
 
 
 def _is_here(path: Path) -> bool:
@@ -147,7 +153,7 @@ def save_file(document: Mapping[str, Any], folder: Path, name: object, overwrite
     if _kind(document) == "body":
         body = design_of(document)
         world = World(body.shape[1], body.shape[0])
-        world.add_from_array(ROBOT, body, 0, 0)
+        world.add_from_array("robot", body, 0, 0)
         text = json.dumps(json.loads(world.to_json()) | {"body": body.tolist()})
     else:
         text = world_of(document).to_json()
@@ -195,18 +201,8 @@ def _cells(document: Mapping[str, Any], rows: int, columns: int, error: type[War
     return as_grid(value, what="grid", error=error)
 
 
-def _names(document: Mapping[str, Any]) -> list[str]:
-    names = document.get("names")
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise WorldError("names must be a list of texts, one or more.")
-    if len(names) > OBJECTS or any(not 0 < len(name) <= 64 for name in names):
-        raise WorldError(f"There may be up to {OBJECTS} objects with names of 1 to 64 letters.")
-    if len(set(names)) < len(names):
-        raise WorldError(f"The names of objects must differ; they are {listing(names)}.")
-    return names
-
-
 def _box(filled: np.ndarray) -> tuple[slice, slice]:
     """The rows and columns that hold anything."""
-    rows, columns = (np.flatnonzero(filled.any(axis)) for axis in (1, 0))
+    rows = np.flatnonzero(filled.any(1))
+    columns = np.flatnonzero(filled.any(0))
     return slice(*rows[[0, -1]] + (0, 1)), slice(*columns[[0, -1]] + (0, 1))

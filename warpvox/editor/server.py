@@ -40,19 +40,9 @@ from warpvox.types import MATERIALS
 from warpvox.view.player import asset, fill_template, page_of
 from warpvox.view.rollout import AGENTS
 
-ADDRESS = "127.0.0.1"
+_ADDRESS = "127.0.0.1"
 LARGEST = 1_000_000
 """Bytes of a request."""
-KEPT = 4
-"""Rollouts that stay to be looked at."""
-HEADERS = {
-    "Cache-Control": "no-store",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline';"
-    " img-src data:; connect-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'",
-}
 
 
 class EditorServer(ThreadingHTTPServer):
@@ -67,19 +57,20 @@ class EditorServer(ThreadingHTTPServer):
     request_queue_size = 128  # connections that wait to be taken; five are the usual, and the others try again later
 
     def __init__(self, folder: Path, port: int = 0, file: str | None = None, tasks: Sequence[str] = ()) -> None:
-        self.folder, self.token = folder, secrets.token_urlsafe(24)
+        self.folder = folder
+        self.token = secrets.token_urlsafe(24)
         start = None if file is None else {"name": Path(file).stem} | self._read(file)
         self.tasks = {name: get_task(name) for name in [*task_ids(), *tasks]}
-        self.page = editor_page(start, folder, list(self.tasks))
+        self.page = _editor_page(start, folder, list(self.tasks))
         self.rollouts: dict[int, bytes] = {}
         self._busy = threading.Lock()
         try:
-            super().__init__((ADDRESS, port), _Handler)
+            super().__init__((_ADDRESS, port), _Handler)
         except OSError as error:
             raise DeviceError(f"The port {port} cannot be used: {error.strerror}. port=0 takes a free one.") from None
         self.port = self.server_address[1]
-        self.hosts = {f"{ADDRESS}:{self.port}", f"localhost:{self.port}"}
-        self.url = f"http://{ADDRESS}:{self.port}/{self.token}/"
+        self.hosts = {f"{_ADDRESS}:{self.port}", f"localhost:{self.port}"}
+        self.url = f"http://{_ADDRESS}:{self.port}/{self.token}/"
 
     def _read(self, name: object) -> dict[str, Any]:
         return read_file(self.folder / check_file_name(name))
@@ -113,7 +104,8 @@ class EditorServer(ThreadingHTTPServer):
 
     def sample(self, ask: dict[str, Any]) -> dict[str, Any]:
         """A random valid body."""
-        rows, columns = ask.get("rows", 0), ask.get("columns", 0)
+        rows = ask.get("rows", 0)
+        columns = ask.get("columns", 0)
         if not all(type(n) is int and 1 <= n <= 10 for n in (rows, columns)):
             raise ConfigError("A random body has 1 to 10 rows and columns.")
         return document_of(sample_design((rows, columns)))
@@ -128,10 +120,12 @@ class EditorServer(ThreadingHTTPServer):
             title = rollout.title if rollout.metadata["task"] else "world"
             number = max(self.rollouts, default=0) + 1
             kept = [*self.rollouts.items(), (number, page_of(rollout, title=title).encode())]
-            self.rollouts = dict(kept[-KEPT:])  # a new one: other threads may be looking into the old
+            # Four rollouts stay to be looked at.
+            self.rollouts = dict(kept[-4:])  # a new one: other threads may be looking into the old
         finally:
             self._busy.release()
-        total, steps = float(rollout.returns[-1, 0]), int(rollout.lengths[0])
+        total = float(rollout.returns[-1, 0])
+        steps = int(rollout.lengths[0])
         return {"rollout": number, "message": f"return {total:.3f} in {steps} steps"}
 
 
@@ -156,7 +150,9 @@ class _Handler(BaseHTTPRequestHandler):
     # Seconds without a byte from a client, or without one taken by it, after which its connection is closed.
     timeout = 15.0
     server: EditorServer
-    server_version, sys_version, protocol_version = "warpvox", "", "HTTP/1.1"
+    server_version = "warpvox"
+    sys_version = ""
+    protocol_version = "HTTP/1.1"
 
     def log_message(self, format: str, *args: object) -> None:
         """Say nothing: addresses hold the token."""
@@ -230,7 +226,16 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send(self, content: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
         self.send_response(status)
-        for name, value in HEADERS.items() | {("Content-Type", kind), ("Content-Length", str(len(content)))}:
+        headers = {
+            "Cache-Control": "no-store",
+            "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+            "Cross-Origin-Resource-Policy": "same-origin",
+            "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline';"
+            " img-src data:; connect-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none';"
+            " frame-ancestors 'self'",
+        }
+        for name, value in headers.items() | {("Content-Type", kind), ("Content-Length", str(len(content)))}:
             self.send_header(name, value)
         if self.close_connection:
             self.send_header("Connection", "close")
@@ -238,10 +243,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
 
-SCRIPTS = ("drawing.js", "board.js", "editor.js")
-
-
-def editor_page(start: dict[str, Any] | None, folder: Path, tasks: list[str]) -> str:
+def _editor_page(start: dict[str, Any] | None, folder: Path, tasks: list[str]) -> str:
     """The page as text.
 
     Args:
@@ -259,5 +261,6 @@ def editor_page(start: dict[str, Any] | None, folder: Path, tasks: list[str]) ->
         "names": {0: "empty"} | {int(cell): material.name for cell, material in MATERIALS.items()},
     }
     part = partial(asset, package="warpvox.editor")
-    style, script = asset("player.css") + part("editor.css"), "\n".join(map(part, SCRIPTS))
+    style = asset("player.css") + part("editor.css")
+    script = "\n".join(map(part, ("drawing.js", "board.js", "editor.js")))
     return fill_template(part("editor.html"), values={"setup": setup}, style=style, script=script)

@@ -45,8 +45,34 @@ def try_out(
     if not is_number(seconds) or not FRAME_SECONDS <= seconds <= LONGEST:
         raise ConfigError(f"seconds must be a number from {FRAME_SECONDS} to {LONGEST:g}, got {seconds!r:.80}.")
     seed = check_integer("seed", seed, 0, 2**31 - 1)
-    env = _task(document, task, tasks, seed) if document.get("kind") == "body" else _world(document, seed)
-    act, deadline = agent_of(agent, env), time.monotonic() + TIME_LIMIT
+
+    if document.get("kind") == "body":
+        # A body in a task
+        from warpvox.envs.vec_env import make_vec
+
+        if not isinstance(task, str):
+            raise ConfigError(f"task must be the id of a task, got {task!r:.80}.")
+        if task not in tasks:
+            hint = did_you_mean(task, tasks)
+            raise TaskError(
+                f"Unknown task {task!r:.80}.{hint} Tasks of your own are named when the editor is started:"
+                " warpvox design tasks=[file.py:NAME]."
+            )
+        env: Any = make_vec(tasks[task], [design_of(document)], 1, device="cpu", seed=seed, auto_reset=False, threads=1)
+    else:
+        # A world as it stands
+        from warpvox.simulation import Simulation
+
+        world = world_of(document)
+        moving = sum(int((obj.grid != 0).sum()) for obj in world.objects.values() if not obj.is_static)
+        if not moving:
+            raise WorldError("Nothing in this world moves: it needs cells that are not fixed.")
+        if moving > MOST_MOVING:
+            raise WorldError(f"{moving} cells of this world move; the editor tries out up to {MOST_MOVING}.")
+        env = _OpenWorld(Simulation([world], device="cpu", threads=1), seed)
+
+    act = agent_of(agent, env)
+    deadline = time.monotonic() + TIME_LIMIT
 
     def in_time(obs: Any) -> Any:
         if time.monotonic() > deadline:
@@ -56,38 +82,15 @@ def try_out(
     return record(env, in_time, round(seconds / FRAME_SECONDS), metadata={"agent": agent})
 
 
-def _task(document: Mapping[str, Any], task: object, tasks: Mapping[str, TaskSpec], seed: int) -> Any:
-    from warpvox.envs.vec_env import make_vec
-
-    if not isinstance(task, str):
-        raise ConfigError(f"task must be the id of a task, got {task!r:.80}.")
-    if task not in tasks:
-        hint = did_you_mean(task, tasks)
-        raise TaskError(
-            f"Unknown task {task!r:.80}.{hint} Tasks of your own are named when the editor is started:"
-            " warpvox design tasks=[file.py:NAME]."
-        )
-    return make_vec(tasks[task], [design_of(document)], 1, device="cpu", seed=seed, auto_reset=False, threads=1)
-
-
-def _world(document: Mapping[str, Any], seed: int) -> OpenWorld:
-    from warpvox.simulation import Simulation
-
-    world = world_of(document)
-    moving = sum(int((obj.grid != 0).sum()) for obj in world.objects.values() if not obj.is_static)
-    if not moving:
-        raise WorldError("Nothing in this world moves: it needs cells that are not fixed.")
-    if moving > MOST_MOVING:
-        raise WorldError(f"{moving} cells of this world move; the editor tries out up to {MOST_MOVING}.")
-    return OpenWorld(Simulation([world], device="cpu", threads=1), seed)
-
-
-class OpenWorld:
+class _OpenWorld:
     """A simulation with the interface of an environment, as far as recording needs it."""
 
     def __init__(self, sim: Any, seed: int) -> None:
-        self.sim, self.seed, self.auto_reset = sim, seed, False
-        self.num_envs, self.num_actions = sim.num_envs, sim.num_actions
+        self.sim = sim
+        self.seed = seed
+        self.auto_reset = False
+        self.num_envs = sim.num_envs
+        self.num_actions = sim.num_actions
         self.max_episode_steps = round(LONGEST / FRAME_SECONDS)
         self._robot = min((obj.name for obj in sim.worlds[0].objects.values() if obj.is_robot), default=None)
         self._where = self._place()
@@ -104,5 +107,6 @@ class OpenWorld:
     def step(self, actions: Any) -> tuple[Any, ...]:
         """Take a control step: no observation, progress as reward, terminated where the simulation had to stop."""
         self.sim.step(actions)
-        before, self._where = self._where, self._place()
+        before = self._where
+        self._where = self._place()
         return None, self._where - before, self.sim.unstable, self.sim.unstable & False, {}

@@ -54,7 +54,8 @@ class Sim:
 
     def init(self, x: int, y: int) -> None:
         """Begin with an empty grid of ``x`` by ``y`` cells."""
-        self._plan, self._running = World(int(x), int(y)), None
+        self._plan = World(int(x), int(y))
+        self._running = None
 
     def get_version(self) -> None:
         """Print which simulator this is."""
@@ -210,7 +211,9 @@ class Viewer:
     """Paints ``sim``, which may be exchanged, for cameras, or in a window."""
 
     def __init__(self, sim: Sim) -> None:
-        self.sim, self.shown, self._window = sim, False, None
+        self.sim = sim
+        self.shown = False
+        self._window = None
 
     def init(self) -> None:
         """Nothing: kept because scripts may call it."""

@@ -82,7 +82,8 @@ def sample_robot(robot_shape: tuple[int, int], pd: np.ndarray | None = None) -> 
         raise RangeError(f"pd must hold five weights (empty, rigid, soft, h_act, v_act), got shape {weights.shape}.")
     if weights[Cell.H_ACT] + weights[Cell.V_ACT] == 0:
         raise DesignError(f"A robot needs an actuator, but pd gives both kinds the weight 0: {pd!r}.")
-    (rows, columns), pick = check_shape("robot_shape", robot_shape, RangeError), _drawer(weights)
+    rows, columns = check_shape("robot_shape", robot_shape, RangeError)
+    pick = _drawer(weights)
     while True:
         robot = np.array([pick() for _ in range(rows * columns)], float).reshape(rows, columns)
         if has_actuator(robot) and is_connected(robot):
@@ -131,10 +132,12 @@ class Timer:
         """Count a step; once a second print the rate if ``verbose``."""
         self._steps += 1
         if time.monotonic() - self._begin > 1:
-            self._all_steps, self.total_count = self._all_steps + self._steps, self.total_count + 1
+            self._all_steps = self._all_steps + self._steps
+            self.total_count = self.total_count + 1
             if verbose:
                 print(f"rps: {self._steps} | avg rps: {self._all_steps / self.total_count:.2f}")
-            self._begin, self._steps = self._begin + 1, 0
+            self._begin = self._begin + 1
+            self._steps = 0
 
 
 def _in_parallel(verb: str, result: Callable[[int, int], int]) -> Callable[[Pair, int | Pair], Pair]:
@@ -159,7 +162,8 @@ class Pair:
         for value in (x, y):
             if not isinstance(value, int | np.integer):
                 raise ArgumentTypeError(f"A Pair holds integers, got {value!r} of type {type(value).__name__}.")
-        self.x, self.y = int(x), int(y)
+        self.x = int(x)
+        self.y = int(y)
 
     def __getitem__(self, key: int) -> int:
         if key not in (0, 1):

@@ -15,10 +15,6 @@ __all__ = ["EvoViewer"]
 
 _SCREEN, _IMAGE = ("screen", "human"), ("img", "rgb_array")
 _LOCKS = ("lock_x", "lock_y", "lock_width", "lock_height")
-# The camera's motion, as released: gains of its filter, decay of the integral, and dead bands of the target (voxels
-# for positions, a share for sizes).
-_GAIN, _SUM_GAIN, _SPEED_GAIN, _FADE = 0.04, 0.005, 0.08, 0.9
-_DEAD_PLACE, _DEAD_SIZE = 1.0, 0.3
 
 
 class EvoViewer:
@@ -107,9 +103,12 @@ class EvoViewer:
 
     def _box(self) -> np.ndarray:
         """x, y, width and height of the tracked objects' box, with padding and scale."""
-        sim, padding, scale = self._viewer.sim, self._tracking["padding"], np.array(self._tracking["scale"])
+        sim = self._viewer.sim
+        padding = self._tracking["padding"]
+        scale = np.array(self._tracking["scale"])
         points = np.concatenate([sim.object_pos_at_time(sim.get_time(), name) for name in self._tracked], axis=1)
-        low, high = points.min(axis=1) - padding, points.max(axis=1) + padding
+        low = points.min(axis=1) - padding
+        high = points.max(axis=1) + padding
         # As released, the right and upper sides get a share of what the left and lower ones have added already.
         low = low - scale * (high - low) / 2
         high = high + scale * (high - low) / 2
@@ -119,21 +118,27 @@ class EvoViewer:
         """Move the camera by one step of its filter."""
         target = self._box()
         if self._target is None:
-            self.pos, self.view_size = tuple(target[:2].tolist()), tuple(target[2:].tolist())
-            self._target, self._aims = target, [target, target]
-        moved, grown = np.abs(self._target[:2] - target[:2]), np.abs(1 - self._target[2:] / target[2:])
-        still = np.concatenate([moved < _DEAD_PLACE, grown < _DEAD_SIZE])
+            self.pos = tuple(target[:2].tolist())
+            self.view_size = tuple(target[2:].tolist())
+            self._target = target
+            self._aims = [target, target]
+        # Dead bands, as released: voxels of positions, a share of sizes
+        moved = np.abs(self._target[:2] - target[:2])
+        grown = np.abs(1 - self._target[2:] / target[2:])
+        still = np.concatenate([moved < 1.0, grown < 0.3])
         target = self._target = np.where(still, self._target, target)
+        # The gains of the filter and the decay of its integral, as released
         before, last = self._aims
-        self._sum = (self._sum + target - last) * _FADE
+        self._sum = (self._sum + target - last) * 0.9
         aim = np.array([*self.pos, *self.view_size])
-        aim = aim + _GAIN * (target - last) + _SPEED_GAIN * (last - before) + _SUM_GAIN * self._sum
+        aim = aim + 0.04 * (target - last) + 0.08 * (last - before) + 0.005 * self._sum
         for entry, name in enumerate(_LOCKS):
             aim[entry] = self._locks.get(name, aim[entry])
         self._aims = [last, aim]
         x, y, width, height = aim.tolist()
         aspect = self.resolution[0] / self.resolution[1]
-        self.pos, self.view_size = (x, y), (max(width, height * aspect), max(height, width / aspect))
+        self.pos = (x, y)
+        self.view_size = (max(width, height * aspect), max(height, width / aspect))
 
     def render(
         self,
@@ -160,7 +165,8 @@ class EvoViewer:
         if mode in _SCREEN and not self._viewer.shown:
             self.show_debug_window()
         self._catch_up()
-        camera, (width, height) = Camera(mode in _IMAGE), self.resolution
+        camera = Camera(mode in _IMAGE)
+        width, height = self.resolution
         camera.set_pos(*(VOXEL * value for value in self.pos))
         camera.set_size(*(VOXEL * value for value in self.view_size))
         camera.set_resolution(width, height)

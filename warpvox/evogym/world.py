@@ -78,7 +78,8 @@ class EvoWorld:
         """Add an object where it is. WorldError: its name or a cell of its box is taken, or the world is too large."""
         if obj.name in self.objects:
             raise WorldError(f"The world has an object named '{obj.name}' already; names must differ.")
-        (x, y), (columns, rows) = obj.get_pos(), obj.grid.shape[::-1]
+        x, y = obj.get_pos()
+        columns, rows = obj.grid.shape[::-1]
         filled = np.argwhere(self.grid[y : y + rows, x : x + columns]).tolist()
         if filled:
             cell = (x + filled[0][1], y + filled[0][0])
@@ -98,7 +99,8 @@ class EvoWorld:
     def remove_object(self, obj_name: str) -> WorldObject:
         """Remove an object; return a copy of it. The grid keeps its size. WorldError: there is no such object."""
         obj = self._find(obj_name).copy()
-        (x, y), (columns, rows) = obj.get_pos(), obj.grid.shape[::-1]
+        x, y = obj.get_pos()
+        columns, rows = obj.grid.shape[::-1]
         self.grid[y : y + rows, x : x + columns][obj.grid != 0] = 0
         del self.objects[obj_name]
         return obj
@@ -153,7 +155,9 @@ class WorldObject:
     """
 
     def __init__(self) -> None:
-        self.name, self.pos, self.grid_size = "", Pair(0, 0), Pair(0, 0)
+        self.name = ""
+        self.pos = Pair(0, 0)
+        self.grid_size = Pair(0, 0)
         self.grid = np.zeros((0, 0), int)
         self.voxels = []
         self.neighbors = {}
@@ -212,7 +216,8 @@ class WorldObject:
         return made
 
     def _become(self, obj: core.WorldObject) -> None:
-        self.name, self.pos = obj.name, Pair(obj.x, obj.y)
+        self.name = obj.name
+        self.pos = Pair(obj.x, obj.y)
         self.grid = np.flipud(obj.grid).astype(int)
         rows, columns = self.grid.shape
         self.grid_size = Pair(columns, rows)

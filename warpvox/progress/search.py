@@ -14,10 +14,11 @@ from rich.text import Text
 
 from warpvox.algos.archive import Record
 from warpvox.algos.candidate import FINALIST, Candidate
-from warpvox.algos.codesign.listener import Listener, SearchRun
 from warpvox.algos.codesign.results import evaluated_text, fresh_text
+from warpvox.algos.codesign.run import SearchRun
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.find import find_run
+from warpvox.algos.listener import Listener
 from warpvox.algos.report import FILE as REPORT
 from warpvox.code import words_of_code
 from warpvox.errors import RunError, counted
@@ -30,13 +31,13 @@ QUIET_SECONDS = 30.0
 
 
 def with_tracker(settings: Codesign, listeners: Sequence[Listener]) -> list[Listener]:
-    """The listeners of a search, before them the one that its ``logger`` names: films, made at the end, may fail."""
+    """The listeners of a search, before them the one that its ``logger`` names."""
     if settings.logger != "wandb":
         return list(listeners)
-    return [TrackedSearch(settings), *listeners]
+    return [_TrackedSearch(settings), *listeners]
 
 
-class TrackedSearch(Listener):
+class _TrackedSearch(Listener):
     """Sends a design search: fitness and best bodies of each generation, at the end the best robot as a film."""
 
     def __init__(self, settings: Any) -> None:
@@ -70,7 +71,8 @@ class SearchProgress(Listener):
         self._live: Live | None = None
 
     def begun(self, run: SearchRun) -> None:
-        self.run, self.archive = run, run.archive
+        self.run = run
+        self.archive = run.archive
         self._began = self._printed = time.monotonic()
         self._start = self.archive.trained()
         self._spent = 0  # control steps of trainings that have ended since the beginning
@@ -87,11 +89,13 @@ class SearchProgress(Listener):
             self._show()
 
     def _say_where(self) -> None:
-        run, settings = self.run, self.run.settings
+        run = self.run
+        settings = self.run.settings
         where = f"{run.workers} workers of Ray" if run.workers else settings.device
         done = f", {self._counts()} done" if run.resumed else ""
         echo(self.console, f"{run.settings.search.title} on {settings.task}, rules {settings.rules}, on {where}{done}")
-        folder, budget = run.folder, settings.search.max_evaluations
+        folder = run.folder
+        budget = settings.search.max_evaluations
         echo(self.console, f"run folder: {shown(folder)}")
         if lost := [one for one in self.archive.records() if one.policy and not (folder / one.policy).is_file()]:
             echo(self.console, f"the policies of {len(lost)} designs are gone from {shown(folder / 'designs')}")
@@ -128,9 +132,11 @@ class SearchProgress(Listener):
             echo(self.console, f"go on: warpvox codesign {shell_argument('resume', folder)}{keys}")
 
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
-        self._generation, self._work = generation, {}
+        self._generation = generation
+        self._work = {}
         last = any(candidate.origin == FINALIST for candidate in waiting)
-        self._first, self._last = self._first if last == self._last else None, last
+        self._first = self._first if last == self._last else None
+        self._last = last
         if self._live is None:
             reused = f", {total - len(waiting)} known" if total > len(waiting) else ""
             echo(self.console, f"generation {generation}: {counted(len(waiting), 'designs')} to evaluate{reused}")
@@ -154,7 +160,8 @@ class SearchProgress(Listener):
     def told(self, generation: int, fresh: bool) -> None:
         if not fresh:
             return
-        row, count = self.archive.generations()[generation], sum(r.diverged for r in self.archive.records(generation))
+        row = self.archive.generations()[generation]
+        count = sum(r.diverged for r in self.archive.records(generation))
         text = f"generation {generation} done: {self._counts()}  best {row['best']:.3f}  mean {row['mean']:.3f}"
         if not self._last:  # finalists may be compared in another way than all before them
             text += f"  best so far {self.archive.best()[0].fitness:.3f}"
@@ -192,7 +199,8 @@ class SearchProgress(Listener):
         began, before = self._first
         if self.run.costs is None:
             return "-"
-        trained, cost = self.archive.trained(), self.run.costs[self._last]
+        trained = self.archive.trained()
+        cost = self.run.costs[self._last]
         if trained and not self._last:  # fewer than at most, where episodes end early
             cost = sum(row["steps"] or 0 for row in self.archive.generations()) / trained
         designs = self.run.total - trained - (0 if self._last else self.run.finalists)
@@ -210,12 +218,9 @@ class SearchProgress(Listener):
         best = max((value for value, _ in designs if math.isfinite(value)), default=math.nan)
         lost = sum(math.isnan(value) and not training for value, training in designs)
         diverged = f", {lost} diverged" if lost else ""
-        return f"{self._iteration()}, {going} in training{diverged}, best of them {figure(best)}"
-
-    def _iteration(self) -> str:
-        events = [training.event for training in self._work.values()]
-        done, total = (min(event[name] for event in events) for name in ("iteration", "iterations"))
-        return f"iteration {done}/{total}"
+        done = min(event["iteration"] for event in events)
+        total = min(event["iterations"] for event in events)
+        return f"iteration {done}/{total}, {going} in training{diverged}, best of them {figure(best)}"
 
     def _show(self) -> None:
         if self._live is None:

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, cast
 
 from warpvox.algos.find import find_run
+from warpvox.algos.listener import Listener
 from warpvox.algos.metrics import tagged
-from warpvox.algos.training import job as training
+from warpvox.algos.training.job import Job
 from warpvox.algos.training.playing import load_result
 from warpvox.errors import RunError
 from warpvox.io.reading import parse_yaml
@@ -18,18 +19,15 @@ from warpvox.runs import CONFIG
 from warpvox.view.render import write_gif
 from warpvox.view.rollout import record
 
-FILE, FILM = "wandb_id.txt", "film.gif"
-"""The former holds the id of the run there, for a run that is resumed."""
-NAMES = {"project": "PROJECT", "group": "RUN_GROUP", "name": "NAME", "tags": "TAGS", "dir": "DIR"}
-"""Arguments of ``wandb.init`` that the user may set by variables of the environment, whose names follow ``WANDB_``."""
-
 
 class Tracker:
     """A run in Weights & Biases; ``folder`` has its configuration, ``tags`` are those besides the task."""
 
     def __init__(self, folder: Path, *tags: str) -> None:
         self._wandb: Any = import_module("wandb")
-        self._folder, file = folder, folder / FILE
+        # The id of the run there, for a run that is resumed
+        self._folder = folder
+        file = folder / "wandb_id.txt"
         config: Any = parse_yaml((folder / CONFIG).read_text(encoding="utf-8"))
         options: dict[str, Any] = {
             "project": "warpvox",
@@ -38,7 +36,9 @@ class Tracker:
             "tags": [config["task"], *tags],
             "dir": str(folder),
         }
-        options = {key: value for key, value in options.items() if not os.environ.get(f"WANDB_{NAMES[key]}")}
+        # of the environment by which the user sets arguments of wandb.init, without WANDB_
+        variables = {"project": "PROJECT", "group": "RUN_GROUP", "name": "NAME", "tags": "TAGS", "dir": "DIR"}
+        options = {key: value for key, value in options.items() if not os.environ.get(f"WANDB_{variables[key]}")}
         known = file.read_text(encoding="utf-8") if file.is_file() else None
         self._run = self._wandb.init(config=config, id=known, resume="allow", **options)
         write_text(file, self._run.id)
@@ -58,21 +58,21 @@ class Tracker:
             if status == "done":
                 with suppress(RunError):  # an evaluator of the user's own may leave no policy
                     env, policy = load_result(find_run(str(self._folder), ""), settings)
-                    film = write_gif(record(env, policy), self._folder / FILM)
+                    film = write_gif(record(env, policy), self._folder / "film.gif")
                     self._run.log({"film": self._wandb.Video(str(film), format="gif")})
         finally:
             self._run.finish(exit_code=int(status == "failed"))
 
 
-class TrackedTraining(training.Listener):
+class TrackedTraining(Listener):
     """Sends a training: a row of its metrics each iteration, at the end the policy as a film."""
 
-    def begin(self, job: training.Job) -> None:
-        self._job = job
-        self._tracker = Tracker(cast(Path, job.folder), "train")
+    def begun(self, run: Job) -> None:
+        self._job = run
+        self._tracker = Tracker(cast(Path, run.folder), "train")
 
-    def __call__(self, row: Mapping[str, float]) -> None:
+    def iterated(self, row: Mapping[str, float]) -> None:
         self._tracker.log(tagged(row) | self._job.runner.logger.means, int(row["iteration"]))
 
-    def end(self, job: training.Job) -> None:
-        self._tracker.end(job.summary, job.settings)
+    def ended(self, summary: Mapping[str, Any]) -> None:
+        self._tracker.end(summary, self._job.settings)

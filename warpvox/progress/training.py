@@ -6,12 +6,14 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from warpvox.algos.listener import Listener
 from warpvox.algos.training.held_out import HeldOut
-from warpvox.algos.training.job import Job, Listener
+from warpvox.algos.training.job import Job
 from warpvox.code import words_of_code
 from warpvox.errors import counted
 from warpvox.io.console import echo
@@ -23,7 +25,7 @@ QUIET_SECONDS = 10.0
 
 
 def with_tracker(logger: str, listeners: Sequence[Listener]) -> list[Listener]:
-    """The listeners of a training, before them the one that ``logger`` names: films, made at the end, may fail."""
+    """The listeners of a training, before them the one that ``logger`` names."""
     if logger != "wandb":
         return list(listeners)
     from warpvox.progress.tracking import TrackedTraining
@@ -61,10 +63,13 @@ class Terminal(Listener):
     def preparing(self, what: str) -> AbstractContextManager[object]:
         return self.console.status(what)
 
-    def begin(self, job: Job) -> None:
-        echo(self.console, _announcement(job))
-        runner, self._figures = job.runner, Figures()
-        self._total, self._start = runner.schedule.total, runner.current_learning_iteration
+    def begun(self, run: Job) -> None:
+        echo(self.console, _announcement(run))
+        self._job = run
+        self._figures = Figures()
+        self._spent = run.runner.spent
+        self._total = run.runner.schedule.total
+        self._start = run.runner.current_learning_iteration
         self._began = self._printed = time.monotonic()
         if self.console.is_terminal:
             wide = self.console.width >= 110  # room for a bar
@@ -72,60 +77,67 @@ class Terminal(Listener):
                 TextColumn("{task.completed}/{task.total}"),
                 *([BarColumn(bar_width=16)] if wide else []),
                 TextColumn("{task.fields[figures]}"),
+                *([TextColumn("{task.fields[spent]}")] if self.console.width >= 150 else []),
                 *([TimeElapsedColumn()] if wide else []),
                 TextColumn("left"),
                 TimeRemainingColumn(),
                 console=self.console,
                 refresh_per_second=4,
             )
-            self._line = self._bar.add_task("", total=self._total, completed=self._start, figures="")
+            self._line = self._bar.add_task("", total=self._total, completed=self._start, figures="", spent="")
             self._bar.start()
 
-    def __call__(self, row: Mapping[str, float]) -> None:
-        figures, done = self._figures.text(row), row["iteration"]
+    def iterated(self, row: Mapping[str, float]) -> None:
+        figures = self._figures.text(row)
+        done = row["iteration"]
         if self._bar is not None:
-            self._bar.update(self._line, completed=done, figures=figures)
+            self._bar.update(self._line, completed=done, figures=figures, spent=str(self._spent))
             return
         now = time.monotonic()
         if math.isfinite(row["eval_return"]) or now - self._printed >= QUIET_SECONDS or done == self._total:
             self._printed = now
             left = duration((now - self._began) / max(done - self._start, 1) * (self._total - done))
-            echo(self.console, f"iteration {done}/{self._total}  {figures}  left {left}")
+            echo(self.console, f"iteration {done}/{self._total}  {figures}  left {left}  {self._spent}".rstrip())
 
-    def end(self, job: Job) -> None:
+    def ended(self, summary: Mapping[str, Any]) -> None:
         if self._bar is not None:
             self._bar.stop()
-        if job.summary:
-            echo(self.console, _conclusion(job, time.monotonic() - self._began))
+        if summary:
+            echo(self.console, _conclusion(self._job, time.monotonic() - self._began))
 
 
 class Notebook(Listener):
     """Shows the same in an element of a notebook that changes in place; it needs no widgets."""
 
-    def begin(self, job: Job) -> None:
+    def begun(self, run: Job) -> None:
         # what has started the notebook; no dependency of ours
         from IPython.display import HTML, display  # pyright: ignore[reportMissingImports]
 
-        self._html, self._figures, self._began = HTML, Figures(), time.monotonic()
-        self._total, self._said = job.runner.schedule.total, _announcement(job)
+        self._html = HTML
+        self._job = run
+        self._figures = Figures()
+        self._began = time.monotonic()
+        self._total = run.runner.schedule.total
+        self._said = _announcement(run)
         self._place = display(HTML(""), display_id=True)
-        self._show(job.runner.current_learning_iteration, "")
+        self._show(run.runner.current_learning_iteration, "")
 
-    def __call__(self, row: Mapping[str, float]) -> None:
+    def iterated(self, row: Mapping[str, float]) -> None:
         self._show(int(row["iteration"]), self._figures.text(row))
 
     def _show(self, done: int, line: str) -> None:
         bar = f"<progress value={done} max={self._total}></progress> {done}/{self._total} {html.escape(line)}"
         self._place.update(self._html(f"<pre>{html.escape(self._said)}</pre>{bar}"))
 
-    def end(self, job: Job) -> None:
-        if job.summary:
-            text = f"{self._said}\n{_conclusion(job, time.monotonic() - self._began)}"
+    def ended(self, summary: Mapping[str, Any]) -> None:
+        if summary:
+            text = f"{self._said}\n{_conclusion(self._job, time.monotonic() - self._began)}"
             self._place.update(self._html(f"<pre>{html.escape(text)}</pre>"))
 
 
 def _announcement(job: Job) -> str:
-    config, runner = job.written, job.runner
+    config = job.written
+    runner = job.runner
     done = runner.current_learning_iteration
     verb = f"resuming after iteration {done}" if done else "training"
     where = config.device if runner.group.size == 1 else f"{runner.group.size} processes, {config.device}"
@@ -145,13 +157,18 @@ def _announcement(job: Job) -> str:
 
 
 def _conclusion(job: Job, seconds: float) -> str:
-    runner, folder, status, best = job.runner, job.folder, job.summary["status"], job.summary["best_return"]
+    runner = job.runner
+    folder = job.folder
+    status = job.summary["status"]
+    best = job.summary["best_return"]
     words = f"{status}, state saved" if status == "interrupted" else status
     if status != "done" and (folder is None or runner.saved_iteration != runner.current_learning_iteration):
         words = status if folder is None else f"{status}, the state of iteration {runner.saved_iteration} is kept,"
     text = f"{words} after {runner.steps:,} control steps in {seconds:.0f} s"
     if best is not None:
         text += f"; best evaluation {best:.2f} (iteration {runner.best_iteration})"
+    if str(runner.spent):
+        text += f"\nwhere time went: {runner.spent}"
     if folder is None:
         return text
     keys = words_of_code(job.settings)

@@ -90,7 +90,7 @@ def camera_path(scene: Scene, positions: np.ndarray, view: tuple[float, float]) 
     return np.where(least <= most, np.clip(corner, least, most), centre - size / 2)
 
 
-def fitting_scale(scene: Scene, size: tuple[int, int], voxels: float | None = None) -> int:
+def _fitting_scale(scene: Scene, size: tuple[int, int], voxels: float | None = None) -> int:
     """Pixels to a voxel: ``voxels`` from bottom to top, or (None) as many as suit the robots as they begin."""
     if voxels is None:
         # Twelve, or as many as leave the robot less than half of the picture
@@ -146,7 +146,9 @@ class Canvas:
     """
 
     def __init__(self, scene: Scene, size: tuple[int, int], scale: int) -> None:
-        self.scene, self.size, self.scale = scene, size, scale
+        self.scene = scene
+        self.size = size
+        self.scale = scale
         self._meshes = [Mesh.of(scene, number) for number in range(len(scene.moving))]
         self._colours = [tuple(colour) for colour in palette().tolist()]
         self._low = self._high = np.zeros(2, int)
@@ -212,7 +214,8 @@ class Canvas:
         """Paint once what cameras with corners from ``low`` to ``high`` (pixels, ``[2]`` each) will see."""
         low = np.asarray(low) // self.scale
         high = -(-(np.asarray(high) + self.size) // self.scale)
-        self._low, self._high = low, high
+        self._low = low
+        self._high = high
         self._sprite = self._terrain()
         return self._sprite
 
@@ -264,7 +267,9 @@ class Canvas:
 
         # The surface of the terrain: a dark rim on cells that have none beside them
         rim = max(1, round(scale / 15))
-        near, far, whole = slice(0, rim), slice(scale - rim, scale), slice(0, scale)
+        near = slice(0, rim)
+        far = slice(scale - rim, scale)
+        whole = slice(0, scale)
         padded = np.pad(solid, 1, mode="edge")
         tiles = pixels.reshape(len(rows), scale, len(columns), scale, 3).swapaxes(1, 2)  # a view, cell by cell
         for neighbour, tile_rows, tile_columns in (
@@ -297,9 +302,10 @@ class Painter:
     """
 
     def __init__(self, rollout: Rollout, env: int, size: tuple[int, int], voxels: float | None = None) -> None:
-        self.rollout, self.env = rollout, env
+        self.rollout = rollout
+        self.env = env
         scene = rollout.scene(env)
-        scale = fitting_scale(scene, size, voxels)
+        scale = _fitting_scale(scene, size, voxels)
         self._canvas = Canvas(scene, size, scale)
         view = (size[0] / scale, size[1] / scale)
         self.camera = np.rint(camera_path(scene, rollout.positions[:, env], view) * scale).astype(int)
@@ -346,9 +352,10 @@ class LiveView:
     """
 
     def __init__(self, sim: Any, size: tuple[int, int] = (640, 360)) -> None:
-        self.size, self.worlds = check_size(size), sim.world_numbers
+        self.size = check_size(size)
+        self.worlds = sim.world_numbers
         scenes, self._positions = scenes_of(sim)
-        canvases = [Canvas(scene, self.size, fitting_scale(scene, self.size)) for scene in scenes]
+        canvases = [Canvas(scene, self.size, _fitting_scale(scene, self.size)) for scene in scenes]
         self._canvases = [canvases[design] for design in sim.design_index.tolist()]
 
     def pictures(self, envs: Sequence[int] | None = None) -> list[np.ndarray]:
@@ -356,7 +363,8 @@ class LiveView:
         positions = self._positions().cpu().numpy()
         pictures = []
         for env in range(len(positions)) if envs is None else envs:
-            canvas, points = self._canvases[env], positions[env]
+            canvas = self._canvases[env]
+            points = positions[env]
             view = (self.size[0] / canvas.scale, self.size[1] / canvas.scale)
             corner = np.rint(camera_path(canvas.scene, points[None], view)[0] * canvas.scale).astype(int)
             pictures.append(np.array(canvas.picture(points, corner)))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from importlib.util import find_spec
+from io import BytesIO
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -18,7 +20,6 @@ from warpvox.errors import RolloutError
 from warpvox.io.text import escaped
 from warpvox.io.writing import atomic_path, check_suffix
 from warpvox.types import FRAME_SECONDS, VOXEL
-from warpvox.view.gif import write_pictures
 from warpvox.view.painter import INK, PNG_SUFFIXES, Painter, check_size, font, save_png
 from warpvox.view.rollout import Rollout
 
@@ -213,14 +214,13 @@ def write_filmstrip(
 
     # The robot fills a good part of a picture, and what it stands on shows.
     tall = float(np.ptp(rollout.positions[0, env, rollout.scene(env).robot_points, 1])) / VOXEL
-    painter = Painter(rollout, env, (each, height), voxels or max(6.5, 2.1 * tall))
+    film = Film(rollout, env, (max(each, 16), height), hud=False, voxels=voxels or max(6.5, 2.1 * tall))
 
     strip = Image.new("RGB", (width, height), "white")
     letters = font(max(9, height // 14))
-    for number, frame in enumerate(chosen):
-        tile = painter.frame(frame)
+    for number, tile in enumerate(film.frames(chosen)):
         at = (each - height // 24, height // 24)
-        ImageDraw.Draw(tile).text(at, f"{frame * FRAME_SECONDS:.1f} s", INK, letters, "rt")
+        ImageDraw.Draw(tile).text(at, f"{chosen[number] * FRAME_SECONDS:.1f} s", INK, letters, "rt")
         strip.paste(tile, (number * (each + MARGIN), 0))
     return save_png(strip, path)
 
@@ -280,6 +280,42 @@ def write_gif(
     with atomic_path(path, follow=True) as temporary, open(temporary, "wb") as file:
         write_pictures(file, pictures(), pause)
     return Path(path)
+
+
+def write_pictures(file: BinaryIO, pictures: Iterable[Image.Image], pause: int, part_bytes: int = 1 << 24) -> None:
+    """Write a GIF that loops, as its pictures are made.
+
+    Pillow keeps all pictures of an animation until the last is there. Here it encodes some at a time; a GIF is a header
+    with one palette and a row of blocks, so that the blocks of each part follow those of the part before.
+
+    Args:
+        pictures: one or more of mode P, of one size and with one palette.
+        pause: milliseconds from one to the next.
+        part_bytes: bytes of the pictures that are encoded together.
+    """
+    pictures = iter(pictures)
+    loops = True
+    for first in pictures:
+        # Pillow makes one of equal pictures that follow each other, which can stay for 655 seconds.
+        count = max(1, min(part_bytes // (first.width * first.height), 655_350 // pause))
+        part = [first, *islice(pictures, count - 1)]
+
+        # The pictures as a GIF of their own
+        buffer = BytesIO()
+        options = {"loop": 0} if loops else {}
+        options |= dict(save_all=True, append_images=part[1:], duration=pause, optimize=False, disposal=1)
+        first.save(buffer, "GIF", **options)
+        data = buffer.getvalue()
+
+        # Its header is 13 bytes, then the palette if there is one; only the first part keeps it.
+        end = 13
+        packed = data[10]
+        if packed & 0x80:
+            end += 3 << ((packed & 7) + 1)
+        # The last byte would end the file.
+        file.write(data[:-1] if loops else data[end:-1])
+        loops = False
+    file.write(b";")
 
 
 def write_mp4(

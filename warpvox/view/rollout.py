@@ -28,14 +28,14 @@ from warpvox.io.writing import atomic_path, check_suffix
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW, ACTION_SCALE, FRAME_SECONDS, VOXEL
 from warpvox.view.scene import Scene, check_scene, scene_from_json, scene_of, scene_to_json, stretch
 
-FORMAT, VERSION = "warpvox-rollout", 1
+_FORMAT, _VERSION = "warpvox-rollout", 1
 LARGEST = 1 << 32
 """Bytes that the arrays of a file may have together (4 GiB)."""
 LARGEST_HEADER = 1 << 26
 """Bytes of a file's header (64 MiB)."""
 AGENTS = ("zero", "random", "sine")
 """Agents that need no training: all actuators at rest, uniformly random actions, a steady gait."""
-ARRAYS = {
+_ARRAYS = {
     "positions": np.float32,
     "design_index": np.int32,
     "actions": np.float32,
@@ -63,7 +63,7 @@ class Rollout:
     metadata: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, dtype in ARRAYS.items():
+        for name, dtype in _ARRAYS.items():
             setattr(self, name, np.ascontiguousarray(getattr(self, name), dtype=dtype))
         self.scenes = tuple(self.scenes)
         _check_shapes(self)
@@ -71,7 +71,8 @@ class Rollout:
             check_scene(scene, number, self.positions.shape[2])
 
     def __repr__(self) -> str:
-        low, high = self.returns[-1].min(), self.returns[-1].max()
+        low = self.returns[-1].min()
+        high = self.returns[-1].max()
         size = f"{counted(self.num_envs, 'environments')}, {counted(self.num_steps, 'steps')}"
         return f"Rollout({self.title}, {size}, returns {low:.3f} to {high:.3f})"
 
@@ -128,7 +129,7 @@ class Rollout:
     def best_first(self) -> Rollout:
         """The environments in the order of their returns, the highest first; each keeps its name (:attr:`names`)."""
         order = np.argsort(-self.returns[-1], kind="stable")
-        arrays = {name: getattr(self, name).take(order, axis=int(name != "design_index")) for name in ARRAYS}
+        arrays = {name: getattr(self, name).take(order, axis=int(name != "design_index")) for name in _ARRAYS}
         names = [self.names[env] for env in order]
         return Rollout(scenes=self.scenes, metadata=self.metadata | {"names": names}, **arrays)
 
@@ -180,8 +181,8 @@ class Rollout:
         """
         check_suffix("The file of a rollout", path, (".npz",), RolloutError)
         header = {
-            "format": FORMAT,
-            "version": VERSION,
+            "format": _FORMAT,
+            "version": _VERSION,
             "units": {"voxel": VOXEL, "dt": FRAME_SECONDS},
             "metadata": self.metadata,
             "scenes": [scene_to_json(scene) for scene in self.scenes],
@@ -191,7 +192,7 @@ class Rollout:
             parse_json(text.decode())  # the names 1 and "1" would be one
         except (TypeError, ValueError, RecursionError) as error:
             raise RolloutError(f"The rollout's metadata must consist of JSON values: {error}.") from None
-        arrays = {name: getattr(self, name) for name in ARRAYS}
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
         total = len(text) + sum(array.nbytes for array in arrays.values())
         for what, size, limit in (("header", len(text), LARGEST_HEADER), ("arrays", total, LARGEST)):
             if size > limit - 4096:  # shapes and types of arrays need room, too
@@ -243,7 +244,8 @@ def record(
         act = act.in_float64()
     scenes, gather = scenes_of(env.sim)
     limit = env.max_episode_steps if num_steps is None else min(int(num_steps), env.max_episode_steps)
-    resets_itself, env.auto_reset = env.auto_reset, False
+    resets_itself = env.auto_reset
+    env.auto_reset = False
     try:
         if hasattr(act, "reset"):  # it remembers episodes
             act.reset()
@@ -327,7 +329,8 @@ def agent_of(name: str, env: Any) -> Callable[[Any], Any]:
     if name == "random":
         return lambda obs: ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * draw()
     # One second a cycle, each actuator with a phase of its own: enough for most bodies to get somewhere.
-    phase, steps = 2 * torch.pi * draw(), count()
+    phase = 2 * torch.pi * draw()
+    steps = count()
     return lambda obs: ACTION_CENTER + ACTION_SCALE * torch.sin(2 * torch.pi * FRAME_SECONDS * next(steps) + phase)
 
 
@@ -371,21 +374,23 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             if text.dtype != np.uint8:
                 raise RolloutError(f"{path} is damaged: its header is {text.dtype}, expected uint8.")
             header = parse_json(text.tobytes().decode())
-            if not isinstance(header, dict) or header.get("format") != FORMAT:
-                raise RolloutError(f"{path} is no rollout: its header is not one of {FORMAT}.")
+            if not isinstance(header, dict) or header.get("format") != _FORMAT:
+                raise RolloutError(f"{path} is no rollout: its header is not one of {_FORMAT}.")
             version = header.get("version")
             if not isinstance(version, int) or version < 1:
                 raise RolloutError(f"{path} is damaged: version {version!r} does not exist.")
-            if version > VERSION:
-                raise RolloutError(f"{path} has version {version}; this warpvox reads up to {VERSION}. Update warpvox.")
-            arrays = {name: archive.read(name) for name in ARRAYS}
+            if version > _VERSION:
+                raise RolloutError(
+                    f"{path} has version {version}; this warpvox reads up to {_VERSION}. Update warpvox."
+                )
+            arrays = {name: archive.read(name) for name in _ARRAYS}
     except Missing:
         raise RolloutError(f"There is no rollout at {path}: no such file.") from None
     except UnicodeDecodeError:
         raise RolloutError(f"{path} is damaged: its header is no text.") from None
     except Unreadable as error:
         raise RolloutError(f"{path} is truncated, damaged or no rollout that warpvox has written: {error}.") from None
-    for name, dtype in ARRAYS.items():
+    for name, dtype in _ARRAYS.items():
         if arrays[name].dtype != dtype:
             raise RolloutError(f"{path} is damaged: {name} is {arrays[name].dtype}, expected {np.dtype(dtype)}.")
     return header, arrays
@@ -395,7 +400,8 @@ def _check_shapes(rollout: Rollout) -> None:
     shape = rollout.positions.shape
     if len(shape) != 4 or shape[0] < 1 or shape[1] < 1 or shape[3] != 2:
         raise RolloutError(f"positions must be [frames, envs, points, 2] with a frame or more, got {list(shape)}.")
-    steps, envs = shape[0] - 1, shape[1]
+    steps = shape[0] - 1
+    envs = shape[1]
     expected = dict.fromkeys(("rewards", "terminated", "truncated"), (steps, envs))
     expected |= {"design_index": (envs,), "actions": (steps, envs, *rollout.actions.shape[-1:])}
     for name, want in expected.items():
@@ -407,6 +413,7 @@ def _check_shapes(rollout: Rollout) -> None:
     for name in ("positions", "actions", "rewards"):
         if not np.isfinite(getattr(rollout, name)).all():
             raise RolloutError(f"{name} must be finite numbers.")
-    index, count = rollout.design_index, len(rollout.scenes)
+    index = rollout.design_index
+    count = len(rollout.scenes)
     if index.min() < 0 or index.max() >= count:
         raise RolloutError(f"design_index must lie in 0 to {count - 1}, got {index.min()} to {index.max()}.")

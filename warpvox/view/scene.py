@@ -152,22 +152,26 @@ def scene_to_json(scene: Scene) -> dict[str, Any]:
 
 def scene_from_json(scene: Mapping[str, Any]) -> Scene:
     """The scene of :func:`scene_to_json`. KeyError, TypeError, ValueError, OverflowError: it is not one."""
-    objects = tuple(
-        SceneObject(
-            name=_text(obj["name"]),
-            grid=as_grid(obj["grid"], what=f"grid of {obj['name']!r:.80}", error=ValueError),
-            corners=_corners(obj["corners"]),
-            **{name: _whole(obj[name]) for name in ("x", "y", "first_point", "num_points")},
+    objects = []
+    for obj in scene["objects"]:
+        name = obj["name"]
+        if not isinstance(name, str) or not name:
+            raise TypeError(f"expected a name, got {name!r:.80}")
+        rows = obj["corners"]
+        if not all(len(row) == 4 and all(type(number) is int for number in row) for row in rows):
+            raise TypeError("expected four points a cell")
+        objects.append(
+            SceneObject(
+                name=name,
+                grid=as_grid(obj["grid"], what=f"grid of {name!r:.80}", error=ValueError),
+                x=_whole(obj["x"]),
+                y=_whole(obj["y"]),
+                first_point=_whole(obj["first_point"]),
+                num_points=_whole(obj["num_points"]),
+                corners=np.array(rows, np.int32).reshape(-1, 4),
+            )
         )
-        for obj in scene["objects"]
-    )
-    return Scene(_whole(scene["width"]), _whole(scene["height"]), objects)
-
-
-def _text(value: object) -> str:
-    if not isinstance(value, str) or not value:
-        raise TypeError(f"expected a name, got {value!r:.80}")
-    return value
+    return Scene(_whole(scene["width"]), _whole(scene["height"]), tuple(objects))
 
 
 def _whole(value: object) -> int:
@@ -175,12 +179,6 @@ def _whole(value: object) -> int:
     if type(value) is not int or not 0 <= value < 2**31:
         raise TypeError(f"expected an integer from 0 on, got {value!r:.80}")
     return value
-
-
-def _corners(rows: list[list[int]]) -> np.ndarray:
-    if not all(len(row) == 4 and all(type(n) is int for n in row) for row in rows):
-        raise TypeError("expected four points a cell")
-    return np.array(rows, np.int32).reshape(-1, 4)
 
 
 def check_scene(scene: Scene, number: int, points: int) -> None:
@@ -200,7 +198,8 @@ def check_scene(scene: Scene, number: int, points: int) -> None:
             raise RolloutError(f"{what} sticks out of its world.")
         if obj.is_static:
             continue
-        first, end = obj.first_point, obj.first_point + obj.num_points
+        first = obj.first_point
+        end = obj.first_point + obj.num_points
         if first < 0 or obj.num_points < 0 or end > points:
             raise RolloutError(f"{what} has points {first} to {end - 1}, but there are {points}.")
         if obj.corners.shape != (len(obj.cells), 4) or obj.corners.min() < first or obj.corners.max() >= end:

@@ -23,9 +23,9 @@ from warpvox.types import ACTUATORS, FRAME_SECONDS, MATERIALS, VOXEL, Cell
 from warpvox.view.painter import camera_path
 from warpvox.view.rollout import Rollout
 
-APERTURE = (20.955, 11.787)
+_APERTURE = (20.955, 11.787)
 """Width and height of the cameras' film, mm: 35 mm film cut to 16:9."""
-FOCAL = 50.0
+_FOCAL = 50.0
 """Focal length of the cameras, mm."""
 
 
@@ -45,7 +45,20 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
     check_integer("stride", stride, 1, error=RolloutError)
     chosen = list(dict.fromkeys(rollout.check_envs(envs)))
     frames = list(range(0, rollout.num_frames, stride))
-    _check_fits(rollout, chosen, len(frames), stride)
+
+    # The stage is built in memory. At the peak, samples and what they are made from take 26 bytes a point and 10 a cell
+    # in each frame.
+    cells = sum(len(rollout.scene(env).cells) for env in chosen)
+    points = sum(rollout.scene(env).num_points for env in chosen)
+    needed = len(frames) * (26 * points + 10 * cells)
+    free = free_memory("cpu")
+    share = 0.9
+    if free is not None and needed > share * free:
+        least = math.ceil(stride * needed / int(share * free))
+        raise RolloutError(
+            f"A USD stage of {len(frames):,} frames needs about {needed / 2**30:.3g} GiB, and {free / 2**30:.3g} GiB"
+            f" are free; write every {least}th frame (every={least}) or fewer environments."
+        )
 
     # The stage and what it says of the rollout
     stage = Usd.Stage.CreateInMemory(f"rollout{suffix}")
@@ -64,9 +77,11 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
             world.GetPrim().SetCustomDataByKey(f"warpvox:{name}", value)
     world.GetPrim().SetCustomDataByKey("warpvox:meanReturn", float(rollout.returns[-1, chosen].mean()))
 
-    # Environments
+    # Environments, in rows of eight, ten voxels between the largest of them
     materials = _define_materials(stage)
-    places = _places(rollout, chosen)
+    step = _sizes(rollout, chosen).max(axis=0) + 10 * VOXEL
+    row, column = np.divmod(np.arange(len(chosen)), 8)
+    places = np.stack([column, -row], axis=1) * step  # [envs, 2]
     for env, place in zip(chosen, places, strict=True):
         # Values go straight to the layer: recomposing the stage after each of 64,000 would take minutes.
         _define_env(stage, rollout, env, place, materials)
@@ -94,26 +109,11 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
             written = layer.Export(str(temporary))
             reason = "no reason is given"
         except Tf.ErrorException as error:
-            written, reason = False, str(error).rpartition("file: ")[2].split("'")[0]
+            written = False
+            reason = str(error).rpartition("file: ")[2].split("'")[0]
         if not written:
             raise RolloutError(f"{path} cannot be written; is its disk full? USD says: {reason}.")
     return Path(path)
-
-
-def _check_fits(rollout: Rollout, envs: list[int], frames: int, stride: int) -> None:
-    """Raise RolloutError if the stage, which USD builds in memory, is larger than what is free."""
-    cells = sum(len(rollout.scene(env).cells) for env in envs)
-    points = sum(rollout.scene(env).num_points for env in envs)
-    # At the peak, samples and what they are made from take 26 bytes a point and 10 a cell in each frame.
-    needed = frames * (26 * points + 10 * cells)
-    free = free_memory("cpu")
-    share = 0.9
-    if free is not None and needed > share * free:
-        least = math.ceil(stride * needed / int(share * free))
-        raise RolloutError(
-            f"A USD stage of {frames:,} frames needs about {needed / 2**30:.3g} GiB, and {free / 2**30:.3g} GiB are"
-            f" free; write every {least}th frame (every={least}) or fewer environments."
-        )
 
 
 def _define_materials(stage: Any) -> dict[Cell, Any]:
@@ -154,13 +154,6 @@ def _linear(colour: np.ndarray) -> np.ndarray:
 def _sizes(rollout: Rollout, envs: list[int]) -> np.ndarray:
     """Width and height of the environments' worlds, float64 ``[envs, 2]``."""
     return np.array([[rollout.scene(env).width, rollout.scene(env).height] for env in envs]) * VOXEL
-
-
-def _places(rollout: Rollout, envs: list[int]) -> np.ndarray:
-    """Places of the environments, float64 ``[envs, 2]``: in rows of eight, ten voxels between the largest of them."""
-    step = _sizes(rollout, envs).max(axis=0) + 10 * VOXEL
-    row, column = np.divmod(np.arange(len(envs)), 8)
-    return np.stack([column, -row], axis=1) * step
 
 
 def _define_env(stage: Any, rollout: Rollout, env: int, place: np.ndarray, materials: dict[Cell, Any]) -> None:
@@ -240,17 +233,17 @@ def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.nd
     """One camera that follows the first environment's robot, one that sees everything."""
     # The one that follows sees 14 voxels from bottom to top.
     height = 14 * VOXEL
-    view = np.array([height * APERTURE[0] / APERTURE[1], height])
+    view = np.array([height * _APERTURE[0] / _APERTURE[1], height])
     corner = camera_path(rollout.scene(envs[0]), rollout.positions[:, envs[0]], tuple((view / VOXEL).tolist())) * VOXEL
     follow = _define_camera(stage, "/World/camera")
-    distance = height * FOCAL / APERTURE[1]
+    distance = height * _FOCAL / _APERTURE[1]
     for frame in frames:
         x, y = (corner[frame] + view / 2 + places[0]).tolist()
         follow.Set(Gf.Vec3d(x, y, distance), float(frame))
 
     low = places.min(axis=0)
     high = (places + _sizes(rollout, envs)).max(axis=0)
-    away = 1.1 * max((high[0] - low[0]) / APERTURE[0], (high[1] - low[1]) / APERTURE[1]) * FOCAL
+    away = 1.1 * max((high[0] - low[0]) / _APERTURE[0], (high[1] - low[1]) / _APERTURE[1]) * _FOCAL
     middle = ((low + high) / 2).tolist()
     _define_camera(stage, "/World/overview").Set(Gf.Vec3d(*middle, away))
 
@@ -258,9 +251,9 @@ def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.nd
 def _define_camera(stage: Any, path: str) -> Any:
     """A camera that looks along -Z; its translation."""
     camera = UsdGeom.Camera.Define(stage, path)
-    camera.CreateHorizontalApertureAttr(APERTURE[0])
-    camera.CreateVerticalApertureAttr(APERTURE[1])
-    camera.CreateFocalLengthAttr(FOCAL)
+    camera.CreateHorizontalApertureAttr(_APERTURE[0])
+    camera.CreateVerticalApertureAttr(_APERTURE[1])
+    camera.CreateFocalLengthAttr(_FOCAL)
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.1, 10000.0))
     return camera.AddTranslateOp()
 

@@ -55,7 +55,8 @@ class Window:
         reason = why_no_window()
         if reason is not None:
             raise DisplayError(f"Cannot open a window: {reason}. {OTHERWISE}")
-        self.closed, self._root = False, None
+        self.closed = False
+        self._root = None
         if not wanted():
             return
         import tkinter

@@ -38,7 +38,8 @@ class Custom(Evaluation):
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
         """ConfigError: no such file, module or name, settings that it does not take, or it makes no evaluator."""
-        function, settings = load_code(cast(str, self.make)), self.settings or {}
+        function = load_code(cast(str, self.make))
+        settings = self.settings or {}
         try:
             inspect.signature(function).bind(search, **settings)
         except TypeError as error:

@@ -10,20 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.evaluations.specialist import Specialist
-from warpvox.algos.codesign.evaluations.workload import Workload, steps_of_training
-from warpvox.algos.codesign.settings import Codesign, register_evaluation
+from warpvox.algos.codesign.settings import Codesign, Workload, register_evaluation
 from warpvox.algos.protocols import ROBUST
 from warpvox.errors import ConfigError
 from warpvox.keys import key
-from warpvox.robots.gait import Gait as RobotGait
 
 if TYPE_CHECKING:
     from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome
+    from warpvox.algos.robots.entry import Robot
     from warpvox.envs.spec import TaskSpec
-    from warpvox.robots.entry import Robot
-
-COPIES = 4
-"""Episodes of a gait where they differ: in tasks that draw at random, and with noise on the actions."""
 
 
 @register_evaluation
@@ -66,13 +61,14 @@ class Gaits(Specialist):
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
         """The gaits of robots that have one, by the bytes of their bodies."""
         from warpvox.algos.codesign.gaits import Gait
-        from warpvox.robots.replay import by_cell
 
-        return {
-            robot.body.tobytes(): Gait(robot.policy.begin, robot.policy.period, **by_cell(robot.policy, robot.body))
-            for robot in start
-            if isinstance(robot.policy, RobotGait)
-        }
+        found = {}
+        for robot in start:
+            if not robot.has_feedback:
+                state = robot.own_policy.actor.state_dict()
+                arrays = {field.name: state[field.name].numpy() for field in dataclasses.fields(Gait)}
+                found[robot.body.tobytes()] = Gait(**arrays)
+        return found
 
     def inherits(self, search: Codesign) -> bool:
         return True
@@ -81,7 +77,7 @@ class Gaits(Specialist):
         steps = self._episodes(search) * task.max_episode_steps
         first = self.passes * self.beam + self.rounds * self.gaits
         last = self.final_passes * self.final_beam + self.final_rounds * self._final_gaits
-        return first * steps, self.finalists * (last * steps + steps_of_training(search.training, self.finalists))
+        return first * steps, self.finalists * (last * steps + search.training.steps_of_design(self.finalists))
 
     def workloads(self, search: Codesign) -> list[Workload]:
         first = {"evaluation.gaits": self.gaits, "evaluation.beam": self.beam if self.passes else 1}
@@ -97,7 +93,8 @@ class Gaits(Specialist):
     def _episodes(self, search: Codesign) -> int:
         from warpvox.envs.registry import get_task
 
-        return self.episodes or (COPIES if search.fitness == ROBUST or get_task(search.task).is_random else 1)
+        # Where they differ, four episodes: in tasks that draw at random, and with noise on the actions.
+        return self.episodes or (4 if search.fitness == ROBUST or get_task(search.task).is_random else 1)
 
     def _final_episodes(self, search: Codesign) -> int:
         return search.training.eval_envs or self._episodes(search)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from warpvox.algos.codesign.evaluations.workload import Workload, steps_of_training
-from warpvox.algos.codesign.settings import Codesign, Evaluation, register_evaluation
+from warpvox.algos.codesign.settings import Codesign, Evaluation, Workload, register_evaluation
 from warpvox.algos.protocols import episodes_of
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -24,7 +23,7 @@ class Specialist(Evaluation):
     name: str = key("specialist", "each design has a policy of its own", choices=("specialist",))
 
     def check(self, search: Codesign) -> None:
-        from warpvox.algos.training.ppo import rsl_rl_config
+        from warpvox.algos.ppo.stock import rsl_rl_config
 
         training = search.training
         training.ppo.check(training.envs, "training.ppo")
@@ -38,7 +37,7 @@ class Specialist(Evaluation):
         return search.training.inherit
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float]:
-        return steps_of_training(search.training, search.search.population), 0
+        return search.training.steps_of_design(search.search.population), 0
 
     def workloads(self, search: Codesign) -> list[Workload]:
         """The batch of the trainings of a generation, or of the finalists where they alone have some."""

@@ -11,7 +11,7 @@ import yaml
 import warpvox as wv
 from lab.zoo import add as script
 from lab.zoo.add import add, command_of, is_better, measured
-from warpvox.robots import Robot, read_robot, save_robot
+from warpvox.algos.robots import Robot, read_robot, save_robot
 
 SMALL = {"device": "cpu", "threads": 1, "logger": "none", "progress": False}
 PPO = {"steps": 4, "hidden": [8], "epochs": 1}

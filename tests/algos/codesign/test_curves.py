@@ -11,7 +11,6 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from warpvox.algos.archive import FILE, Archive, Finished
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome, best_so_far
-from warpvox.algos.codesign.finalists import TwoStages
 from warpvox.algos.codesign.results import Found
 from warpvox.algos.codesign.settings import EVALUATIONS, Codesign
 from warpvox.algos.report import report_page
@@ -91,37 +90,8 @@ def test_where_both_have_policies_of_their_own_the_better_design_is_the_best(tmp
         assert archive.best()[0].candidate.origin == FINALIST
 
 
-class Given:
-    """An evaluator whose outcomes are known."""
-
-    def __init__(self, *curve: tuple[int, float]) -> None:
-        self.curve = list(curve)
-
-    def evaluate(self, candidates: Any, *_: Any) -> list[Outcome]:
-        return [Outcome(max(value for _, value in self.curve), self.curve, self.curve[-1][0]) for _ in candidates]
-
-
-@pytest.mark.parametrize("trained", [[(10, 0.0), (20, 5.0), (30, 1.0)], [(10, 0.0), (20, 9.0), (30, 1.0)]])
-def test_a_training_after_gaits_goes_on_with_their_curve(trained: list[tuple[int, float]]) -> None:
-    evaluator = TwoStages(Given((1, 0.0)), Given((100, 2.0), (200, 7.2)), Given(*trained))
-    (outcome,) = evaluator.evaluate([Candidate(0, np.array([[3]]), origin=FINALIST)], {})
-    steps, values = zip(*outcome.curve, strict=True)
-    assert steps == (100, 200, 210, 220, 230)
-    assert list(values) == sorted(values)
-    assert values[-1] == outcome.fitness == max(7.2, trained[1][1])
-
-
 @given(st.lists(st.tuples(st.integers(0, 1000), st.floats(-10, 10))))
 def test_the_best_so_far_of_a_curve(curve: list[tuple[int, float]]) -> None:
     found = best_so_far(curve)
     assert [steps for steps, _ in found] == [steps for steps, _ in curve]
     assert [value for _, value in found] == list(itertools.accumulate((value for _, value in curve), max))
-
-
-def test_what_a_user_asked_for_is_what_is_counted(tmp_path: Path) -> None:
-    with search_in(tmp_path, "gaits", [1.0] * 6, [2.0, 1.5]) as archive:
-        page = report_page(archive, {}, tmp_path)
-    assert "6, and 2 finalists" in page
-    assert "6 designs and 2 finalists" in repr(
-        Found(tmp_path, Codesign(), {"evaluations": 8, "finalists": 2, "best_fitness": 2.0})
-    )

@@ -19,7 +19,7 @@ from warpvox.algos.codesign.gaits import LONGEST, SHORTEST, Gait, draw_gait, mut
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.policies.gait import gait_outputs
-from warpvox.robots import Gait as RobotGait
+from warpvox.algos.robots import gait_policy
 from warpvox.types import Cell
 
 pytestmark = pytest.mark.usefixtures("narrow_packs")
@@ -170,7 +170,7 @@ def test_the_value_of_a_gait_is_the_return_of_its_episode(task: str, dtype: str,
     for candidate, outcome in zip(found, outcomes, strict=True):
         env = where.make([candidate.body], episodes, [0], auto_reset=False)
         gait = policy_gait(outcome.policy)
-        policy = RobotGait(gait.begin, gait.period, **by_cell_order(gait, candidate.body))
+        policy = gait_policy(candidate.body, gait.begin, gait.period, **by_cell_order(gait, candidate.body))
         time = itertools.count()
 
         def act(obs: torch.Tensor, policy=policy, time=time) -> torch.Tensor:

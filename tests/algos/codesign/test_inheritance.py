@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from population_cases import factory, small
+from refusals import refused
 
 from warpvox.algos.candidate import Candidate, Parent
 from warpvox.algos.codesign.inheritance import BodyLayout
@@ -143,10 +144,10 @@ def test_of_several_parents_the_fittest_is_taken() -> None:
 def test_another_architecture_is_one_clear_error() -> None:
     parent = parent_of(PARENT)
     policy = {name: value for name, value in parent.policy.items() if name != "mlp.2.bias"}
-    with pytest.raises(RunError, match=r"another architecture: mlp\.2\.bias is nothing"):
+    with refused(RunError, "mlp.2.bias is nothing"):
         child_of(Parent(PARENT, policy, 0.0), GROWN)
     policy = parent.policy | {"mlp.0.bias": torch.zeros(5)}
-    with pytest.raises(RunError, match=r"mlp\.0\.bias is \[5\], expected \[32\]"):
+    with refused(RunError, "mlp.0.bias is [5], expected [32]"):
         child_of(Parent(PARENT, policy, 0.0), GROWN)
 
 

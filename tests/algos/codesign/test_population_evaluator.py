@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 import torch
-from one_by_one import outcomes_one_by_one
 from population_cases import candidates, factory, small, training_preset
 
 from warpvox.algos.candidate import Candidate, Outcome
-from warpvox.algos.checkpoints.files import Controller, PolicySpec, build_actor
+from warpvox.algos.checkpoints.files import PolicySpec
+from warpvox.algos.checkpoints.policy import Policy
 from warpvox.algos.codesign.population_evaluator import PopulationEvaluator
 from warpvox.algos.evaluate import evaluate
 from warpvox.keys import MISSING
@@ -54,20 +54,8 @@ def test_fitness_is_the_best_of_the_evaluations_and_the_policy_earns_it(task: st
         for count in (1, 4):  # beside others, too: networks are evaluated in float64
             env = factory(task).make([candidate.body], count, [0], auto_reset=False)
             spec = PolicySpec(env.num_obs, env.num_actions, how.ppo.hidden, how.ppo.activation, True, 0.5)
-            actor = build_actor(spec)
-            actor.load_state_dict(outcome.policy)
-            again = evaluate(env, Controller(actor.eval(), spec), seed=5)
+            again = evaluate(env, Policy(spec, outcome.policy).double(), seed=5)
             assert float(again.returns[0]) == outcome.fitness
-
-
-@DOUBLE
-@pytest.mark.parametrize("preset", ["paper", "fast"])
-def test_the_batch_equals_trainings_one_by_one(preset: str) -> None:
-    found, how = candidates(3), small(preset)
-    batched = PopulationEvaluator(factory(dtype="float64"), how, 7).evaluate(found, {})
-    separate = outcomes_one_by_one(factory(dtype="float64"), how, 7, found)
-    for ours, theirs in zip(batched, separate, strict=True):
-        assert_close(ours, theirs)
 
 
 @pytest.mark.parametrize(("name", "samples"), [("paper", 512), ("paper_wide", 512), ("fast", 2048), ("gpu", 8192)])

@@ -12,14 +12,14 @@ from learning import ENVS, ppo_settings, small_env
 from tensordict import TensorDict
 
 from warpvox.algos.checkpoints.export import read_exported, write_onnx, write_script
-from warpvox.algos.checkpoints.files import load_controller
-from warpvox.algos.checkpoints.policy import policy_of
+from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.checkpoints.policy import read_policy
 from warpvox.algos.evaluate import evaluate, evaluator
 from warpvox.algos.policies.layout import FEATURES, INPUTS, VoxelInputs, VoxelLayout, layout_of
 from warpvox.algos.policies.model import VoxelNormalizer
 from warpvox.algos.policies.registry import check_network, check_policy, layout_for, make_network
-from warpvox.algos.training.playing import SampledController
-from warpvox.algos.training.ppo import PPO, rsl_rl_config
+from warpvox.algos.ppo.stock import PPO, rsl_rl_config
+from warpvox.algos.training.playing import SampledPolicy
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.code import Code
 from warpvox.envs.vec_env import VoxelVecEnv
@@ -183,10 +183,10 @@ def test_likelihood_and_entropy_are_those_of_the_actions_there_are(env: VoxelVec
 @pytest.mark.parametrize("name", NETWORKS)
 def test_environments_may_change_places(name: str) -> None:
     env = make_env()
-    controller, obs = make_runner(name).controller, some_obs(env)
+    policy, obs = make_runner(name).policy.double(), some_obs(env)
     order = torch.randperm(ENVS, generator=torch.Generator().manual_seed(0))
-    torch.testing.assert_close(controller(obs[order]), controller(obs)[order], rtol=0, atol=1e-6)
-    assert float(controller(obs).std()) > 0
+    torch.testing.assert_close(policy(obs[order]), policy(obs)[order], rtol=0, atol=1e-6)
+    assert float(policy(obs).std()) > 0
 
 
 @pytest.mark.parametrize(
@@ -206,18 +206,17 @@ def test_a_policy_trains_and_comes_back_from_files(tmp_path: Path, name: str, fo
     assert all(not torch.equal(value, before[key]) for key, value in runner.alg.actor.named_parameters())
     runner.alg.eval_mode()
     runner.alg.actor.distribution.log_std_param.data.fill_(math.log(0.2))
-    assert runner._action_std() == pytest.approx(0.2)  # and of no absent action 1
-    controller = load_controller(tmp_path / "model_1.pt")
-    assert torch.equal(controller(obs), runner.controller(obs))
-    policy = policy_of(controller)
-    torch.testing.assert_close(policy(obs), controller(obs), rtol=0, atol=1e-6)
+    policy = read_policy(tmp_path / "model_1.pt")
+    exact = policy.in_float64()
+    assert torch.equal(exact(obs), runner.policy.double()(obs))
+    torch.testing.assert_close(policy(obs), exact(obs), rtol=0, atol=1e-6)
     for file, write in formats.items():
         write(policy, tmp_path / file)
         again = read_exported(tmp_path / file)
         assert torch.equal(again(obs), policy(obs))
-    assert evaluate(make_env(2, auto_reset=False), controller).returns.isfinite().all()
-    sampled = SampledController(controller)(obs)
-    assert bool((sampled != controller(obs))[env.action_mask[env.design_index]].any())
+    assert evaluate(make_env(2, auto_reset=False), exact).returns.isfinite().all()
+    sampled = SampledPolicy(exact, load_checkpoint(tmp_path / "model_1.pt")["actor_state_dict"])(obs)
+    assert bool((sampled != exact(obs))[env.action_mask[env.design_index]].any())
 
 
 def test_a_network_of_ones_own_is_imported_only_if_it_is_named(tmp_path: Path) -> None:
@@ -226,8 +225,8 @@ def test_a_network_of_ones_own_is_imported_only_if_it_is_named(tmp_path: Path) -
     make_runner(name, tmp_path, total=1).run()
     file = tmp_path / "model_1.pt"
     with pytest.raises(RunError, match=r"name it, policy=FILE\.py:Class"):
-        load_controller(file)
-    policy = policy_of(load_controller(file, network=name))
+        read_policy(file)
+    policy = read_policy(file, network=name)
     write_script(policy, tmp_path / "policy.pt")
     assert read_exported(tmp_path / "policy.pt", name).state_dict().keys() == policy.state_dict().keys()
     with pytest.raises(ConfigError, match=r"has the settings units .*Did you mean 'units'"):

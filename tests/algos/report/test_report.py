@@ -15,7 +15,7 @@ from hypothesis import given, settings, strategies as st
 from warpvox.algos.archive import FILE, Archive, Finished, Record, archives_in
 from warpvox.algos.candidate import Candidate, Outcome
 from warpvox.algos.report import family_tree, places, report_page
-from warpvox.algos.report.charts import Series, chart, ticks
+from warpvox.algos.report.charts import Series, chart, sparkline, ticks
 from warpvox.algos.report.members import progress, read_members
 from warpvox.design import sample_design
 from warpvox.envs.registry import known_returns, task_ids
@@ -101,6 +101,13 @@ def test_charts_put_points_where_they_belong() -> None:
         assert float(circle) == (28 + 300) / 2
 
 
+def test_a_small_line_fills_its_element() -> None:
+    root = ET.fromstring(sparkline([1.0, 3.0, 2.0], 72, 20))
+    assert (root.get("viewBox"), root.get("width"), root.get("height")) == ("0 0 72 20", "72", "20")
+    places = [tuple(map(float, place.split(","))) for place in root.find("polyline").get("points").split()]
+    assert places == [(2, 18), (36, 2), (70, 10)]
+
+
 @settings(max_examples=40)
 @given(st.data())
 def test_in_a_tree_no_two_share_a_place_and_children_are_to_the_right(data: st.DataObject) -> None:
@@ -171,14 +178,6 @@ def test_progress_holds_the_best_so_far(tmp_path: Path) -> None:
     assert (places.tolist(), values.T.tolist()) == ([15, 20, 30], [[1, 1, 2], [0, 0, 3]])
 
 
-def test_runs_of_one_algorithm_are_told_apart_by_their_settings(tmp_path: Path) -> None:
-    make_search(tmp_path / "a", "Walker-v0", 0, [1.0], max_evaluations=10, population=5)
-    make_search(tmp_path / "b", "Walker-v0", 1, [1.0], max_evaluations=20, population=7)
-    make_search(tmp_path / "c", "Carrier-v0", 1, [1.0], population=9)
-    names = [one.search for one in read_members(archives_in(tmp_path))]
-    assert names == ["ga, search.population=5", "ga, search.population=7", "ga"]
-
-
 def test_searches_that_differ_by_anything_are_never_seeds_of_one(tmp_path: Path) -> None:
     for seed in range(18):  # four settings of two values, of which a name tells three; the last two are more seeds
         bits = {name: seed >> k & 1 for k, name in enumerate("abcd")}
@@ -187,13 +186,6 @@ def test_searches_that_differ_by_anything_are_never_seeds_of_one(tmp_path: Path)
     assert names[:2] == names[16:] == [f"ga, search.a={a}, search.b=0, search.c=0" for a in (0, 1)]
     assert names[8:10] == [f"{name} #2" for name in names[:2]]
     assert len(set(names)) == 16
-
-
-def test_a_name_tells_first_what_separates_most(tmp_path: Path) -> None:
-    for number, other in enumerate(({"a": 0, "b": 0, "c": 0}, {}, {"d": 2})):  # ga, auto, auto dtype=float32
-        make_search(tmp_path / str(number), "Walker-v0", number, [1.0], **{"a": 1, "b": 1, "c": 1, "d": 1} | other)
-    names = [one.search for one in read_members(archives_in(tmp_path))]
-    assert names == [f"ga, search.a={a}, search.d={d}, search.b={a}" for a, d in ((0, 1), (1, 1), (1, 2))]
 
 
 def test_every_task_has_its_known_return() -> None:

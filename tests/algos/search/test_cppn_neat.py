@@ -5,6 +5,7 @@ from pathlib import Path
 import neat
 import numpy as np
 import pytest
+from refusals import refused
 
 from warpvox.algos.search import CppnNeat, make_search
 from warpvox.algos.search.cppn_neat import CppnNeatSearch, inputs, neat_config, own_random, paint
@@ -118,13 +119,13 @@ def test_extinction_is_a_new_beginning(repository: Path, tmp_path: Path) -> None
 
 
 def test_mistakes_in_an_own_configuration(repository: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"no configuration file of neat-python 'none\.cfg'"):
+    with refused(ConfigError, "no configuration file of neat-python 'none.cfg'"):
         make_search(CppnNeat(neat_config="none.cfg"))
-    with pytest.raises(ConfigError, match="num_outputs = 5"):
+    with refused(ConfigError, "num_outputs = 5"):
         make_search(own_config(repository, tmp_path, "num_outputs = 5", "num_outputs = 4"))
-    with pytest.raises(ConfigError, match=r"neat-python cannot read '.*own\.cfg': .*'conn_add_prob'"):
+    with refused(ConfigError, "neat-python cannot read '", "own.cfg':", "'conn_add_prob'"):
         make_search(own_config(repository, tmp_path, "conn_add_prob", "conn_ad_prob"))
     search = make_search(own_config(repository, tmp_path, "min_species_size = 1", "min_species_size = 11"))
     search.tell([0.0] * len(search.ask()))
-    with pytest.raises(SearchError, match=r"cannot breed 10 networks .*lower elitism .*search\.population"):
+    with refused(SearchError, "cannot breed 10 networks", "lower elitism", "search.population"):
         search.ask()

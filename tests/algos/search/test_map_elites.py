@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from refusals import refused
 
 from warpvox.algos.search import MapElites, make_search
 from warpvox.algos.search.map_elites import describe
@@ -70,13 +71,13 @@ def test_the_grid_holds_the_best_of_every_kind_and_they_breed() -> None:
 
 
 def test_mistakes_in_descriptors() -> None:
-    with pytest.raises(ConfigError, match=r"descriptors must be one of .* got 'actuator'\. Did you mean 'actuators'"):
+    with refused(ConfigError, "descriptors must be one of", "got 'actuator'. Did you mean 'actuators'"):
         MapElites(descriptors=("actuator",))
     for wrong in ((), ("empty", "empty")):
-        with pytest.raises(ConfigError, match="one or more different ones"):
+        with pytest.raises(ConfigError):
             MapElites(descriptors=wrong)
     for bins, names in ((10**12, DESCRIPTORS[:1]), (10, DESCRIPTORS)):
-        with pytest.raises(ConfigError, match=f"bins={bins} for {len(names)} descriptors .* fewer bins or descriptors"):
+        with refused(ConfigError, f"bins={bins} for {len(names)} descriptors"):
             MapElites(bins=bins, descriptors=list(names))
-    with pytest.raises(ConfigError, match="descriptors must be a list, got 'empty'"):
+    with refused(ConfigError, "descriptors must be a list, got 'empty'"):
         MapElites(descriptors="empty")  # type: ignore[arg-type]

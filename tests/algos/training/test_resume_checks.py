@@ -12,7 +12,8 @@ import torch
 from learning import ppo_settings, small_env
 from sample_files import checkpoint_content
 
-from warpvox.algos.checkpoints.files import load_controller, save_checkpoint
+from warpvox.algos.checkpoints.files import save_checkpoint
+from warpvox.algos.checkpoints.policy import read_policy
 from warpvox.algos.settings import Ppo
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.errors import RunError, WarpvoxError
@@ -166,7 +167,7 @@ def test_settings_of_an_optimiser_are_those_of_the_training(state: tuple[str, di
 def test_files_do_not_unpack_to_more_than_they_are(tmp_path: Path) -> None:
     good = tmp_path / "good.pt"
     save_checkpoint(good, checkpoint_content())
-    load_controller(good)
+    read_policy(good)
     with zipfile.ZipFile(good) as file:
         entries = {name: file.read(name) for name in file.namelist()}
 
@@ -182,13 +183,13 @@ def test_files_do_not_unpack_to_more_than_they_are(tmp_path: Path) -> None:
     place = claims.find(b"PK\x01\x02")
     claims[place + 24 : place + 28] = (2**31).to_bytes(4, "little")  # the length of the first entry, unpacked
     (tmp_path / "claims.pt").write_bytes(claims)
-    load_controller(write("again.pt"))
+    read_policy(write("again.pt"))
     refused = {"packed.pt": "packed", "many.pt": "entries", "claims.pt": "unpacks"}
     write("packed.pt", zipfile.ZIP_DEFLATED)
     write("many.pt", more=(1 << 16) + 1)
     for name, words in refused.items():
         with pytest.raises(RunError, match=words):
-            load_controller(tmp_path / name)
+            read_policy(tmp_path / name)
 
 
 @pytest.mark.parametrize("kind", ["hidden", "rnn", "transformer"])
@@ -204,4 +205,4 @@ def test_a_network_has_some_hundred_layers_at_most(tmp_path: Path, kind: str) ->
         policy["voxels"] = {"network": kind, "settings": {"layers": 10**6}, "layout": layout}
     save_checkpoint(tmp_path / "deep.pt", content)
     with pytest.raises(RunError):
-        load_controller(tmp_path / "deep.pt")
+        read_policy(tmp_path / "deep.pt")

@@ -9,10 +9,10 @@ from rsl_rl.models import RNNModel
 from tensordict import TensorDict
 
 from warpvox.algos.checkpoints.export import write_script
-from warpvox.algos.checkpoints.files import load_controller
-from warpvox.algos.checkpoints.policy import parse_policy, policy_of, policy_text
+from warpvox.algos.checkpoints.files import load_checkpoint
+from warpvox.algos.checkpoints.policy import policy_bytes, read_policy
 from warpvox.algos.evaluate import evaluate, evaluator
-from warpvox.algos.training.playing import SampledController
+from warpvox.algos.training.playing import SampledPolicy
 from warpvox.algos.training.runner import Runner, Schedule, adapt
 from warpvox.code import Code
 from warpvox.errors import ConfigError, RunError
@@ -61,17 +61,20 @@ def test_a_resumed_run_is_the_run_that_was_not_interrupted(tmp_path: Path, chang
 def test_a_recurrent_policy_comes_back_from_its_file_and_forgets_where_episodes_begin(tmp_path: Path) -> None:
     runner = make_runner(2, tmp_path, rnn=GRU)
     runner.run()
-    controller = load_controller(tmp_path / "model_2.pt")
-    assert type(controller.actor) is RNNModel
+    file = tmp_path / "model_2.pt"
+    policy = read_policy(file)
+    exact = policy.in_float64()
+    assert type(policy.actor) is RNNModel
     judge = small_env(2, max_episode_steps=LIMIT, auto_reset=False)
     hidden = runner.alg.actor.get_hidden_state().clone()
-    for policy in (controller, controller, runner.controller, SampledController(controller)):
-        result = evaluate(judge, policy, seed=0)
-        assert (result.mean_return == runner.last_return) == (policy.__class__ is not SampledController)
+    sampled = SampledPolicy(exact, load_checkpoint(file)["actor_state_dict"])
+    for acting in (exact, exact, runner.policy.double(), sampled):
+        result = evaluate(judge, acting, seed=0)
+        assert (result.mean_return == runner.last_return) == (acting is not sampled)
     assert torch.equal(runner.alg.actor.get_hidden_state(), hidden), "an evaluation leaves training alone"
-    obs, policy = torch.randn(5, 3, controller.spec.num_obs), policy_of(controller)
-    controller.reset()
-    given = [(policy(one), controller(one)) for one in obs]
+    obs = torch.randn(5, 3, policy.num_obs)
+    exact.reset()
+    given = [(policy(one), exact(one)) for one in obs]
     for ours, theirs in given:
         torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-5)
     assert not torch.equal(policy(obs[0]), given[0][0])
@@ -80,8 +83,8 @@ def test_a_recurrent_policy_comes_back_from_its_file_and_forgets_where_episodes_
     assert not torch.equal(policy(obs[0]), given[0][0]), "the original remembers what it has seen"
     policy.reset()
     assert torch.equal(policy(obs[0]), given[0][0])
-    again = parse_policy(policy_text(policy), "text")
-    assert torch.equal(again(obs[0]), given[0][0])
+    (tmp_path / "again.pt").write_bytes(policy_bytes(policy))
+    assert torch.equal(read_policy(tmp_path / "again.pt")(obs[0]), given[0][0])
     with pytest.raises(RunError):
         write_script(policy, tmp_path / "policy.pt")
     assert not (tmp_path / "policy.pt").exists()

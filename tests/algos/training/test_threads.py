@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import torch
+from episodes import short_episodes
 
 import warpvox as wv
 from warpvox.algos.candidate import Candidate, Outcome
@@ -18,6 +19,12 @@ HOW = {"device": "cpu", "threads": 1, "memory_check": False}
 TRAINED = {"num_envs": 4, "max_iterations": 2, "eval_envs": 1, "folder": None, "progress": False}
 PPO = {"steps": 4, "hidden": [8], "epochs": 2, "minibatches": 2, "random_start": True}
 SEARCHED = {"envs": 2, "iterations": 1, "eval_interval": 1, "ppo": {"steps": 4, "hidden": [8], "epochs": 1}}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_walks() -> Iterator[None]:
+    with short_episodes("Walker-v0"):
+        yield
 
 
 def trained(seed: int) -> list[float]:

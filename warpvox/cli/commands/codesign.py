@@ -1,7 +1,7 @@
 """``warpvox codesign``: from a configuration to a folder with the designs that were tried, the best of them trained."""
 
 import dataclasses
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,43 +19,41 @@ from warpvox.io.text import shown
 from warpvox.io.writing import check_links, check_writable
 from warpvox.runs import CONFIG, check_unchanged, read_summary
 
-REPORT_KEYS = ("report", "export", "top", "output_dir")
-"""Keys that a report follows from."""
-
 
 def check(config: CodesignConfig, given: Collection[str]) -> None:
     """Raise WarpvoxError where a search cannot be made, or cannot go on as asked."""
-    from warpvox.algos.codesign.run import check as check_search
+    from warpvox.algos.codesign.run import plan_codesign
 
     if config.report is None:
-        check_search(config, _resumed(config))
+        plan_codesign(config, _resumed(config))
 
 
 def run(config: CodesignConfig, given: Collection[str], console: Console) -> Path:
     """Make a search, or go on with one; returns its folder."""
     if config.report is not None:
-        others = [key for key in given if key not in REPORT_KEYS]
+        keys = ("report", "export", "top", "output_dir")  # that a report follows from
+        others = [key for key in given if key not in keys]
         if others:
-            raise ConfigError(f"{listing(others)} cannot change a report: {listing(REPORT_KEYS[1:])} may go with it.")
+            raise ConfigError(f"{listing(others)} cannot change a report: {listing(keys[1:])} may go with it.")
         return _report(config, console)
     folder = _resumed(config)
     config = dataclasses.replace(config, resume=None)
     with console.status("loading"):
-        from warpvox.algos.codesign.results import Results
-        from warpvox.algos.codesign.run import run_codesign
+        from warpvox.algos.codesign.results import Found, Results
+        from warpvox.algos.codesign.run import plan_codesign, run_codesign
         from warpvox.progress.search import SearchProgress, with_tracker
 
-    class Films(SearchProgress):
-        def ended(self, summary: Mapping[str, Any]) -> None:  # before another process may write to the folder
-            super().ended(summary)
-            if summary.get("status") == "done":
-                results = Results(self.run.folder, self.run.archive, self.run.settings)
-                with console.status("filming the best"):
-                    results.film(config)
-                    results.report(summary)
-                _export(results.archive, results.folder, config.export, console)
+    def show(found: Found) -> None:
+        """Film the best designs, and write the report with the films and what is to be exported."""
+        with Archive.read(found.folder / FILE) as archive:
+            results = Results(found.folder, archive, found.settings)
+            with console.status("filming the best"):
+                results.film(config)
+                results.report(found.summary)
+            _export(archive, found.folder, config.export, console)
 
-    return run_codesign(config, folder, with_tracker(config, [Films(console)])).folder
+    plan = plan_codesign(config, folder)
+    return run_codesign(plan, with_tracker(config, [SearchProgress(console)]), finish=show).folder
 
 
 def _resumed(config: CodesignConfig) -> Path | None:

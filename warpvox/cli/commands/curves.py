@@ -1,7 +1,7 @@
 """``warpvox curves``: learning curves of runs as one picture, as a table and as CSV."""
 
 import dataclasses
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection
 
 from rich.console import Console
 from rich.table import Table
@@ -10,7 +10,6 @@ from warpvox.algos.find import find_runs, find_searches
 from warpvox.algos.report.learning_curves import (
     AXES,
     SUFFIXES,
-    Curve,
     curves_of,
     curves_of_searches,
     evaluations_of,
@@ -31,6 +30,9 @@ from warpvox.runs import Run
 def run(config: CurvesConfig, given: Collection[str], console: Console) -> None:
     """Draw the picture, print the table and write it."""
     check_suffix("file", config.file, SUFFIXES, ConfigError)
+
+    # The curves: of searches, or of trainings by task
+    young = []
     searches = find_searches(config.runs, config.output_dir)
     if searches:
         check_choice("x of design searches", config.x, ("steps", "evaluations"))
@@ -38,37 +40,27 @@ def run(config: CurvesConfig, given: Collection[str], console: Console) -> None:
         if not members:
             raise RunError("None of the design searches has evaluated a design yet: there is nothing to draw.")
         panels = curves_of_searches(members, config.x)
-        young = []
     else:
         check_choice("x of trainings", config.x, ("steps", "elapsed", "iteration"))
-        panels, young = _of_runs(config)
+        named = find_runs(config.runs, config.output_dir)  # of several checkpoints of a run there is one curve
+        found = list({one.folder.resolve(): dataclasses.replace(one, checkpoint=None) for one in named}.values())
+        tasks: dict[str, list[Run]] = {}
+        for each_run in found:
+            if evaluations_of(each_run):
+                tasks.setdefault(str(each_run.config["task"]), []).append(each_run)
+            else:
+                young.append(each_run.folder.name)
+        if not tasks:
+            raise RunError(f"The run {found[0].folder} has no evaluation yet: there is nothing to draw.")
+        panels = {task: curves_of(group_runs(runs), config.x) for task, runs in tasks.items()}
+
     path = write_curves(panels, config.file, config.x, (config.size[0], config.size[1]))
-    _print(panels, config.x, console)
-    if young:
-        echo(console, f"left out, without an evaluation yet: {listing(young)}")
-    echo(console, f"curves: {path}\ntable: {path.with_suffix('.csv')}")
 
-
-def _of_runs(config: CurvesConfig) -> tuple[dict[str, list[Curve]], list[str]]:
-    """Curves by task, and the names of runs that have none yet."""
-    named = find_runs(config.runs, config.output_dir)  # of several checkpoints of a run there is one curve
-    found = list({one.folder.resolve(): dataclasses.replace(one, checkpoint=None) for one in named}.values())
-    judged = [each_run for each_run in found if evaluations_of(each_run)]
-    if not judged:
-        raise RunError(f"The run {found[0].folder} has no evaluation yet: there is nothing to draw.")
-    tasks: dict[str, list[Run]] = {}
-    for each_run in judged:
-        tasks.setdefault(str(each_run.config["task"]), []).append(each_run)
-    young = [each_run.folder.name for each_run in found if each_run not in judged]
-    return {task: curves_of(group_runs(runs), config.x) for task, runs in tasks.items()}, young
-
-
-def _print(panels: Mapping[str, Sequence[Curve]], x: str, console: Console) -> None:
-    """Where the curves end, and the best evaluations, over the runs of each group."""
+    # Where the curves end, and the best evaluations, over the runs of each group
     percent = f"{100 * LEVEL:g} %"
-    table = Table(title=f"deterministic return, mean of n runs [{percent} interval, Student's t]".replace("[", r"\["))
+    table = Table(title=literal(f"deterministic return, mean of n runs [{percent} interval, Student's t]"))
     table.title_justify = "left"
-    for heading in ("settings", "n", AXES[x], "last return", "best return"):
+    for heading in ("settings", "n", AXES[config.x], "last return", "best return"):
         table.add_column(heading, justify="left" if heading == "settings" else "right", overflow="fold")
     for label, curve in labelled(panels):
         last = mean_interval([points[1, -1] for points in curve.runs])
@@ -76,3 +68,6 @@ def _print(panels: Mapping[str, Sequence[Curve]], x: str, console: Console) -> N
         end = f"{max(points[0, -1] for points in curve.runs):,.0f}"
         table.add_row(*map(literal, (label, len(curve.runs), end, last, best)))
     console.print(table)
+    if young:
+        echo(console, f"left out, without an evaluation yet: {listing(young)}")
+    echo(console, f"curves: {path}\ntable: {path.with_suffix('.csv')}")

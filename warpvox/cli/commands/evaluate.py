@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
@@ -21,10 +21,10 @@ from warpvox.errors import ConfigError, WarpvoxError, counted
 from warpvox.io.console import echo, literal
 from warpvox.io.text import shown
 from warpvox.io.writing import to_yaml, write_table
-from warpvox.runs import ZOO, Run, as_name, new_folder, write_summary
+from warpvox.runs import ZOO, as_name, new_folder, write_summary
 
 if TYPE_CHECKING:
-    from warpvox.algos.training.policy_table import EvaluatedPolicy, Judged
+    from warpvox.algos.training.policy_table import Judged
 
 
 def run(config: EvaluateConfig, given: Collection[str], console: Console) -> Path:
@@ -35,24 +35,34 @@ def run(config: EvaluateConfig, given: Collection[str], console: Console) -> Pat
     Raises:
         WarpvoxError: a run that does not exist, or none can be evaluated as asked; nothing is written then.
     """
-    from warpvox.algos.training.policy_table import judged_groups
+    from warpvox.algos.training.loading import Playing
+    from warpvox.algos.training.policy_table import evaluate_run, judged_groups, tables
+    from warpvox.devices.startup import prepare
 
     if config.task is not None and not isinstance(config.task, Code):
         raise ConfigError("task names the code of runs of your own tasks (FILE.py:NAME); a run knows its task.")
+
+    # Evaluate
     robots = [f"{ZOO}{name}" for name in (zoo_tasks() if config.zoo == ["all"] else config.zoo)]
     runs = ([] if robots else ["latest"]) if config.runs is None else config.runs
     found = find_runs([*runs, *robots], config.output_dir)
-    rows, failed = {}, []
+    names = ("checkpoint", "stochastic", "protocol", "seed", "device", "dtype", "arithmetic", "threads")
+    playing = Playing(config.episodes, **{name: getattr(config, name) for name in (*names, "task", "policy")})
+    rows = {}
+    failed = []
     for number, each_run in enumerate(found):
         try:
             with console.status(f"evaluating run {number + 1} of {len(found)}"):
-                rows[id(each_run)] = _evaluate(each_run, config)
+                prepare(config.torch_threads, config.seed)
+                rows[id(each_run)] = evaluate_run(each_run, playing, config.designs, config.level)
         except WarpvoxError as error:
             failed.append((each_run, error))
     if not rows:
         raise failed[0][1]
     for each_run, error in failed:
         echo(console, f"left out: {shown(each_run.folder)}: {error}")
+
+    # Compare
     found = [each_run for each_run in found if id(each_run) in rows]
     judged = judged_groups(group_runs(found), lambda each_run: rows[id(each_run)])
     tasks = {str(each_run.config["task"]) for each_run in found}
@@ -70,68 +80,83 @@ def run(config: EvaluateConfig, given: Collection[str], console: Console) -> Pat
                 f"The {config.episodes} episodes of {which} are one for each body: the task draws nothing at random and"
                 " the policy is deterministic. One each says as much, stochastic=true samples actions.",
             )
-        _write(folder, judged, config)
+
+        # The tables as CSV, and everything in summary.json
+        contents = tables(judged, config.level)
+        for name, table in contents.items():
+            if table:
+                columns = [column for column in table[0] if column != "returns"]
+                write_table(folder / f"{name}.csv", columns, ([row[column] for column in columns] for row in table))
+        first = [one for one in judged if one.disturbance == judged[0].disturbance]
+        values = [value for one in first for row in one.rows for value in row.returns]
+        summary: dict[str, Any] = {"command": "evaluate", "interval": "Student t, Welch"}
+        for name in ("checkpoint", "stochastic", "protocol", "episodes", "seed", "level"):
+            summary[name] = getattr(config, name)
+        summary["mean_return"] = sum(values) / len(values)
+        write_summary(folder, summary | contents)
     for name in ("runs.csv", "groups.csv", "comparisons.csv", "summary.json"):
         if (folder / name).is_file():
             echo(console, shown(folder / name))
     return folder
 
 
-def _evaluate(found: Run, config: EvaluateConfig) -> list[EvaluatedPolicy]:
-    """One episode in each of ``config.episodes`` environments."""
-    from warpvox.algos.training.loading import Playing
-    from warpvox.algos.training.policy_table import evaluate_run
-    from warpvox.devices.startup import prepare
-
-    prepare(config.torch_threads, config.seed)
-    names = ("checkpoint", "stochastic", "protocol", "seed", "device", "dtype", "arithmetic", "threads")
-    same = {name: getattr(config, name) for name in (*names, "task", "policy")}
-    return evaluate_run(found, Playing(config.episodes, **same), config.designs, config.level)
-
-
 def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> None:
-    percent = f"{100 * config.level:g} %"
-    kind = "sampled actions" if config.stochastic else "deterministic"
-    counts = sorted({len(row.returns) for entry in judged for row in entry.rows})
-    many = counted(counts[0], "episodes") if len(counts) == 1 else f"{counts[0]} to {counts[-1]} episodes"
-    title = f"mean return, {kind}, {many} of each run"
-    headings = "settings", "run", "episodes", "mean", f"{percent} interval", "10 % quantile", "n", "over"
-    sections, before = [], None
+    """The returns of all runs, and the differences between groups."""
+    from warpvox.algos.training.policy_table import compare
+
+    # A section for each group: its runs, and their mean where there are several
+    sections = []
+    before = None
     for entry in judged:
-        label, before, rows = "" if entry.group is before else entry.group.label, entry.group, []
+        label = "" if entry.group is before else entry.group.label
+        before = entry.group
+        rows = []
         for each_run, row in zip(entry.group.runs, entry.rows, strict=True):
-            folder, inner = each_run.folder, each_run.folder.parent.name == "designs"  # of a search
-            name = (label, f"{folder.parents[1].name}/{folder.name}" if inner else folder.name, entry.disturbance)
-            rows.append((*name, *_cells(row.interval), f"{row.low_tenth:.3f}", str(row.interval.n), "episodes"))
+            folder = each_run.folder
+            name = folder.name
+            if folder.parent.name == "designs":  # of a search
+                name = f"{folder.parents[1].name}/{name}"
+            cells = (label, name, entry.disturbance, *_cells(row.interval))
+            rows.append((*cells, f"{row.low_tenth:.3f}", str(row.interval.n), "episodes"))
         if entry.over == "runs":
             interval = mean_interval(entry.values, config.level)
             rows.append(("", "all", entry.disturbance, *_cells(interval), "", str(interval.n), "runs"))
         sections.append(rows)
-    _print_table(title, headings, sections, console)
-    from warpvox.algos.training.policy_table import compare
+    percent = f"{100 * config.level:g} %"
+    kind = "sampled actions" if config.stochastic else "deterministic"
+    counts = sorted({len(row.returns) for entry in judged for row in entry.rows})
+    many = counted(counts[0], "episodes") if len(counts) == 1 else f"{counts[0]} to {counts[-1]} episodes"
+    headings = "settings", "run", "episodes", "mean", f"{percent} interval", "10 % quantile", "n", "over"
+    _print_table(f"mean return, {kind}, {many} of each run", headings, sections, console)
 
-    pairs = compare(judged, config.level)
-    if pairs:
-        title = f"differences of mean returns, Welch's {percent} interval"
+    # Differences
+    rows = []
+    for first, second, interval in compare(judged, config.level):
+        over = first.over if first.over == second.over else f"{first.over} and {second.over}"
+        sizes = f"{len(first.values)}, {len(second.values)}"
+        rows.append((first.group.label, second.group.label, first.disturbance, *_cells(interval), sizes, over))
+    if rows:
         headings = "first", "less second", "episodes", "difference", f"{percent} interval", "n", "over"
-        rows = []
-        for first, second, interval in pairs:
-            over = first.over if first.over == second.over else f"{first.over} and {second.over}"
-            sizes = f"{len(first.values)}, {len(second.values)}"
-            names = (first.group.label, second.group.label, first.disturbance)
-            rows.append((*names, *_cells(interval), sizes, over))
-        _print_table(title, headings, [rows], console)
+        _print_table(f"differences of mean returns, Welch's {percent} interval", headings, [rows], console)
     echo(console, "Student's t: intervals over runs cover other trainings, those over episodes this policy alone.")
 
 
 def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]], console: Console) -> None:
     """Print rows of cells; where they are wider than the console, without the labels that all rows share."""
-    table = Table(title=title, title_justify="left")
+    # The columns that are shown
     columns = list(zip(*(row for rows in sections for row in rows), strict=True))
-    wide = sum(max(map(len, (heading, *cells))) + 3 for heading, cells in zip(headings, columns, strict=True))
-    labels = ("settings", "episodes", "n", "over")
-    alike = [len({*cells} - {""}) == 1 and heading in labels for heading, cells in zip(headings, columns, strict=True)]
-    kept = [k for k in range(len(headings)) if wide < console.width or not alike[k]]
+    width = 0
+    kept = []
+    for heading, cells in zip(headings, columns, strict=True):
+        width += max(map(len, (heading, *cells))) + 3
+        is_label = heading in ("settings", "episodes", "n", "over")
+        if not is_label or len({*cells} - {""}) != 1:
+            kept.append(headings.index(heading))
+    if width < console.width:
+        kept = list(range(len(headings)))
+
+    # The table
+    table = Table(title=title, title_justify="left")
     for heading in (headings[k] for k in kept):
         right = heading in ("mean", "difference", "n")
         table.add_column(heading, justify="right" if right else "left", overflow="fold")
@@ -145,19 +170,3 @@ def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]
 def _cells(interval: Interval) -> tuple[str, str]:
     known = math.isfinite(interval.low)
     return f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}" if known else "-"
-
-
-def _write(folder: Path, judged: list[Judged], config: EvaluateConfig) -> None:
-    """The tables as CSV, and everything in ``summary.json``."""
-    from warpvox.algos.training.policy_table import tables
-
-    found = tables(judged, config.level)
-    for name, table in found.items():
-        if table:
-            columns = [column for column in table[0] if column != "returns"]
-            write_table(folder / f"{name}.csv", columns, ([row[column] for column in columns] for row in table))
-    same = ("checkpoint", "stochastic", "protocol", "episodes", "seed", "level")
-    facts = {"command": "evaluate", "interval": "Student t, Welch"} | {name: getattr(config, name) for name in same}
-    first = [one for one in judged if one.disturbance == judged[0].disturbance]
-    values = [value for one in first for row in one.rows for value in row.returns]
-    write_summary(folder, facts | {"mean_return": sum(values) / len(values)} | found)

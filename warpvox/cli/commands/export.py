@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 
@@ -19,9 +19,6 @@ from warpvox.io.text import shown
 from warpvox.io.writing import to_yaml
 from warpvox.runs import ZOO, as_name, new_folder, write_summary
 
-if TYPE_CHECKING:
-    from warpvox.algos.checkpoints.policy import Policy
-
 
 def run(config: Any, given: Collection[str], console: Console) -> Path:
     """Write the files that are asked for; returns their folder."""
@@ -31,6 +28,8 @@ def run(config: Any, given: Collection[str], console: Console) -> Path:
         raise ConfigError(f"format must be some of {listing((*EXPORTS, *POLICY_EXPORTS))}; got [].")
     pictures = [name for name in config.format if name in EXPORTS]
     programs = [name for name in config.format if name in POLICY_EXPORTS]
+
+    # What was recorded before
     if config.rollout is not None:
         if config.zoo is not None:
             raise ConfigError("rollout exports what was recorded: zoo cannot be given with it.")
@@ -38,9 +37,12 @@ def run(config: Any, given: Collection[str], console: Console) -> Path:
             raise ConfigError(f"format={programs[0]} writes the policy of a run; a rollout holds none.")
         from warpvox.view.rollout import Rollout
 
-        rollout, source = Rollout.load(config.rollout), config.rollout
+        rollout = Rollout.load(config.rollout)
+        source = config.rollout
         config = dataclasses.replace(config, run="")  # the run that is named by default has no part in it
         return write_results(rollout, config, source, "export", pictures, console, keep=False)
+
+    # What a policy does
     policy: Any = None
     if programs:  # first: what is wrong with the policy should show before anything is simulated
         with console.status("loading"):
@@ -53,16 +55,13 @@ def run(config: Any, given: Collection[str], console: Console) -> Path:
         folder = write_results(rollout, config, source, "export", pictures, console)
         _write_policy(policy, folder, programs, console)
         return folder
-    return _export_policy(policy, config, programs, console)
 
-
-def _export_policy(policy: Policy, config: Any, formats: list[str], console: Console) -> Path:
     # The task's name comes from a file that somebody else may have written: it must stay a name.
     place = as_name(str(policy.metadata.get("task", ""))) or "policy"
     if config.run == "latest" and config.zoo is None:  # which is another one later
         config = dataclasses.replace(config, run=str(Path(policy.metadata["source"]).parent))
     with new_folder(config.output_dir, "export", place, config.name, to_yaml(config)) as folder:
-        checks = _write_policy(policy, folder, formats, console)
+        checks = _write_policy(policy, folder, programs, console)
         summary = {"command": "export", "task": policy.metadata.get("task"), "source": policy.metadata.get("source")}
         write_summary(folder, summary | {"checks": checks})
     return folder

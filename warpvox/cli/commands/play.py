@@ -36,23 +36,27 @@ if TYPE_CHECKING:
     from warpvox.view.rollout import Rollout
 
 
-OF_AGENTS = ("task", "design", "rules")
+_OF_AGENTS = ("task", "design", "rules")
 """Keys that a trained run answers itself."""
 
 
 def run(config: PlayConfig, given: Collection[str], console: Console) -> Path:
     """Run one episode everywhere, write it down and show it; returns the folder of the results."""
     check_source(config)
-    in_window = wants_window(config.window)
+    obstacle = why_no_window() if wanted() else f"{SWITCH}=none switches windows off"
+    if config.window == "on" and obstacle is not None:
+        raise DisplayError(f"window=on cannot be: {obstacle}. Leave it away, and look at files: export=[gif,html].")
+    in_window = config.window != "off" and obstacle is None
     formats = ([] if in_window else ["html"]) if config.export is None else config.export
     check_exports(formats, config.size)
     if config.rollout is not None:
-        others = [name for name in ("agent", "zoo", *OF_AGENTS) if getattr(config, name) is not None]
+        others = [name for name in ("agent", "zoo", *_OF_AGENTS) if getattr(config, name) is not None]
         if others:
             raise ConfigError(f"rollout shows what was recorded: {listing(others)} cannot be given with it.")
         from warpvox.view.rollout import Rollout
 
-        rollout, source = Rollout.load(config.rollout), str(config.rollout)
+        rollout = Rollout.load(config.rollout)
+        source = str(config.rollout)
         config = dataclasses.replace(config, run="", record=False)
     elif config.agent is None:
         rollout, source = play_run(config, console)
@@ -66,7 +70,8 @@ def run(config: PlayConfig, given: Collection[str], console: Console) -> Path:
 
             prepare(config.torch_threads, config.seed or 0)
         with console.status("simulating"):
-            rollout, source = record_agent(config), f"agent {config.agent}"
+            rollout = record_agent(config)
+        source = f"agent {config.agent}"
         config = dataclasses.replace(config, run="")
     folder = write_results(rollout, config, source, "play", formats, console, config.record)
     if in_window:
@@ -88,7 +93,7 @@ def check_source(config: Any) -> None:
 
 def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
     """The rollout of a trained run's policy, and the folder of the run."""
-    given = [name for name in OF_AGENTS if getattr(config, name, None) is not None]
+    given = [name for name in _OF_AGENTS if getattr(config, name, None) is not None]
     if "task" in given and isinstance(config.task, Code):
         given.remove("task")  # who names a task's code, trusts it
     _refuse(name for name in given if name != "design")
@@ -149,14 +154,6 @@ def write_results(
     return folder
 
 
-def wants_window(choice: str) -> bool:
-    """True if a window is to be shown: ``on``, ``off``, or ``auto``, where there is a display."""
-    reason = why_no_window() if wanted() else f"{SWITCH}=none switches windows off"
-    if choice == "on" and reason is not None:
-        raise DisplayError(f"window=on cannot be: {reason}. Leave it away, and look at files: export=[gif,html].")
-    return choice != "off" and reason is None
-
-
 def play_in_window(
     rollout: Rollout,
     envs: list[int],
@@ -172,12 +169,17 @@ def play_in_window(
 
     film = Film(rollout, envs, size)
     window = make_window(size, f"{escaped(rollout.title)} - warpvox")
-    last, shown, count, start = int(rollout.lengths.max()), -1, 0, clock()
+    last = int(rollout.lengths.max())
+    shown = -1
+    count = 0
+    start = clock()
     while not window.closed:
         passed = clock() - start
         frame = min(last, int(passed / FRAME_SECONDS))
         if frame != shown:
-            picture, shown, count = film.array(frame), frame, count + 1
+            picture = film.array(frame)
+            shown = frame
+            count += 1
         else:
             time.sleep(FRAME_SECONDS / 4)
         window.show(picture)  # also the same one again: this is when the window answers

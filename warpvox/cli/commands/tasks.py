@@ -1,6 +1,6 @@
 """``warpvox tasks``: all tasks as a table, or one in detail with a picture of its world."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from typing import Any
 
 from rich.console import Console
@@ -37,6 +37,7 @@ def run(config: TasksConfig, given: Collection[str], console: Console) -> None:
 
 
 def _print_all(console: Console) -> None:
+    """All tasks as a table."""
     from warpvox.envs.registry import get_task, task_ids
 
     table = Table()
@@ -44,28 +45,18 @@ def _print_all(console: Console) -> None:
         table.add_column(heading, justify="right" if heading in ("steps", "observes") else "left", overflow="fold")
     for name in task_ids():
         task = get_task(name)
-        fixed, per_point = (sum(term.about.size(dict(term.params), n) for term in task.observations) for n in (0, 1))
-        observes = f"{fixed} + {per_point - fixed} n"
-        row = (task.id, task.difficulty, str(task.max_episode_steps), observes, task.section)
-        table.add_row(*row, literal(task.summary))
+        fixed = sum(term.about.size(dict(term.params), 0) for term in task.observations)
+        with_point = sum(term.about.size(dict(term.params), 1) for term in task.observations)
+        observes = f"{fixed} + {with_point - fixed} n"
+        steps = str(task.max_episode_steps)
+        table.add_row(task.id, task.difficulty, steps, observes, task.section, literal(task.summary))
     console.print(table)
     echo(console, "steps: the longest episode; observes: numbers in an observation of a robot of n points")
     echo(console, "`warpvox tasks ID` shows one in detail.")
 
 
-def _layout(task: Any, points: dict[str, int]) -> Iterator[tuple[int, int, str, str, str]]:
-    """First entry, end, formula, unit and values of each term of the observation of bodies with so many points."""
-    start = 0
-    for term in task.observations:
-        params = dict(term.params)
-        size = term.about.size(params, points.get(params.get("name", ""), 0))
-        low, high = (f"{bound:.4g}" for bound in (term.about.low, term.about.high))
-        values = "any" if (low, high) == ("-inf", "inf") else f"{low} to {high}"
-        yield start, start + size, term.formula, term.about.unit, values
-        start += size
-
-
 def _print_task(name: str, config: TasksConfig, console: Console) -> None:
+    """One task in detail."""
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import load_worlds
     from warpvox.view.body_picture import draw_world, scene_of_world
@@ -75,16 +66,28 @@ def _print_task(name: str, config: TasksConfig, console: Console) -> None:
     whole = get_task(name)
     task = whole.under(config.rules)
     world = load_worlds(task, [config.design], None)[1][0]
-    scene, _ = scene_of_world(world)
-    points = {obj.name: obj.num_points for obj in scene.objects}
     section = f"paper section {task.section}, " if task.section else ""
     heading = literal(f" ({task.difficulty}, {section}rules={config.rules})")
     console.print(Text.assemble(literal(task.id, "bold"), heading))
     echo(console, f"{task.summary}\n")
     echo(console, f"episode  {task.max_episode_steps} control steps at most")
-    for word, lines in (("reward", _rewards(task)), ("ends", _ends(task))):
-        for number, line in enumerate(lines):
-            echo(console, f"{'' if number else word:9}{line}")
+
+    # The reward of a control step, term by term
+    lines = []
+    for term in task.rewards:
+        weight = "" if abs(term.weight) == 1 else f"{abs(term.weight):g} "
+        sign = "- " if term.weight < 0 else "+ " if lines else ""
+        lines.append(f"{sign}{weight}{term.formula}")
+    lines.append("(Δ: after the step less before; [condition]: only where it holds after the step)")
+    echo(console, "reward   " + "\n         ".join(lines))
+
+    # The conditions of the end, with what each adds to the reward
+    lines = []
+    for term in task.terminations:
+        lines.append(f"{term.formula}: {term.bonus:+g}" if term.bonus else f"{term.formula}: no bonus")
+    lines.append(f"{'a' if task.partners else 'the'} robot folds into itself: {task.unstable_penalty:+g}")
+    echo(console, "ends     " + "\n         ".join(lines))
+
     if task.memory:
         moved = f"; every episode places {listing(task.randomized)} anew" if task.randomized else ""
         echo(console, f"memory   {listing(memory.name for memory in task.memory)}{moved}")
@@ -92,7 +95,8 @@ def _print_task(name: str, config: TasksConfig, console: Console) -> None:
         other = {"evogym": "rules=paper changes", "paper": "different under rules=evogym"}[config.rules]
         echo(console, f"rules    {other}: {listing(key.replace('_', ' ') for key in whole.paper)}")
     echo(console, f"designs  {_designs(task)}")
-    _print_observation(task, config.design, points, console)
+    scene, _ = scene_of_world(world)
+    _print_observation(task, config.design, {obj.name: obj.num_points for obj in scene.objects}, console)
     print_world(world, console)
     if config.picture is not None:
         echo(console, f"\npicture: {save_png(draw_world(world), config.picture)}")
@@ -104,49 +108,46 @@ def _designs(task: Any) -> str:
 
     if task.partners:
         return f"one each for {listing(task.robots)}"
-    fitting = []
+    made = []
+    others = []
     for name, body in example_designs().items():
         try:
             task_world(task, body)
         except WorldError:
             continue
-        fitting.append(name)
-    made = {name for name in fitting if task.id in MADE_FOR.get(name, ())}
-    ordered = sorted(fitting, key=lambda name: name not in made)
-    return f"examples that fit: {listing(f'{name} (made for it)' if name in made else name for name in ordered)}"
-
-
-def _rewards(task: Any) -> Iterator[str]:
-    """Reward of a control step, term by term."""
-    for number, term in enumerate(task.rewards):
-        weight = "" if abs(term.weight) == 1 else f"{abs(term.weight):g} "
-        sign = "- " if term.weight < 0 else "+ " if number else ""
-        yield f"{sign}{weight}{term.formula}"
-    yield "(Δ: after the step less before; [condition]: only where it holds after the step)"
-
-
-def _ends(task: Any) -> Iterator[str]:
-    """Conditions of the end, with what each adds to the reward."""
-    for term in task.terminations:
-        yield f"{term.formula}: {term.bonus:+g}" if term.bonus else f"{term.formula}: no bonus"
-    yield f"{'a' if task.partners else 'the'} robot folds into itself: {task.unstable_penalty:+g}"
+        if task.id in MADE_FOR.get(name, ()):
+            made.append(f"{name} (made for it)")
+        else:
+            others.append(name)
+    return f"examples that fit: {listing(made + others)}"
 
 
 def _print_observation(task: Any, design: Any, points: dict[str, int], console: Console) -> None:
+    """The terms of the observation of a body with so many points."""
     from warpvox.envs.about import UNITS
     from warpvox.envs.worlds import task_team
 
-    robots = ", ".join(f"{points[name]} points of {name}: {body}" for name, body in task_team(task, design).items())
-    rows = list(_layout(task, points))
-    table = Table(title=literal(f"observation: {rows[-1][1]} numbers ({robots})"), title_justify="left")
+    table = Table(title_justify="left")
     for heading in ("entries", "what", "unit", "values"):
         table.add_column(heading, justify="right" if heading == "entries" else "left", overflow="fold")
-    for start, end, formula, unit, values in rows:
-        table.add_row(f"{start}:{end}", literal(formula), literal(unit), values)
+    start = 0
+    units = set()
+    for term in task.observations:
+        about = term.about
+        params = dict(term.params)
+        end = start + about.size(params, points.get(params.get("name", ""), 0))
+        low = f"{about.low:.4g}"
+        high = f"{about.high:.4g}"
+        values = "any" if (low, high) == ("-inf", "inf") else f"{low} to {high}"
+        table.add_row(f"{start}:{end}", literal(term.formula), literal(about.unit), values)
+        units.add(about.unit)
+        start = end
+    robots = ", ".join(f"{points[name]} points of {name}: {body}" for name, body in task_team(task, design).items())
+    table.title = literal(f"observation: {start} numbers ({robots})")
+
     console.print()
     console.print(table)
-    used = {unit for *_, unit, _ in rows}
-    echo(console, "; ".join(f"{unit}: {meaning}" for unit, meaning in UNITS.items() if unit in used))
+    echo(console, "; ".join(f"{unit}: {meaning}" for unit, meaning in UNITS.items() if unit in units))
     echo(console, "x, y: centre of mass; v: its velocity; θ: turn since the beginning; p: (x, y); 0:2 is [0] and [1]")
     echo(console, "obs=timed: one number more at the end: the control steps since the episode began")
     echo(console, "obs=voxel: 25 numbers for every cell of a robot instead of its c, before the others\n")

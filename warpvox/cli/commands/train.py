@@ -37,21 +37,21 @@ def run(config: TrainConfig, given: Collection[str], console: Console) -> Path:
 
     job = make_job(config, given)
 
-    class Films(Terminal):
-        def end(self, job: Job) -> None:  # before another process may write to the folder
-            super().end(job)
-            if not config.export or job.summary.get("status") != "done":
-                return
-            from warpvox.algos.training.playing import load_result
-            from warpvox.cli.exports import ROLLOUT, print_returns, record_run, write_exports
+    def show() -> None:
+        """Play what was learned, and write it in the formats that are asked for."""
+        if not config.export:
+            return
+        from warpvox.algos.training.playing import load_result
+        from warpvox.cli.exports import ROLLOUT, print_returns, record_run, write_exports
 
-            folder, run = cast(Path, job.folder), find_run(str(job.folder), config.output_dir)
-            with console.status("simulating"):
-                rollout = record_run(run, *load_result(run, config, config.device), None)
-            print_returns(rollout, console)
-            rollout.save(folder / ROLLOUT)
-            write_exports(rollout, folder, config.export, console)
+        folder = cast(Path, job.folder)
+        trained = find_run(str(folder), config.output_dir)
+        with console.status("simulating"):
+            rollout = record_run(trained, *load_result(trained, config, config.device), None)
+        print_returns(rollout, console)
+        rollout.save(folder / ROLLOUT)
+        write_exports(rollout, folder, config.export, console)
 
     prepare(config.torch_threads, config.seed)
-    job.train(with_tracker(config.logger, [Films(console)]))
+    job.train(with_tracker(config.logger, [Terminal(console)]), finish=show)
     return cast(Path, job.folder)

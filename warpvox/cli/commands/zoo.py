@@ -1,27 +1,33 @@
 """``warpvox zoo``: the trained robots that come with the package, or one of them in detail."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Column, Table
 
+from warpvox.algos.robots.entry import read_robot
+from warpvox.algos.robots.policies import arrays_of
 from warpvox.configs.tools import ZooConfig
 from warpvox.design import ZOO_FOLDER
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.errors import RunError, counted, did_you_mean, listing
 from warpvox.io.console import echo, literal
 from warpvox.io.text import duration, figure
-from warpvox.robots.entry import read_robot
-from warpvox.robots.gait import Gait
 from warpvox.view.cell_text import body_rows
 
 
 def run(config: ZooConfig, given: Collection[str], console: Console) -> None:
     """List the robots, or show one."""
     folder = ZOO_FOLDER if config.folder is None else Path(config.folder).expanduser()
-    entries = _entries(folder)
+
+    # Files by task, in the order of the paper; tasks of the user's own last
+    found = {path.stem: path for path in sorted(folder.glob("[!.]*.npz"))}
+    if not found:
+        raise RunError(f"{folder} has no robots, which are files TASK.npz.")
+    entries = {name: found[name] for name in dict.fromkeys([*task_ids(), *found]) if name in found}
+
     if config.task is None:
         _print_all(entries, folder, console)
         return
@@ -31,15 +37,8 @@ def run(config: ZooConfig, given: Collection[str], console: Console) -> None:
     _print_one(entries[config.task], console)
 
 
-def _entries(folder: Path) -> dict[str, Path]:
-    """Files by task, in the order of the paper; tasks of the user's own last."""
-    found = {path.stem: path for path in sorted(folder.glob("[!.]*.npz"))}
-    if not found:
-        raise RunError(f"{folder} has no robots, which are files TASK.npz.")
-    return {name: found[name] for name in dict.fromkeys([*task_ids(), *found]) if name in found}
-
-
 def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None:
+    """All robots as a table."""
     table = Table()
     # on a narrow terminal the body takes several lines
     for heading in ("task", "under noise", "nominal", "", "steps", "trained", "body"):
@@ -52,13 +51,18 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
         except RunError as error:
             failed.append(error)
             continue
-        about, lengths = robot.about, robot.about.get("lengths") or []
-        mean = f"{sum(lengths) / len(lengths):.0f}" if lengths else "-"
-        spent = about.get("control_steps")
-        trained = "-" if spent is None else f"{spent:,}"
-        body = "/".join("".join(map(str, row)) for row in robot.body.tolist())
-        returns = figure(robot.robust_return), figure(robot.mean_return)
-        table.add_row(*map(literal, (name, *returns, "" if robot.has_feedback else "○", mean, trained, body)))
+        lengths = robot.about.get("lengths") or []
+        spent = robot.about.get("control_steps")
+        cells = (
+            name,
+            figure(robot.robust_return),
+            figure(robot.mean_return),
+            "" if robot.has_feedback else "○",
+            f"{sum(lengths) / len(lengths):.0f}" if lengths else "-",
+            "-" if spent is None else f"{spent:,}",
+            "/".join("".join(map(str, row)) for row in robot.body.tolist()),
+        )
+        table.add_row(*map(literal, cells))
     console.print(table)
     for error in failed:
         echo(console, f"left out: {error}")
@@ -72,6 +76,7 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
 
 
 def _print_one(path: Path, console: Console) -> None:
+    """One robot in detail."""
     robot = read_robot(path)
     console.print(body_rows([robot.body], [robot.task], console))
     about = robot.about
@@ -80,12 +85,14 @@ def _print_one(path: Path, console: Console) -> None:
     # What acts
     if robot.policy is None:
         policy = "none"
-    elif isinstance(robot.policy, Gait):
-        stages = counted(robot.policy.num_stages, "stages")
-        policy = f"gait, open loop: {robot.policy.num_parameters} parameters, {stages}"
+    elif robot.policy.spec.gait is not None:
+        arrays = arrays_of(robot.policy)
+        parameters = sum(array.size for array in arrays.values()) - 1  # the first stage begins with the episode
+        policy = f"gait, open loop: {parameters} parameters, {counted(len(arrays['begin']), 'stages')}"
     else:
-        sizes = [robot.policy.num_obs, *(len(bias) for bias in robot.policy.biases)]
-        policy = f"{'-'.join(map(str, sizes))}, {robot.policy.activation}"
+        spec = robot.policy.spec
+        sizes = [spec.num_obs, *spec.hidden, spec.num_actions]
+        policy = f"{'-'.join(map(str, sizes))}, {spec.activation}"
 
     # What it took
     steps = about.get("control_steps")
@@ -94,10 +101,17 @@ def _print_one(path: Path, console: Console) -> None:
     if seconds is not None:
         training += f" in {duration(seconds)}"
 
+    # Its nominal return, of several seeds where the task draws at random
+    nominal = f"{about.get('return')}"
+    returns = about.get("returns", [])
+    seeds = about.get("seeds", [])
+    if min(len(returns), len(seeds)) > 1:
+        nominal += f", the mean over the seeds {seeds[0]} to {seeds[-1]}: {listing(returns)}"
+
     # The table
     rows: list[tuple[str, Any]] = [
         ("under noise", f"{figure(robot.robust_return)}, the mean of 32 episodes"),
-        ("return", _returns(about)),
+        ("return", nominal),
         ("control steps", f"{listing(about.get('lengths', []))}{limit}"),
         ("policy", policy),
         ("training", training),
@@ -115,10 +129,3 @@ def _print_one(path: Path, console: Console) -> None:
     for name, value in rows:
         table.add_row(name, literal(value))
     console.print(table)
-
-
-def _returns(about: Mapping[str, Any]) -> str:
-    returns, seeds = about.get("returns", []), about.get("seeds", [])
-    if min(len(returns), len(seeds)) < 2:
-        return f"{about.get('return')}"
-    return f"{about.get('return')}, the mean over the seeds {seeds[0]} to {seeds[-1]}: {listing(returns)}"

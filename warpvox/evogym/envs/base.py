@@ -33,8 +33,6 @@ __all__ += ["WorldObject", "error", "gym", "math", "np", "os", "random", "seedin
 __all__ += ["utils", "viewer", "world"]
 __all__ += utils.__all__
 
-_RENDER_OPTIONS = ("verbose", "hide_background", "hide_grid", "hide_edges", "hide_voxels")
-
 
 def _of_simulation(method: Callable) -> Callable:
     """A method that calls the one of that name of the environment's simulation."""
@@ -86,11 +84,12 @@ class EvoGymBase(gym.Env):
         self.render_mode = self._render_mode = render_mode
         self._render_options = {}
         for name, value in (render_options or {}).items():
-            if name in _RENDER_OPTIONS:
+            known = ("verbose", "hide_background", "hide_grid", "hide_edges", "hide_voxels")
+            if name in known:
                 self._render_options[name] = value
             else:
-                hint = did_you_mean(name, _RENDER_OPTIONS)
-                text = f"There is no render option {name!r}; there are {listing(_RENDER_OPTIONS)}.{hint}"
+                hint = did_you_mean(name, known)
+                text = f"There is no render option {name!r}; there are {listing(known)}.{hint}"
                 warnings.warn(text, stacklevel=2)
         if render_mode in WINDOWED:
             self._default_viewer.show_debug_window()  # fails now rather than in the first step

@@ -31,7 +31,8 @@ class ShapeBase(BenchmarkBase):
 
     def convex_poly_area(self, pts_cw: np.ndarray) -> float:
         """Area of a polygon ``[k, 2]``, positive if counter-clockwise."""
-        (x, y), (u, v) = np.transpose(pts_cw), np.transpose(np.roll(pts_cw, -1, axis=0))
+        x, y = np.transpose(pts_cw)
+        u, v = np.transpose(np.roll(pts_cw, -1, axis=0))
         return float(np.sum(x * v - u * y)) / 2
 
 

@@ -25,7 +25,8 @@ class Goal:
     """A goal with a name for messages and the keys of ``args`` that it needs; a subclass has its two methods."""
 
     def __init__(self, name: str, requirements: Sequence[str] | None = None) -> None:
-        self.name, self.requirements = name, list(requirements or ())
+        self.name = name
+        self.requirements = list(requirements or ())
 
     def evaluate(self, args: Mapping[str, Any]) -> tuple[float, bool]:
         """Reward of a step, and whether the goal is reached."""
@@ -45,7 +46,9 @@ class WalkToX(Goal):
 
     def evaluate(self, args: Mapping[str, np.ndarray]) -> tuple[float, bool]:
         """How much closer the robot has come, and whether it is within two voxels."""
-        before, after = (abs(self.x_goal * VOXEL - np.mean(args[key][0])) for key in (_BEFORE, _AFTER))
+        goal = self.x_goal * VOXEL
+        before = abs(goal - np.mean(args[_BEFORE][0]))
+        after = abs(goal - np.mean(args[_AFTER][0]))
         # A goal is reached within two voxels.
         return before - after, bool(after < 2 * VOXEL)
 
@@ -67,7 +70,8 @@ class GoalBase(BenchmarkBase):
         """Set the list and begin with its first goal; ArgumentError if there is none."""
         if not goals:
             raise ArgumentError("An environment with goals needs at least one.")
-        self.goals, self.current_goal = list(goals), 0
+        self.goals = list(goals)
+        self.current_goal = 0
         keys = dict.fromkeys(key for goal in self.goals for key in goal.requirements)
         self.requirements = {key: [goal.name for goal in self.goals if key in goal.requirements] for key in keys}
 
@@ -76,7 +80,8 @@ class GoalBase(BenchmarkBase):
         for key, names in self.requirements.items():
             if args.get(key) is None:
                 raise ArgumentError(f"args lack '{key}', which {', '.join(dict.fromkeys(names))} need.")
-        reward, reached = 0.0, True
+        reward = 0.0
+        reached = True
         while reached and self.current_goal < len(self.goals):
             reward, reached = self.goals[self.current_goal].evaluate(args)
             self.current_goal += int(reached)
@@ -104,10 +109,13 @@ class BiWalk(TaskEnv, GoalBase):
 
     def set_random_goals(self, lower_bound: int, upper_bound: int, goal_dist: float) -> None:
         """Draw goals in [lower_bound, upper_bound) voxels until the way past all of them is ``goal_dist`` or longer."""
-        place, way, goals = 35, 0, []
+        place = 35
+        way = 0
+        goals = []
         while way < goal_dist:
             goal = self._random.randrange(lower_bound, upper_bound)
-            way, place = way + abs(place - goal), goal
+            way = way + abs(place - goal)
+            place = goal
             goals.append(WalkToX(goal))
         self.init_reward_goals(goals)
 

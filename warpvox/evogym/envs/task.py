@@ -16,8 +16,6 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 __all__ = ["TaskEnv", "TimeLimit", "task_env"]
 
-_BOUND = 100.0  # as released: nominal, observations are not clipped
-
 
 class TaskEnv(BenchmarkBase):
     """A task of the benchmark with the rules of the release. A subclass says which, as ``task``.
@@ -55,9 +53,11 @@ class TaskEnv(BenchmarkBase):
         self.default_viewer.track_objects("robot", *handled)
         for params in (dict(term.params) for term in self._rules().observations):
             if "reach" in params:
-                self.sight_dist, self.terrain_list = params["reach"], list(params["objects"])
+                self.sight_dist = params["reach"]
+                self.terrain_list = list(params["objects"])
         self.action_space = spaces.Box(ACTION_LOW, ACTION_HIGH, (self.get_dim_action_space("robot"),), np.float64)
-        self.observation_space = spaces.Box(-_BOUND, _BOUND, self._observe(self._state()).shape, np.float64)
+        # As released: nominal, observations are not clipped.
+        self.observation_space = spaces.Box(-100.0, 100.0, self._observe(self._state()).shape, np.float64)
 
     def _rules(self) -> TaskSpec:
         return get_task(self.task)
@@ -74,7 +74,9 @@ class TaskEnv(BenchmarkBase):
         if not hasattr(self, "_terms"):  # a subclass may make its own world and call another base's __init__
             from warpvox.envs.adapters.single import RowTerms  # brings torch, which registering must not
 
-            self._terms, self._compared, self._seen = RowTerms(self._rules()), (), None
+            self._terms = RowTerms(self._rules())
+            self._compared = ()
+            self._seen = None
             self._compared = self._terms.compared(self._state())
         engine = self._sim._engine
         if self._seen != (engine, engine.changes):

@@ -6,8 +6,8 @@ from learning import ENVS, ppo_settings, small_env, stock_ppo
 from rsl_rl.algorithms import PPO as StockPPO
 from rsl_rl.models import MLPModel
 
+from warpvox.algos.ppo.stock import PPO, rsl_rl_config
 from warpvox.algos.settings import Ppo
-from warpvox.algos.training.ppo import PPO, rsl_rl_config
 from warpvox.algos.training.runner import adapt
 from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 

@@ -1,13 +1,17 @@
 """Layers and optimiser of populations against torch's own."""
 
 import itertools
+from types import SimpleNamespace
 
 import pytest
 import torch
+from rsl_rl.algorithms import PPO as StockPPO
+from rsl_rl.storage import RolloutStorage
+from tensordict import TensorDict
 from torch import nn
 
-from warpvox.algos.population.model import tanh_layers
-from warpvox.algos.population.ppo import VectorAdam
+from warpvox.algos.ppo.networks import tanh_layers
+from warpvox.algos.ppo.population import PopulationPPO, VectorAdam
 
 SIZES = (5, 7, 6, 3)
 DESIGNS = 4
@@ -68,10 +72,11 @@ def test_each_row_of_stacked_networks_is_an_adam_of_its_own() -> None:
         torch.optim.Adam([p for group in groups for p in group], lr=float(rate), eps=EPS)
         for groups, rate in zip(parts, rates, strict=True)
     ]
-    for step in range(1, 21):
+    for _ in range(20):
+        ours.prepare(1)
         gradients = [torch.randn(p.shape, generator=random).double() * scales for p in ours.parameters]
         for rows in (slice(2), slice(2, 3)):
-            ours.descend(ours.flat([g[rows] for g in gradients]), LIMIT, rates[rows], step, rows)
+            ours.descend(ours.flat([g[rows] for g in gradients]), LIMIT, rates[rows], 0, rows)
         for d, optimizer in enumerate(theirs):
             for parameter, gradient in zip(optimizer.param_groups[0]["params"], gradients, strict=True):
                 parameter.grad = gradient[d].clone()
@@ -81,3 +86,38 @@ def test_each_row_of_stacked_networks_is_an_adam_of_its_own() -> None:
     for k, parameter in enumerate(ours.parameters):
         stock = torch.stack([optimizer.param_groups[0]["params"][k].detach() for optimizer in theirs])
         torch.testing.assert_close(parameter.detach(), stock, rtol=0, atol=1e-12)
+
+
+class Values:
+    """A critic that gives these values."""
+
+    def __init__(self, values: torch.Tensor) -> None:
+        self.values = values
+
+    def __call__(self, obs: TensorDict) -> torch.Tensor:
+        return self.values
+
+    def get_hidden_state(self) -> None:
+        return None
+
+    def reset(self, hidden_state: None) -> None:
+        pass
+
+
+def test_returns_and_advantages_are_rsl_rls_bit_for_bit() -> None:
+    random, steps, rows = torch.Generator().manual_seed(0), 9, 11
+    obs = TensorDict({"policy": torch.zeros(rows, 3)}, [rows])
+    last = torch.randn(rows, 1, generator=random)
+    found = []
+    for compute in (PopulationPPO._estimate_advantages, StockPPO.compute_returns):
+        draw = torch.Generator().manual_seed(1)
+        storage = RolloutStorage("rl", rows, steps, obs, [2])
+        storage.rewards.normal_(generator=draw)
+        storage.values.normal_(generator=draw)
+        storage.dones.copy_(torch.rand(storage.dones.shape, generator=draw) < 0.2)
+        algorithm = SimpleNamespace(storage=storage, gamma=0.99, lam=0.95, normalize_advantage_per_mini_batch=True)
+        algorithm.critic = Values(last)
+        compute(algorithm, last if compute is PopulationPPO._estimate_advantages else obs)
+        found.append((storage.returns, storage.advantages))
+    for ours, theirs in zip(*found, strict=True):
+        assert torch.equal(ours, theirs)

@@ -2,9 +2,9 @@
 
 The file holds ``header`` (JSON in UTF-8, uint8: ``format``, ``version``, ``task``, ``network``, ``about``, ``sha256``),
 ``body`` int8 ``[rows, columns]``, ``connections`` int32 ``[2, k]`` and, if there is a policy, ``mean``, ``deviation``
-(float32 ``[num_obs]``), ``weight_0``, ``bias_0``, ... (float32, see :class:`warpvox.robots.network.Network`). Where
+(float32 ``[num_obs]``), ``weight_0``, ``bias_0``, ... (float32, see :func:`warpvox.algos.robots.network_policy`). Where
 ``network`` is ``{"kind": "gait"}`` the policy is open loop instead: ``begin``, ``period`` (float64 ``[stages]``),
-``amplitude``, ``phase`` and ``rest`` (float64 ``[stages, actuators]``, see :class:`warpvox.robots.gait.Gait`).
+``amplitude``, ``phase`` and ``rest`` (float64 ``[stages, actuators]``, see :func:`warpvox.algos.robots.gait_policy`).
 """
 
 import hashlib
@@ -18,14 +18,14 @@ from typing import Any
 
 import numpy as np
 
+from warpvox.algos.checkpoints.policy import Policy
+from warpvox.algos.robots.policies import arrays_of, as_stored, gait_policy, network_policy
 from warpvox.checks import is_number
 from warpvox.design import Design, check_design, full_connections, zoo_file, zoo_tasks as zoo_tasks
 from warpvox.errors import DesignError, RunError
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path, check_suffix
 from warpvox.palette import body_svg
-from warpvox.robots.gait import ARRAYS, Gait
-from warpvox.robots.network import Network
 
 FORMAT, VERSION = "warpvox robot", 1
 DIGITS = 9
@@ -44,7 +44,8 @@ class Robot:
         task: id of the task.
         body: int8 ``[rows, columns]``.
         connections: EvoGym's index pairs, int32 ``[2, k]``.
-        policy: observations, those of :attr:`obs`, to actions; None: a body alone.
+        policy: observations, those of :attr:`obs`, to actions, in float64; None: a body alone. What is given is copied
+            as files keep it: see :func:`warpvox.algos.robots.policies.as_stored`.
         about: of an entry of the zoo ``return`` (mean over ``returns``), ``returns``, ``lengths``, ``seeds`` (one an
             episode), ``noise`` (``return`` and ``returns`` of 32 episodes under noise), ``control_steps`` and
             ``wall_s`` (of the search or training that it comes from), ``command``, ``config``, ``date``, ``version``,
@@ -56,13 +57,18 @@ class Robot:
     task: str
     body: Design
     connections: np.ndarray
-    policy: Network | Gait | None
+    policy: Policy | None
     about: Mapping[str, Any] = field(default_factory=dict)
     source: str = ""
 
+    def __post_init__(self) -> None:
+        if self.policy is not None:
+            object.__setattr__(self, "policy", as_stored(self.policy, self.body))
+
     def __repr__(self) -> str:
         rows, columns = self.body.shape
-        kind = "no policy" if self.policy is None else type(self.policy).__name__
+        kind = "network" if self.has_feedback else "gait"
+        kind = "no policy" if self.policy is None else kind
         return f"Robot({self.task}, {rows} x {columns} cells, {kind}, return {self.mean_return:.3f})"
 
     def _repr_html_(self) -> str:
@@ -84,10 +90,10 @@ class Robot:
     @property
     def has_feedback(self) -> bool:
         """True if its actions depend on what happens, not on the time alone."""
-        return not isinstance(self.policy, Gait)
+        return self.policy is None or self.policy.spec.has_feedback
 
     @property
-    def own_policy(self) -> Network | Gait:
+    def own_policy(self) -> Policy:
         """The policy; RunError where there is a body alone."""
         if self.policy is None:
             why = self.about.get("no_policy", "there is a body alone.")
@@ -203,32 +209,30 @@ def _check_header(header: Any) -> None:
 
 
 def _robot(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Robot:
-    network, count = header["network"], sum(name.startswith("weight_") for name in arrays)
-    policy: Network | Gait | None = None
+    body = check_design(arrays.pop("body"))
+    connections = arrays.pop("connections").astype(np.int32)
+    network = header["network"]
+    policy: Policy | None = None
     if network == GAIT:
-        policy = Gait(**{name: arrays[name] for name in ARRAYS})
+        policy = gait_policy(body, **arrays)
     elif network is not None:
-        weights, biases = ([arrays[f"{kind}_{k}"] for k in range(count)] for kind in ("weight", "bias"))
-        parts = {name: arrays[name].astype(np.float32) for name in ("mean", "deviation")}
-        policy = Network(tuple(weights), tuple(biases), **parts, **network)
-    connections = arrays["connections"].astype(np.int32)
-    return Robot(header["task"], check_design(arrays["body"]), connections, policy, header["about"])
+        layers = range(sum(name.startswith("weight_") for name in arrays))
+        weights = [arrays[f"weight_{layer}"] for layer in layers]
+        biases = [arrays[f"bias_{layer}"] for layer in layers]
+        policy = network_policy(weights, biases, arrays["mean"], arrays["deviation"], **network)
+    return Robot(header["task"], body, connections, policy, header["about"])
 
 
-def _network(policy: Network | Gait | None) -> dict[str, Any] | None:
+def _network(policy: Policy | None) -> dict[str, Any] | None:
+    """The entry ``network`` of a header."""
     if policy is None:
         return None
-    if isinstance(policy, Gait):
+    if policy.spec.gait is not None:
         return GAIT
-    return {"activation": policy.activation, "scale": float(policy.scale), "center": float(policy.center)}
+    spec = policy.spec
+    return {"activation": spec.activation, "scale": spec.action_scale, "center": spec.action_center}
 
 
 def _arrays(robot: Robot) -> dict[str, np.ndarray]:
     arrays = {"body": robot.body, "connections": robot.connections.astype(np.int32)}
-    if isinstance(robot.policy, Gait):
-        arrays |= {name: getattr(robot.policy, name) for name in ARRAYS}
-    elif robot.policy is not None:
-        arrays |= {"mean": robot.policy.mean, "deviation": robot.policy.deviation}
-        for layer, (weight, bias) in enumerate(zip(robot.policy.weights, robot.policy.biases, strict=True)):
-            arrays |= {f"weight_{layer}": weight, f"bias_{layer}": bias}
-    return arrays
+    return arrays if robot.policy is None else arrays | arrays_of(robot.policy)

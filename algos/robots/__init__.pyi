@@ -7,7 +7,5 @@ from .entry import (
     zoo as zoo,
     zoo_tasks as zoo_tasks,
 )
-from .gait import Gait as Gait
-from .network import Network as Network
-from .replay import robot_env as robot_env
-from .returns import Judgement as Judgement, judge as judge
+from .episodes import Judgement as Judgement, judge as judge, robot_env as robot_env
+from .policies import gait_policy as gait_policy, network_policy as network_policy

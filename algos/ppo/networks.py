@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -141,7 +141,7 @@ class Normalizer(EmpiricalNormalization):
         rate, moved = x.shape[-2] / self.count, mean - self._mean
         self._mean += rate * moved
         self._var += rate * (var - self._var + moved * (mean - self._mean))
-        self._std = self._var.sqrt()
+        self._std.copy_(self._var.sqrt())
 
 
 class PopulationModel(MLPModel):
@@ -198,17 +198,35 @@ class PopulationModel(MLPModel):
 
     def member(self, design: int) -> dict[str, torch.Tensor]:
         """The state of one design's network as a stock model loads it, on the CPU."""
-        inputs, outputs, state = self.inputs[design], self.outputs[design], {}
+        state = self.moments(design) | self.of_parameters(design, lambda parameter: parameter.detach())
+        return {k: v.cpu().clone(memory_format=torch.contiguous_format) for k, v in state.items()}
+
+    def moments(self, design: int) -> dict[str, torch.Tensor]:
+        """Views of the moments of one design's observations, by a stock model's names."""
+        state: dict[str, torch.Tensor] = {}
         if isinstance(self.obs_normalizer, Normalizer):
             for name in MOMENTS:
-                state[f"obs_normalizer.{name}"] = getattr(self.obs_normalizer, name)[design, :, :inputs]
+                values = getattr(self.obs_normalizer, name)
+                state[f"obs_normalizer.{name}"] = values[design, :, : self.inputs[design]]
             state["obs_normalizer.count"] = self.obs_normalizer.count[design, 0, 0]
+        return state
+
+    def of_parameters(self, design: int, values: Callable[[torch.Tensor], torch.Tensor]) -> dict[str, torch.Tensor]:
+        """Views of what belongs to one design's parameters, by a stock model's names and in its shapes.
+
+        Args:
+            values: of a parameter what belongs to it, in its shape: itself, or its moments for instance.
+        """
+        inputs = self.inputs[design]
+        outputs = self.outputs[design]
         last = len(self.weights) - 1
+        state: dict[str, torch.Tensor] = {}
         for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            rows = slice(inputs if k == 0 else None)
             columns = slice(outputs if k == last else None)
-            state[f"mlp.{2 * k}.weight"] = weight[design, : inputs if k == 0 else None, columns].T
-            state[f"mlp.{2 * k}.bias"] = bias[design, 0, columns]
-        return {k: v.detach().cpu().clone(memory_format=torch.contiguous_format) for k, v in state.items()}
+            state[f"mlp.{2 * k}.weight"] = values(weight)[design, rows, columns].T
+            state[f"mlp.{2 * k}.bias"] = values(bias)[design, 0, columns]
+        return state
 
     def part(self, share: slice) -> PopulationModel:
         """The networks of some neighbouring designs as a model that shares this one's memory."""
@@ -252,9 +270,9 @@ class PopulationActor(PopulationModel):
         mask = _padded([torch.ones_like(one) for one in log_std])
         self.distribution = StackedGaussian(_padded(log_std), mask, gaussians[0].log_std_range)
 
-    def member(self, design: int) -> dict[str, torch.Tensor]:
-        own = self.distribution.log_std_param[design, 0, : self.outputs[design]]
-        return super().member(design) | {"distribution.log_std_param": own.detach().cpu().clone()}
+    def of_parameters(self, design: int, values: Callable[[torch.Tensor], torch.Tensor]) -> dict[str, torch.Tensor]:
+        own = values(self.distribution.log_std_param)[design, 0, : self.outputs[design]]
+        return super().of_parameters(design, values) | {"distribution.log_std_param": own}
 
     def keep(self, index: Sequence[int]) -> None:
         super().keep(index)

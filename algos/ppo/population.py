@@ -14,8 +14,8 @@ from tensordict import TensorDict
 from torch import nn
 
 from warpvox.algos.policies.network import observations
-from warpvox.algos.population.model import Normalizer, PopulationActor, PopulationModel, StackedGaussian
-from warpvox.algos.training.ppo import PPO
+from warpvox.algos.ppo.networks import Normalizer, PopulationActor, PopulationModel, StackedGaussian
+from warpvox.algos.ppo.stock import PPO
 
 BLOCK = 16
 """Most designs that learn in one go on the CPU; fewer cost more overhead, more leave threads without work."""
@@ -38,13 +38,13 @@ class Samples(NamedTuple):
 class PopulationPPO(PPO):
     """Our PPO with an axis for designs: losses, gradients' norms, learning rates and random numbers are per design.
 
-    Rows of the storage are sorted by design. Each design learns what :class:`warpvox.algos.training.ppo.PPO` would
+    Rows of the storage are sorted by design. Each design learns what :class:`warpvox.algos.ppo.stock.PPO` would
     teach it alone, up to rounding, in fewer operations: values and log-probabilities are computed for the whole rollout
     at once, and gradients of the losses by hand. The same batch gives the same bits.
 
     Args:
         storage: for ``designs * envs`` environments; actions as wide as the actor's outputs.
-        settings: further arguments of :class:`warpvox.algos.training.ppo.PPO`.
+        settings: further arguments of :class:`warpvox.algos.ppo.stock.PPO`.
 
     Attributes:
         rates: float64 ``[designs]``, learning rates.
@@ -73,6 +73,53 @@ class PopulationPPO(PPO):
         if threads > 1:  # torch's own number of threads is a setting of every thread
             own = {"initializer": torch.set_num_threads, "initargs": (torch.get_num_threads(),)}
             self._pool = ThreadPoolExecutor(threads, **own)
+
+    @classmethod
+    def in_place_of(cls, stock: PPO, generator: torch.Generator, **settings: Any) -> PopulationPPO:
+        """A population of one that goes on with what a stock algorithm has learned, in its storage.
+
+        Args:
+            generator: of its random numbers, on its device.
+            settings: those of ``stock``.
+        """
+        actor = PopulationActor([stock.actor])
+        critic = PopulationModel([stock.critic])
+        streams = Streams([generator], stock.device)
+        made = cls(actor, critic, stock.storage, streams, device=stock.device, **settings)
+        made.rates.fill_(stock.learning_rate)
+        made.updates = stock.updates
+        for parameter, _, mean, square in made._pairs(stock):
+            if state := stock.optimizer.state.get(parameter):
+                mean.copy_(state["exp_avg"])
+                square.copy_(state["exp_avg_sq"])
+                made.optimizer.steps = int(state["step"])
+        return made
+
+    @torch.no_grad()
+    def copy_to(self, stock: PPO) -> None:
+        """Give a stock algorithm of one design all that was learned."""
+        for name, moments in self.actor.moments(0).items():
+            stock.actor.get_buffer(name).copy_(moments)
+        steps = float(self.optimizer.steps)
+        for parameter, value, mean, square in self._pairs(stock):
+            parameter.copy_(value)
+            stock.optimizer.state[parameter] = {
+                "step": torch.full((), steps, dtype=torch.float32, device=self.device),
+                "exp_avg": mean.clone(memory_format=torch.contiguous_format),
+                "exp_avg_sq": square.clone(memory_format=torch.contiguous_format),
+            }
+        stock.set_learning_rate(float(self.rates[0]))
+        stock.updates = self.updates
+
+    def _pairs(self, stock: PPO) -> Iterator[tuple[nn.Parameter, torch.Tensor, torch.Tensor, torch.Tensor]]:
+        """The parameters of a stock algorithm of one design, each with its value here and both of its moments."""
+        means, squares = self.optimizer.moments()
+        for ours, theirs in ((self.actor, stock.actor), (self.critic, stock.critic)):
+            values = ours.of_parameters(0, lambda parameter: parameter.detach())
+            firsts = ours.of_parameters(0, lambda parameter: means[parameter])
+            seconds = ours.of_parameters(0, lambda parameter: squares[parameter])
+            for name, parameter in theirs.named_parameters():
+                yield parameter, values[name], firsts[name], seconds[name]
 
     def _fill(self, storage: RolloutStorage) -> None:
         """Collect in ``storage`` from now on, and beside it scaled inputs and means of the actions."""
@@ -131,30 +178,51 @@ class PopulationPPO(PPO):
         for target, part in zip((st.values, st.actions_log_prob), zip(*parts, strict=True), strict=True):
             by_step = torch.cat(part, dim=1).unflatten(1, (st.num_transitions_per_env, -1)).transpose(0, 1)
             target.copy_(by_step.flatten(1, 2))
-        super().compute_returns(obs)
+        self._estimate_advantages(self.critic(obs))
+
+    def _estimate_advantages(self, last_values: torch.Tensor) -> None:
+        """Returns and generalised advantages of the storage, as rsl-rl computes them, in fewer operations.
+
+        Args:
+            last_values: ``[rows, 1]``, of the observations after the rollout.
+        """
+        st = self.storage
+        discount = (1.0 - st.dones.float()) * self.gamma  # 0 where an episode has ended
+        next_values = torch.cat([st.values[1:], last_values[None]])
+        errors = st.rewards + discount * next_values - st.values
+        decay = discount * self.lam
+        advantage = torch.zeros_like(last_values)
+        for step in reversed(range(st.num_transitions_per_env)):
+            advantage = errors[step] + decay[step] * advantage
+            st.returns[step] = advantage
+        st.returns += st.values
+        st.advantages = st.returns - st.values
 
     def _samples(self, values: torch.Tensor) -> torch.Tensor:
         """``[steps, rows, ...]`` of the storage as ``[designs, steps * envs, ...]``."""
         return values.unflatten(1, (self.num_designs, -1)).transpose(0, 1).flatten(1, 2)
 
-    def update(self) -> dict[str, float]:
-        """One iteration's optimisation; returns the mean losses.
+    def prepare(self) -> None:
+        """Do what the host does before an iteration: write numbers that depend on how many there were."""
+        if self.decays:
+            self.rates.fill_(self.decayed_rate)
+        self.optimizer.prepare(self.num_learning_epochs * self.num_mini_batches)
+        self.updates += 1
+
+    def update(self) -> dict[str, torch.Tensor]:
+        """One iteration's optimisation; returns the mean losses ``[designs]``, for which the host does not wait.
 
         Threads share the work block by block, so that their number changes no result.
         """
-        if self.decays:
-            self.rates.fill_(self.decayed_rate)
         data, count = self._shuffled(), -(-self.num_designs // BLOCK) if str(self.device) == "cpu" else 1
         ends = [self.num_designs * k // count for k in range(count + 1)]
         blocks = [slice(*pair) for pair in itertools.pairwise(ends)]
         run = self._pool.map if self._pool else map
-        losses = torch.cat(list(run(lambda block: self._learn(block, data), blocks)), dim=1).mean(1)
-        self.optimizer.steps += self.num_learning_epochs * self.num_mini_batches
+        losses = torch.cat(list(run(lambda block: self._learn(block, data), blocks)), dim=1)
         if isinstance(self.actor.obs_normalizer, Normalizer):
             self.actor.obs_normalizer.update(self._samples(observations(self.actor, self.storage.observations)))
         self.storage.clear()
-        self.updates += 1
-        return dict(zip(("value", "surrogate", "entropy"), losses.tolist(), strict=True))
+        return dict(zip(("value", "surrogate", "entropy"), losses, strict=True))
 
     @torch.no_grad()
     def _shuffled(self) -> Samples:
@@ -197,7 +265,7 @@ class PopulationPPO(PPO):
             gradients = torch.autograd.grad([mean, values], [*layers[0], *layers[1]], [of_mean, of_values])
             count = len(layers[0])
             gradient = self.optimizer.flat([*gradients[:count], of_log_std, *gradients[count:]])
-            self.optimizer.descend(gradient, self.max_grad_norm, rate, self.optimizer.steps + k + 1, block)
+            self.optimizer.descend(gradient, self.max_grad_norm, rate, k, block)
             sums += torch.stack([value, surrogate, entropy])
         return sums / times
 
@@ -270,6 +338,12 @@ class VectorAdam:
         self.steps, self.eps = 0, eps
         self._bind()
         self._means, self._squares = torch.zeros_like(self._values), torch.zeros_like(self._values)
+        self._corrections = self._values.new_zeros((0, 2), dtype=torch.float64)
+
+    def moments(self) -> tuple[dict[torch.Tensor, torch.Tensor], dict[torch.Tensor, torch.Tensor]]:
+        """Views of the first and second moments by parameter, in the shapes of these."""
+        shapes = [parameter.shape for parameter in self.parameters]
+        return dict(self._parts(self._means, shapes)), dict(self._parts(self._squares, shapes))
 
     @staticmethod
     def flat(tensors: Sequence[torch.Tensor]) -> torch.Tensor:
@@ -288,14 +362,23 @@ class VectorAdam:
         parts = matrix.split([shape[1:].numel() for shape in shapes], dim=-1)
         return ((p, part.view(shape)) for p, part, shape in zip(self.parameters, parts, shapes, strict=True))
 
+    def prepare(self, count: int) -> None:
+        """Have the next ``count`` calls of :meth:`descend` be steps that follow upon those so far."""
+        numbers = range(self.steps + 1, self.steps + count + 1)
+        corrections = torch.tensor([[-(1 - FIRST**n), math.sqrt(1 - SECOND**n)] for n in numbers], dtype=torch.float64)
+        if len(self._corrections) != count:
+            self._corrections = self._corrections.new_zeros((count, 2))
+        self._corrections.copy_(corrections)
+        self.steps += count
+
     @torch.no_grad()
-    def descend(self, gradient: torch.Tensor, limit: float, rate: torch.Tensor, step: int, rows: slice) -> None:
+    def descend(self, gradient: torch.Tensor, limit: float, rate: torch.Tensor, number: int, rows: slice) -> None:
         """A step along the gradients, which are scaled down to a norm of ``limit`` for each network.
 
         Args:
             gradient: :meth:`flat`; overwritten.
             rate: learning rates, float64, one for each row.
-            step: its number, from 1; :attr:`steps` stays as it is.
+            number: which of the steps it is that were prepared, from 0.
             rows: the designs that the gradients are of. Threads may step different rows at the same time.
         """
         values, means, squares = (matrix[rows] for matrix in (self._values, self._means, self._squares))
@@ -304,9 +387,9 @@ class VectorAdam:
         means.lerp_(gradient, 1 - FIRST)
         squares.mul_(SECOND).addcmul_(gradient, gradient, value=1 - SECOND)
         # m / (sqrt(v / c) + eps) with both sides multiplied by the root of c, which saves a pass over the parameters
-        correction = math.sqrt(1 - SECOND**step)
-        factor = (-(1 - FIRST**step) / (correction * rate)).to(values.dtype)
-        values.addcdiv_(means, squares.sqrt().add_(self.eps * correction).mul_(factor[..., None]))
+        first, second = self._corrections[number]
+        factor = (first / (second * rate)).to(values.dtype)
+        values.addcdiv_(means, squares.sqrt().add_((self.eps * second).to(values.dtype)).mul_(factor[..., None]))
 
     def keep(self, index: Sequence[int], shapes: Sequence[torch.Size]) -> None:
         """Keep these designs; ``shapes`` are those of the parameters before the networks were cut."""
@@ -323,16 +406,12 @@ class Streams:
     size.
 
     Args:
-        states: of torch's generator on the CPU, where each design's stream goes on (after its networks were made); on
-            another device streams begin with the seeds.
+        generators: on ``device``, in the order of the designs.
     """
 
-    def __init__(self, seeds: Sequence[int], states: Sequence[torch.Tensor], device: str) -> None:
+    def __init__(self, generators: Sequence[torch.Generator], device: str) -> None:
+        self.generators = list(generators)
         self.device = device
-        self._generators = [torch.Generator(device).manual_seed(seed) for seed in seeds]
-        if torch.device(device).type == "cpu":
-            for generator, state in zip(self._generators, states, strict=True):
-                generator.set_state(state)
 
     def normal(self, steps: int, rows: int, columns: Sequence[int]) -> torch.Tensor:
         """``[steps, designs, rows, max(columns)]``: standard normal in the first ``columns`` of each design, else 0.
@@ -342,19 +421,19 @@ class Streams:
         numbers = torch.zeros((steps, len(columns), rows, max(columns)), device=self.device)
         parts = numbers if torch.device(self.device).type == "cpu" else numbers[None]
         for part in parts:
-            for d, (generator, count) in enumerate(zip(self._generators, columns, strict=True)):
+            for d, (generator, count) in enumerate(zip(self.generators, columns, strict=True)):
                 drawn = part[..., d, :, :count]
                 drawn.copy_(torch.randn(drawn.shape, generator=generator, device=self.device))
         return numbers
 
     def permutations(self, count: int) -> torch.Tensor:
         """long ``[designs, count]``: an order of ``count`` things for each design."""
-        return torch.stack([torch.randperm(count, generator=one, device=self.device) for one in self._generators])
+        return torch.stack([torch.randperm(count, generator=one, device=self.device) for one in self.generators])
 
     def integers(self, high: int, count: int) -> torch.Tensor:
         """long ``[designs, count]`` in [0, high)."""
         size = (count,)
-        return torch.stack([torch.randint(high, size, generator=g, device=self.device) for g in self._generators])
+        return torch.stack([torch.randint(high, size, generator=g, device=self.device) for g in self.generators])
 
     def keep(self, index: Sequence[int]) -> None:
-        self._generators = [self._generators[d] for d in index]
+        self.generators = [self.generators[d] for d in index]

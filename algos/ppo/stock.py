@@ -23,13 +23,12 @@ from warpvox.algos.expected import AnyTensor, check_like, optimizer_state
 from warpvox.algos.generators import Generators
 from warpvox.algos.policies.model import VoxelModel
 from warpvox.algos.policies.network import LATENT, Gaussian, Network
-from warpvox.algos.settings import Ppo
+from warpvox.algos.settings import WIDEST, Ppo
 from warpvox.checks import check_choice, check_integer, is_mapping
 from warpvox.code import load_code
 from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import converted
-from warpvox.robots.network import WIDEST
 
 SYMMETRY = "data_augmentation_func"
 """The setting of ``symmetry_cfg`` that names code."""
