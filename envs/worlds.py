@@ -132,8 +132,8 @@ def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[De
 
     # One body: a name, robots by name, an array of two dimensions, or a list of rows, which are lists that hold none
     is_array = getattr(designs, "ndim", 1) in (0, 2)
-    if is_list(designs) and len(designs):
-        is_array |= all(is_list(row) and not isinstance(row, str) and not any(map(is_list, row)) for row in designs)
+    if not is_array and is_list(designs) and len(designs):
+        is_array = all(is_list(row) and not isinstance(row, str) and not any(map(is_list, row)) for row in designs)
     single = is_array or isinstance(designs, str) or is_mapping(designs)
     if not single and not is_list(designs):
         raise DesignError(f"designs must be a list of bodies, got {type(designs).__name__}.")
