@@ -71,7 +71,7 @@ class Term:
         try:
             return self.bound(*states)
         except Exception as error:
-            _fail(f"{self.kind} '{self.name}'", error)
+            _raise_task_error(f"{self.kind} '{self.name}'", error)
 
     @cached_property
     def bound(self) -> Function:
@@ -139,26 +139,34 @@ class Memory:
     update: Callable[[Snapshot], Tensor] | None = None
 
     def begin(self, draws: RandomStream) -> Tensor:
-        """The value of ``start``."""
+        """Call ``start`` with the random stream; return the initial value, ``[num_envs, ...]``.
+
+        Raises:
+            TaskError: the function has failed; the message says where.
+        """
         try:
             return self.start(draws)
         except Exception as error:
-            _fail(f"start of the memory '{self.name}'", error)
+            _raise_task_error(f"start of the memory '{self.name}'", error)
 
     def advance(self, state: Snapshot) -> Tensor:
-        """The value of ``update``; without one, the present value."""
+        """Call ``update`` with the state after a step and return the new value; without ``update``, the present value.
+
+        Raises:
+            TaskError: the function has failed; the message says where.
+        """
         if self.update is None:
             return state.memory_values[self.name]
         try:
             return self.update(state)
         except Exception as error:
-            _fail(f"update of the memory '{self.name}'", error)
+            _raise_task_error(f"update of the memory '{self.name}'", error)
 
 
-def _fail(part: str, error: Exception) -> NoReturn:
-    """Raise TaskError for what a function of a task has raised, with the place if the error is not one of ours.
+def _raise_task_error(part: str, error: Exception) -> NoReturn:
+    """Raise TaskError for an ``error`` that a function of a task has raised; ``part`` names the function.
 
-    A shortage of memory is raised as it is.
+    If the error is not one of warpvox, the message gives its file and line. A shortage of memory is raised as it is.
     """
     if shortage(error):
         raise error

@@ -185,7 +185,7 @@ class VoxelVecEnv:
         self.layout = ObservationLayout(spec.observations, sim, probe)
         self.num_obs = self.layout.num_obs
         self.num_actions = sim.num_actions
-        self._describe(sim.design_index[::block])  # equal designs share one entry of the simulation
+        self._set_masks_and_columns(sim.design_index[::block])  # equal designs share one world of the simulation
         self.voxels = voxel_layouts(spec.observations, self.obs_columns[0])
 
         # On the CPU a mask can be read to skip work; elsewhere reading it would wait for the device.
@@ -208,8 +208,12 @@ class VoxelVecEnv:
         """The present state; terms of a user's own get copies, which they may write to."""
         return Snapshot(self.sim, self.episodes.memory, values, copies=self._has_code)
 
-    def _describe(self, worlds: torch.Tensor) -> None:
-        """Sizes of the designs, from the simulation's world of each."""
+    def _set_masks_and_columns(self, worlds: torch.Tensor) -> None:
+        """Set the masks and columns of observations and actions of every design.
+
+        Args:
+            worlds: long ``[num_designs]``: for each design the index of its world in ``sim.worlds``.
+        """
         self.obs_mask = self.layout.mask[worlds]
         self.action_mask = self.sim.action_mask[worlds]
         numbers: list[int] = worlds.cpu().numpy().tolist()
@@ -338,7 +342,7 @@ class VoxelVecEnv:
         teams = [{name: world.objects[name].grid for name in self.spec.robots} for world in worlds]
         self.designs = list(teams) if self.spec.partners else [team[ROBOT] for team in teams]
         self.design_index.copy_(self.sim.design_index)
-        self._describe(torch.arange(len(worlds), device=self.device))
+        self._set_masks_and_columns(torch.arange(len(worlds), device=self.device))
         if self.dump is not None:
             self.dump.refresh()
         return self.reset(mask=mask)[0]
@@ -426,13 +430,13 @@ class VoxelVecEnv:
         return result
 
     def _step_on_device(self) -> StepResult:
-        """The part of :meth:`step` that a CUDA graph records.
+        """Step all environments with the actions that :meth:`step` has stored; return the results of :meth:`step`.
 
-        Tensors are written in place, and on CUDA nothing is read back. ``active`` (bool ``[num_envs]``) is True where
-        an episode is running: everywhere with ``auto_reset``.
+        It runs on the CPU, too; on CUDA a graph may record and repeat it. Therefore tensors that later calls use are
+        written in place, and on CUDA nothing is read back.
         """
         episodes = self.episodes
-        active = episodes.active
+        active = episodes.active  # where an episode is running; with auto_reset: everywhere
 
         # Physics
         self.sim.advance()
@@ -450,10 +454,11 @@ class VoxelVecEnv:
         reward_terms, terminated = self.evaluate_terms(before, after, unstable, active)
         reward = cast(torch.Tensor, sum(reward_terms.values()))
 
-        # NaN and infinity. An environment that has them is stopped as diverged. On the CPU two sums show that there are
-        # none, which is the usual case; elsewhere reading a sum would wait for the device.
+        # NaN and infinity. An environment that has them is stopped as diverged. On the CPU a quick check of the sums
+        # usually shows that there are none; elsewhere reading a sum would wait for the device.
         skipped = diverged | ~active
-        if not (self._on_cpu and all_finite(obs, reward) and not skipped.any()):
+        clean = self._on_cpu and all_finite(obs, reward) and not skipped.any()
+        if not clean:
             obs, nonfinite = self._finite.step(obs, reward_terms, ~skipped)
             unstable = unstable | nonfinite
             diverged = diverged | nonfinite

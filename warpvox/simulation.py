@@ -390,11 +390,14 @@ class Simulation(Sensing):
 
     @property
     def rows(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """long and bool [num_envs, rows]: where the entries of :meth:`state` lie in the arrays, and which are real."""
+        """For the columns of positions in :meth:`state`: their rows in the kernels' arrays, and which are not padding.
+
+        Long and bool ``[num_envs, columns]``; a column is the x or the y of a point.
+        """
         return self._rows, self._has_row
 
     def rows_of(self, name: str) -> torch.Tensor:
-        """bool [num_envs, rows]: which entries of the positions in :meth:`state` belong to an object."""
+        """Return bool ``[num_envs, columns]``: which columns of the positions in :meth:`state` belong to an object."""
         points = self._objects.point_range[:, self._objects.index(name), :, None]
         point = torch.arange(self._rows.shape[1], device=self.device) // 2
         return (point >= points[:, 0]) & (point < points[:, 1])

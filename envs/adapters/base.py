@@ -212,11 +212,11 @@ def spaces_of(env: Any) -> tuple[Box, Box]:
     Both have the precision of the environment.
     """
     dtype = np.dtype(env.sim.options.dtype)
-    padding = np.arange(int(env.num_obs)) >= env.layout.always  # is 0
+    padding = np.arange(int(env.num_obs)) >= env.layout.num_never_padded  # may be padded with 0
     low = np.where(padding, 0.0, np.inf)
     high = np.where(padding, 0.0, -np.inf)
     for term in env.spec.observations:
-        at = env.layout.places[term.name]
+        at = env.layout.possible_columns[term.name]
         low[at], high[at] = np.minimum(low[at], term.about.low), np.maximum(high[at], term.about.high)
     actions = Box(ACTION_LOW, ACTION_HIGH, (env.num_actions,), dtype)
     return Box(low.astype(dtype), high.astype(dtype), dtype=dtype), actions

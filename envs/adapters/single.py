@@ -96,6 +96,13 @@ class Sensors:
         return self._senses[key]()
 
     def __getattr__(self, method: str) -> Callable[..., np.ndarray]:
+        """Return a function that calls :meth:`launched` for a method of the simulation, and keep it as an attribute.
+
+        Raises:
+            AttributeError: the simulation has no public method of that name.
+        """
+        if method.startswith("_") or not callable(getattr(type(self._sim), method, None)):
+            raise AttributeError(f"A simulation has no method {method!r} that senses.", name=method, obj=self)
         ask = partial(self.launched, method)
         setattr(self, method, ask)
         return ask

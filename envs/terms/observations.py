@@ -126,9 +126,9 @@ def _windows(state: Snapshot, name: str, reach: int, objects: tuple[str, ...], n
 
 @about("({x}, {y}) - p_{name}", unit=LENGTH, entries=2)
 def short_of(state: Snapshot, name: str, x: float, y: float) -> Tensor:
-    """From the centre of mass to a goal: (g_x - p_x, g_y - p_y)."""
+    """Return the vector from the object's centre of mass p to the goal g = (x, y): (g_x - p_x, g_y - p_y)."""
     centre = state.com(name)
-    # filled on the device: a list would have to be brought there, which waits
+    # Filled on the device: copying a list there would wait for it.
     goal = library(centre).concatenate((filled(centre, (1,), x), filled(centre, (1,), y)))
     return goal - centre
 

@@ -17,7 +17,7 @@ PATH = 40  # bits of a key for the path; below them 3 for way and corner, above 
 
 @builder
 def note_one(kit: Kit):
-    """Function: remember a contact of a corner of the voxel at one leaf with a side of that at another."""
+    """Build a function that stores one contact: of a corner of a voxel with a side of another."""
 
     @kit.func
     def add(data, pack, k, hit: wp.vec4i, ends: wp.vec2i, side: wp.vec3d):
@@ -35,12 +35,15 @@ def note_one(kit: Kit):
 
 @builder
 def note(kit: Kit):
-    """Function: remember what :func:`warpvox.kernels.contact.apply` adds; inside one object from both sides."""
+    """Build a function that stores the contacts that :func:`warpvox.kernels.contact.apply` would add at once.
+
+    A contact inside one object is stored for both orders of its two leaves.
+    """
     add = note_one(kit)
 
     @kit.func
     def leaf(model, mesh, v):
-        """Leaf of a surface voxel or, below 0, of a terrain cell."""
+        """Return the leaf (number of its node in the box tree) of surface voxel v; v < 0: of terrain cell -1 - v."""
         if v < 0:
             return model.cell_leaf[mesh, -1 - v]
         return model.leaf[mesh, v]
@@ -59,10 +62,11 @@ def note(kit: Kit):
 
 @builder
 def path_key(kit: Kit):
-    """Function: a number for the place of two leaves in the descent."""
+    """Build a function that returns a sort key: where the release's descent through two box trees meets two leaves."""
 
     @kit.func
     def area(model, data, mesh, pack, k, n):
+        """Return the area of the box of node n in lane k."""
         if n >= model.nodes[mesh]:
             return model.node_area[mesh, n]
         wide = data.node_box[pack, 4 * n + 1, k] - data.node_box[pack, 4 * n, k]
@@ -97,13 +101,13 @@ def path_key(kit: Kit):
 
 @builder
 def take(kit: Kit):
-    """Function: the forces of all contacts noted, into ``contact``."""
+    """Build the stage that adds the forces of all stored contacts to ``contact``, in the released order."""
     width = kit.width
     boxes, key, forces = kit.stage("exact/tree_boxes.h"), path_key(kit), contact_forces(kit)
 
     @kit.func
     def sort(model, data, mesh, pack, k):
-        """Keys in ascending order, and which contact each is of."""
+        """Write the keys of all stored contacts of lane k in ascending order, and the contact of each key."""
         for n in range(data.hits[pack, k]):
             hit = data.hit[pack, n, k]
             mine = key(model, data, mesh, pack, k, hit[0], hit[1], hit[2])
@@ -138,7 +142,7 @@ def take(kit: Kit):
 
 @builder
 def contacts(kit: Kit):
-    """Stage: all contact forces, in the released order."""
+    """Build the stage that finds all contacts and adds their forces in the released order."""
     width = kit.width
     search, in_order = find(kit, note(kit)), take(kit)
 

@@ -127,9 +127,12 @@ class Rollout:
         return [str(name) for name in (names if known else range(self.num_envs))]
 
     def best_first(self) -> Rollout:
-        """The environments in the order of their returns, the highest first; each keeps its name (:attr:`names`)."""
+        """Return a rollout with the environments sorted by return, the highest first; each keeps its name."""
         order = np.argsort(-self.returns[-1], kind="stable")
-        arrays = {name: getattr(self, name).take(order, axis=int(name != "design_index")) for name in _ARRAYS}
+        arrays = {}
+        for name in _ARRAYS:
+            axis = 0 if name == "design_index" else 1  # the axis of environments
+            arrays[name] = getattr(self, name).take(order, axis=axis)
         names = [self.names[env] for env in order]
         return Rollout(scenes=self.scenes, metadata=self.metadata | {"names": names}, **arrays)
 
