@@ -39,9 +39,7 @@ def boxes_overlap(kit: Kit):
 
 @builder
 def mark_pair(kit: Kit):
-    """Build a function that marks two voxels as candidates, with one bit for both orders; two fixed voxels are
-    skipped.
-    """
+    """Build a function that marks two voxels as candidates, in one bit for both orders; it skips two fixed voxels."""
 
     @kit.func
     def mark(model, data, mesh, unit, v, w):
@@ -68,9 +66,7 @@ def mark_all(kit: Kit):
 
 @builder
 def near_in_lane(kit: Kit):
-    """Build a function that tests whether the boxes of voxels i and j are at most ``m`` apart on both axes in lane
-    k.
-    """
+    """Build a function that tests whether the boxes of voxels i and j are at most ``m`` apart per axis in lane k."""
 
     @kit.func
     def near(data, pack, k, i, j, m: wp.float64):

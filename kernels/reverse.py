@@ -105,9 +105,7 @@ def ground(kit: Kit):
 
     @kit.func
     def point(model, data, tape, mesh, pack, k, p, row):
-        """Add the contacts of point p in lane k: with the cell that it is in or, outside of terrain, with cells
-        beside it.
-        """
+        """Add the contacts of point p in lane k: with the terrain cell that it is in, else with the cells beside it."""
         x, y, frame = data.pos[pack, 2 * p, k], data.pos[pack, 2 * p + 1, k], model.frame[mesh]
         if not on_lattice(x, x, y, y):
             return

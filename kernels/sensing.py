@@ -180,9 +180,7 @@ def orientations(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.float64))
 
 @kernel
 def points(arrays: SensingArrays, o: int, what: int, out: wp.array3d(dtype=wp.float64)):
-    """Write positions (what 0), velocities (1) or positions minus the centre of mass (2): [environment, point,
-    axis].
-    """
+    """Write positions (what 0), velocities (1) or positions minus centre of mass (2): [environment, point, axis]."""
     env = wp.tid()
     pack, k, begin, end = points_of(arrays, env, o)
     x, y = wp.float64(0.0), wp.float64(0.0)
@@ -336,9 +334,7 @@ KERNELS = {k.func.__name__: k for k in (centres, orientations, points, extents, 
 
 
 def record(state, name: str, dim, *inputs) -> wp.Launch | device.Command:
-    """Record the launch of one sensing kernel; return the command. ``inputs`` follow the arrays that all kernels
-    take.
-    """
+    """Record the launch of one sensing kernel; return the command. ``inputs`` follow the arrays."""
     arrays = SensingArrays()
     for field in ("pos", "vel", "rest_pos", "order", "object_range", "frame", "pack_mesh"):
         setattr(arrays, field, state.arrays[field])

@@ -35,9 +35,7 @@ def group(worlds: Sequence[World]) -> tuple[dict[bytes, World], list[int]]:
 
 
 def _actuators(world: World) -> Actuators:
-    """Return the names and numbers of actuators of the robots of a world; raise SimulationError if there are too
-    many.
-    """
+    """Return names and numbers of actuators of a world's robots; SimulationError: there are too many."""
     found = tuple(sorted((obj.name, obj.num_actuators) for obj in world.objects.values() if obj.is_robot))
     total = sum(count for _, count in found)
     most = 0xFFFF  # the two actions of a spring share 32 bits (warpvox.compile.pack_drives)
@@ -158,8 +156,9 @@ class Batch:
                 )
 
     def _rank(self, group: int) -> np.ndarray:
-        """Return int ``[entries]`` by which the worlds of a group are sorted into packs: similar bodies get close
-        numbers.
+        """Return int ``[entries]``: the order in which the worlds of a group fill packs, similar bodies side by side.
+
+        A pack computes everything that one of its lanes needs, so that similar bodies in a pack save time.
 
         A pack computes everything that one of its lanes needs, so that similar bodies in a pack save time.
         """
@@ -212,9 +211,7 @@ class Batch:
         return self._assign(envs, [place[key] for key in chosen])
 
     def _assign(self, envs: Sequence[int], worlds: Sequence[int]) -> np.ndarray:
-        """Assign environments to entries, and drop entries without an environment; return the packs that have
-        changed.
-        """
+        """Assign entries to environments, drop entries that are no longer used; return the packs that have changed."""
         index = np.array(self.index)
         index[list(envs)] = worlds
         packs = np.unique(self.env_pack[list(envs)])
@@ -237,15 +234,11 @@ class Batch:
         return packs
 
     def frame_of_envs(self) -> np.ndarray:
-        """Return int ``[num_envs]``: the index in ``compiled`` of what the environment's group of worlds has in
-        common.
-        """
+        """Return int ``[num_envs]``: the index in ``compiled`` for each environment's group of worlds."""
         return self.groups[self.index]
 
     def tables(self, packs: np.ndarray | None = None) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return the tables of the distinct packs among ``packs`` (None: all), and for each pack the index of its
-        tables.
-        """
+        """Return the tables of the distinct packs among ``packs`` (None: all), and for each pack which it has."""
         packs = np.arange(len(self.pack_group)) if packs is None else packs
         groups = np.asarray(self.pack_group)[packs]
         if self.arithmetic == "exact":
