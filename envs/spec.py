@@ -97,9 +97,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Observation(Term):
-    """A term ``function(state)`` that gives ``[num_envs, k]``, or for all points of an object ``[num_envs, 2,
-    points]``.
-    """
+    """A term ``function(state)`` that gives ``[num_envs, k]``, or for all points ``[num_envs, 2, points]``."""
 
     kind: ClassVar[str] = "observation"
 
@@ -338,8 +336,7 @@ class TaskSpec:
         return {ROBOT: self.robot_cell, **self.partners}
 
     def under(self, rules: str) -> TaskSpec:
-        """Return the task under ``rules`` (one of :data:`RULES`): ``paper`` replaces the fields that are in
-        :attr:`paper`.
+        """Return the task under ``rules`` (one of :data:`RULES`); ``paper`` applies the changes in :attr:`paper`.
 
         Raises:
             ConfigError: unknown rules.

@@ -98,9 +98,7 @@ def compile_world(world: World, physics: Physics, loose: Sequence[str] = ()) -> 
 def compile_objects(
     objects: Iterable[WorldObject], size: tuple[int, int], physics: Physics, loose: Sequence[str]
 ) -> CompiledWorld:
-    """Mesh ``objects`` as :func:`compile_world` does, on a grid of ``size`` (columns, rows); all of them may be
-    fixed.
-    """
+    """Mesh ``objects`` as :func:`compile_world` does, on a grid of ``size`` (columns, rows); all may be fixed."""
     ordered = sorted(objects, key=lambda o: (not o.is_robot, o.name))
     bodies = []
     statics = []

@@ -24,8 +24,8 @@ class Gradients:
     of each step only its first state is kept. In the air derivatives are those of the physics; contact with terrain is
     smoothed (see :mod:`warpvox.kernels.reverse`), and contacts between voxels have derivative 0.
 
-    A state is a float64 tensor ``[num_envs, 3, columns]``: positions, velocities and true velocities (the displacement of
-    the last sub-step / dt), in simulator units, x and y of the points alternately as in :meth:`Simulation.state`,
+    A state is a float64 tensor ``[num_envs, 3, columns]``: positions, velocities and true velocities (the displacement
+    of the last sub-step / dt), in simulator units, x and y of the points in turn as in :meth:`Simulation.state`,
     padded with 0.
 
     Args:
@@ -115,9 +115,7 @@ class Gradients:
     # What autograd calls.
 
     def _forward(self, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Do one step from ``state`` with the actions taken; return the state after it and which environments have
-        moved.
-        """
+        """Do one step from ``state`` with the actions taken; return the new state and which environments have moved."""
         still = self.sim.frozen
         self.sim.set_state(self.sim.state() | _parts(state))
         self.sim.advance()

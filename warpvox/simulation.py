@@ -246,9 +246,7 @@ class Simulation(Sensing):
         self.invalidate()
 
     def invalidate(self) -> None:
-        """Discard contact candidates and centres, which were computed from the points; call it after writing to
-        points.
-        """
+        """Discard contact candidates and centres, computed from the points; call it after writing to points."""
         self._views["drift"].fill_(STALE)
         self._centres_are_new = False
 

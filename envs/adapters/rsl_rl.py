@@ -110,9 +110,7 @@ class RslRlVecEnv(VecEnv):
         return self.get_observations()
 
     def _begin(self, obs: torch.Tensor, mask: torch.Tensor) -> None:
-        """Store the observations ``obs`` of episodes that have begun where ``mask`` is True, and forget their
-        returns.
-        """
+        """Store the observations ``obs`` and forget returns where ``mask`` is True: new episodes begin there."""
         self._obs.copy_(obs)
         self._shortened.logical_and_(~mask)
         if self.reward_norm is not None:

@@ -46,7 +46,7 @@ class Sensors:
         return value, command, buffers
 
     def _centre(self, name: str, which: int) -> np.ndarray:
-        """Return the centre of mass (``which`` 1) or its velocity (2), ``[1, 2]``, sensed again if something has
+        """Return the centre of mass (``which`` 1) or its velocity (2), ``[1, 2]``; sense both again if points have
         moved.
         """
         if self.moved:

@@ -109,7 +109,7 @@ class Frame:
         self.bodies = [bodies.take(kept) for bodies in self.bodies]
 
     def tables(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the tables of packs whose lanes hold the bodies ``index``, int ``[packs, lanes]``; see
+        """Return tables of packs whose lanes hold the bodies ``index``, int ``[packs, lanes]``; see
         :class:`_PackTables`.
         """
         # So many packs at once that the largest array has a million entries: it stays in the cache.
@@ -203,9 +203,7 @@ class _PackTables:
         self.arrays[name] = (robots + others).astype(np.int32)
 
     def _table(self, count: str, *more: int, kind: type = np.int32, fill: int = 0) -> np.ndarray:
-        """Return a table ``[packs, rows, *more]`` filled with ``fill``; its rows are the largest ``count`` of a
-        pack.
-        """
+        """Return a table ``[packs, rows, *more]`` of ``fill``; its rows are the largest ``count`` of a pack."""
         rows = max(1, int(self.arrays[count].max()))
         return np.full((self.packs, rows, *more), fill, kind)
 
@@ -347,9 +345,7 @@ class _PackTables:
         self.arrays["rigid_lanes"] = rigid_lanes
 
     def _links(self) -> None:
-        """Make the table of springs by point: s for a spring that begins at the point, -1 - s for one that ends
-        there.
-        """
+        """Make the table of springs by point: s for a spring that begins there, -1 - s for one that ends there."""
         others = self.others
         num_others = len(others["link"])
 

@@ -209,8 +209,7 @@ def _springs(rows: int, columns: int) -> _Springs:
 
 
 class GridMesh:
-    """The mesh of one robot in all lanes of packs: everything that a body on the grid may have, and which lanes have
-    it.
+    """The mesh of one robot in all lanes of packs: all that a body on the grid may have, and which lanes have it.
 
     The rows of arrays number what the grid may have at most: ``node * 4 + slot`` for points, the springs of
     :func:`_springs`, cells row by row. :mod:`warpvox.batch.packs` leaves out what no lane of a pack has.
