@@ -25,7 +25,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class About:
-    """What a term says about itself: formula, unit, range and number of columns.
+    """A term's description of itself: formula, unit, range and number of columns.
 
     Attributes:
         formula: text with the term's parameters in braces; ``{low!d}`` writes an angle in degrees.

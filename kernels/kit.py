@@ -16,7 +16,7 @@ from warpvox.kernels.state import CPP_CONSTANTS, structs
 
 
 class Kit:
-    """What Warp functions need to be compiled for one precision and lane width: types, structs, decorators.
+    """The types, structs and decorators with which Warp functions are compiled for one precision and lane width.
 
     Attributes:
         precision, width, real: 'float32' or 'float64', lanes, and Warp's type.

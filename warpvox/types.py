@@ -48,7 +48,7 @@ class Cell(IntEnum):
 
 @dataclass(frozen=True)
 class Material:
-    """What a cell type is called and how it is drawn.
+    """The name, look and stiffness of a cell type.
 
     Attributes:
         cell: its number in bodies and worlds.

@@ -36,7 +36,7 @@ def is_cut(obj: WorldObject) -> bool:
 
 
 class Frame:
-    """What the worlds of a group of packs have in common, and the tables of these packs.
+    """The parts that the worlds of a group of packs have in common, and the tables of these packs.
 
     Args:
         worlds: all of one frame.
