@@ -104,6 +104,7 @@ def register(command: str) -> None:
 def settings_named(command: str, **names: str) -> dict[str, Any]:
     """The settings of a command that names of sets stand for, ``ppo="evogym"`` for instance: what is not default."""
     with hydras_errors():
-        words = [], [f"{key}={quoted(name)}" for key, name in names.items()]
-        usual, named = (vars(OmegaConf.to_object(composed(command, one))) for one in words)
+        words = [f"{key}={quoted(name)}" for key, name in names.items()]
+        usual = vars(OmegaConf.to_object(composed(command)))
+        named = vars(OmegaConf.to_object(composed(command, words)))
     return {key: value for key, value in named.items() if value != usual[key]}

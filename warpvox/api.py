@@ -45,7 +45,7 @@ def train(
     sim: SimOptions | None = None,
     **settings: Any,
 ) -> TrainedRun:
-    """Train a policy as ``warpvox train`` does, with the same defaults; return when it is done.
+    """Train a policy as ``warpvox train`` does, with the same defaults; return the trained run.
 
     The same seed gives the same policy. An interrupt (Ctrl-C, a notebook's stop button) waits for the end of the
     iteration, saves, and raises KeyboardInterrupt; ``resume="latest"`` goes on. torch's threads and random numbers are
