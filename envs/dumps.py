@@ -47,7 +47,8 @@ class DivergenceDump:
         self._count = 0
         self._rings: dict[str, torch.Tensor] = {}
         self._at = torch.full((env.num_envs,), -1, dtype=torch.long, device=env.device)
-        self._length, self._begun = torch.zeros_like(self._at), torch.zeros_like(self._at)
+        self._length = torch.zeros_like(self._at)
+        self._begun = torch.zeros_like(self._at)
 
     def refresh(self) -> None:
         """Read the bodies of the environments again; then call :meth:`clear` for environments with a new body."""
@@ -56,7 +57,8 @@ class DivergenceDump:
     def clear(self, mask: torch.Tensor | None = None) -> None:
         """Forget the recorded steps of environments (bool ``[num_envs]``; None: all), which begin anew."""
         mask = torch.ones_like(self._at, dtype=torch.bool) if mask is None else mask
-        self._at, self._begun = self._at.masked_fill(mask, -1), self._begun.masked_fill(mask, self._count)
+        self._at = self._at.masked_fill(mask, -1)
+        self._begun = self._begun.masked_fill(mask, self._count)
 
     def before(self, actions: torch.Tensor) -> None:
         """Record the state before a step, and its actions ``[num_envs, num_actions]``."""

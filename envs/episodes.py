@@ -39,7 +39,7 @@ class Episodes:
 
     @property
     def active(self) -> torch.Tensor:
-        """bool ``[num_envs]``: where an episode is running; False: it has ended and waits for its reset."""
+        """Where an episode is running, bool ``[num_envs]``; False: it has ended and waits for its reset."""
         return ~(self.terminated | self.truncated)
 
     def clear(self, mask: torch.Tensor | None = None) -> None:

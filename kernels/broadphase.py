@@ -70,6 +70,7 @@ def near_in_lane(kit: Kit):
 
     @kit.func
     def near(data, pack, k, i, j, m: wp.float64):
+        """Return whether the boxes of voxels i and j are at most ``m`` apart on both axes in lane k."""
         return (
             data.box[pack, 4 * i, k] <= data.box[pack, 4 * j + 1, k] + m
             and data.box[pack, 4 * j, k] <= data.box[pack, 4 * i + 1, k] + m
@@ -91,7 +92,8 @@ def on_lattice(x0: wp.float64, x1: wp.float64, y0: wp.float64, y1: wp.float64):
 def mark_grid(kit: Kit):
     """Build the stage that marks pairs of movable voxels by a hashed grid, one lane after another."""
     width = kit.width
-    mark, near = mark_pair(kit), near_in_lane(kit)
+    mark = mark_pair(kit)
+    near = near_in_lane(kit)
 
     @kit.func
     def slot_of(data, x, y):
@@ -138,6 +140,7 @@ def mark_grid(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
+        """Empty the hash table, then insert all movable voxels, for each lane of the unit."""
         lanes = int(width)
         for k in range(lane, lane + lanes):
             for slot in range(data.grid_head.shape[1]):
@@ -191,6 +194,7 @@ def lattice_content(kit: Kit):
 
     @kit.func
     def content(model, data, mesh, unit, n):
+        """Return bit 1 for terrain surface, bit 2 for fixed voxels, within the hull of the n-th movable voxel."""
         frame, margin = model.frame[mesh], model.margin
         size = model.terrain[frame]
         x0, x1, y0, y1 = lattice_cells(
@@ -216,8 +220,10 @@ def lattice_content(kit: Kit):
 def mark_fixed(kit: Kit):
     """Build the stage that marks pairs of a movable and a fixed voxel, which the terrain lattice finds."""
     width = kit.width
-    mark, near = mark_pair(kit), near_in_lane(kit)
-    span, content = lattice_range(kit), lattice_content(kit)
+    mark = mark_pair(kit)
+    near = near_in_lane(kit)
+    span = lattice_range(kit)
+    content = lattice_content(kit)
 
     @kit.func
     def mark_lane(model, data, mesh, pack, k, unit, v):
@@ -232,6 +238,7 @@ def mark_fixed(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
+        """Mark fixed voxels near each movable voxel in the lanes of the unit."""
         if model.movables[mesh] == model.voxels[mesh]:
             return
         lanes = int(width)
@@ -254,7 +261,8 @@ def list_pairs(kit: Kit):
 def collect_near(kit: Kit):
     """Build the stage that lists the voxels that may touch terrain in some lane, in ``near``."""
     width = kit.width
-    span, content = lattice_range(kit), lattice_content(kit)
+    span = lattice_range(kit)
+    content = lattice_content(kit)
 
     @kit.func
     def store_near_box(model, data, mesh, pack, k, v):
@@ -282,6 +290,7 @@ def collect_near(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
+        """List the voxels of the unit that are near terrain in some lane."""
         lanes = int(width)
         n = int(0)
         for m in range(model.movables[mesh]):
@@ -303,11 +312,16 @@ def collect_near(kit: Kit):
 def collect_pairs(kit: Kit):
     """Build the stage that finds all candidate pairs of voxels again."""
     grid_from = GRID_FROM if kit.width == 1 else WIDE_GRID_FROM
-    all_boxes, around = kit.stage("native/voxel_boxes.h", precision="float64", movable=0), hulls(kit)
-    by_grid, by_all, by_lattice, listed = mark_grid(kit), mark_all(kit), mark_fixed(kit), list_pairs(kit)
+    all_boxes = kit.stage("native/voxel_boxes.h", precision="float64", movable=0)
+    around = hulls(kit)
+    by_grid = mark_grid(kit)
+    by_all = mark_all(kit)
+    by_lattice = mark_fixed(kit)
+    listed = list_pairs(kit)
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
+        """Find the candidate pairs of the unit: movable with movable, then movable with fixed voxels."""
         if model.movables[mesh] < model.voxels[mesh]:
             all_boxes(model, data, mesh, pack, lane, unit, dt)
         around(model, data, mesh, pack, lane, unit, dt)
@@ -324,7 +338,8 @@ def collect_pairs(kit: Kit):
 @builder
 def collect(kit: Kit):
     """Build the stage that finds all candidates again once points may have moved by half the margin."""
-    pairs, near = collect_pairs(kit), collect_near(kit)
+    pairs = collect_pairs(kit)
+    near = collect_near(kit)
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):

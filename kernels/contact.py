@@ -105,6 +105,7 @@ def corner_contact(kit: Kit, act):
     def contact(
         model, data, mesh, pack, k, i, m: quad, m_sides, p, c, j, r: quad, r_sides, r_points: wp.vec4i, times: real,
     ):  # fmt: skip
+        """Call ``act`` with the side of quad r through which corner c of quad m came, if there is one."""
         found = nearest_side(m, m_sides, c, r, r_sides)
         first = int(found[0])
         if first >= 0:
@@ -163,6 +164,7 @@ def voxel_contacts(kit: Kit, act):
 
     @kit.func
     def all_pairs(model, data, mesh, pack, lane, unit, active):
+        """Handle every corner of a candidate pair that is in the other voxel, lane by lane."""
         at = corner_from(model, data, mesh, pack, lane, unit, active, 0)
         while at < 8 * data.pair_count[unit]:
             pair = data.pairs[unit, at >> 3]
@@ -188,7 +190,9 @@ def in_box(x0: real, x1: real, y0: real, y1: real, x: real, y: real):
 @functools.cache
 def terrain_contacts(kit: Kit, act):
     """Build a function that calls ``act`` with each contact of near voxels with cells of the terrain lattice."""
-    contact, span, overlap = corner_contact(kit, act), lattice_range(kit), boxes_overlap(kit)
+    contact = corner_contact(kit, act)
+    span = lattice_range(kit)
+    overlap = boxes_overlap(kit)
 
     @kit.func
     def cell_quad(model, frame, cell):
@@ -239,6 +243,7 @@ def terrain_contacts(kit: Kit, act):
 
     @kit.func
     def all_near(model, data, mesh, pack, lane, unit, active):
+        """Handle the contacts of every voxel near terrain, lane by lane."""
         for n in range(data.near_count[unit]):
             v = data.near[unit, n]
             lanes = active & overlap(data.box, v, data.near_box, v, pack, lane)
@@ -253,7 +258,8 @@ def terrain_contacts(kit: Kit, act):
 def find(kit: Kit, act):
     """Build the stage that sets ``contact`` to 0, then calls ``act`` with each contact."""
     width = kit.width
-    with_voxels, with_terrain = voxel_contacts(kit, act), terrain_contacts(kit, act)
+    with_voxels = voxel_contacts(kit, act)
+    with_terrain = terrain_contacts(kit, act)
     clear = kit.stage("native/springs.h", "native/clear_contact.h")
 
     @kit.func

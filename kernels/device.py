@@ -69,7 +69,8 @@ class Command:
     """A recorded kernel launch for CUDA, which runs on the stream that is torch's current one at each launch."""
 
     def __init__(self, command: wp.Launch, device: str) -> None:
-        self._command, self._device = command, device
+        self._command = command
+        self._device = device
 
     def launch(self) -> None:
         """Launch the kernel."""
@@ -114,7 +115,8 @@ def zeros(shape: tuple[int, ...], dtype: Any, device: str) -> wp.array:
     import torch
 
     dtype = {int: wp.int32, float: wp.float32}.get(dtype, dtype)
-    scalar, inner = getattr(dtype, "_wp_scalar_type_", dtype), getattr(dtype, "_shape_", ())
+    scalar = getattr(dtype, "_wp_scalar_type_", dtype)
+    inner = getattr(dtype, "_shape_", ())
     return wp.from_torch(torch.zeros((*shape, *inner), dtype=wp.dtype_to_torch(scalar), device=device), dtype=dtype)
 
 

@@ -32,6 +32,7 @@ def check(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
+        """Count the folded pairs of each robot of the unit and set UNSTABLE where there are too many."""
         found = int(0)
         for n in range(data.pair_count[unit]):
             pair = data.pairs[unit, n]

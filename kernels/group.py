@@ -82,7 +82,10 @@ class Group:
 
         Tensions of springs share their place with others. The list of close corners has room for 8 a thread.
         """
-        real, movers, springs, parts = 4 if self.precision == "float32" else 8, self.movers, self.springs, self.parts
+        real = 4 if self.precision == "float32" else 8
+        movers = self.movers
+        springs = self.springs
+        parts = self.parts
         touch = 16 * movers + min(parts, WARP) * (16 + 12 * real) + 16 * parts
         in_turn = max(touch, 2 * real * (springs + 2), 2 * real * movers)
         fields = dict(pos=(self.points, 16), disp=(movers, 2 * real), contact=(movers, 2 * real), links=(movers, 16))

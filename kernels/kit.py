@@ -24,9 +24,14 @@ class Kit:
     """
 
     def __init__(self, precision: str, width: int):
-        self.precision, self.width, self.real = precision, width, REALS[precision]
+        self.precision = precision
+        self.width = width
+        self.real = REALS[precision]
         types = structs(precision)
-        self.Model, self.Data, self.Tape, self.Contact = types.Model, types.Data, types.Tape, types.Contact
+        self.Model = types.Model
+        self.Data = types.Data
+        self.Tape = types.Tape
+        self.Contact = types.Contact
         self._types = dict(model=self.Model, data=self.Data, tape=self.Tape, dt=wp.float64, margin=wp.float64)
 
     def func(self, source):

@@ -29,6 +29,7 @@ def reset_kernel(kit: Kit):
         model: kit.Model, data: kit.Data, units: int, width: int,
         env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int), mask: wp.array(dtype=wp.bool),
     ):  # fmt: skip
+        """Put one environment back to its state at time 0 if its mask is True."""
         env = wp.tid()
         if not mask[env]:
             return
@@ -62,6 +63,7 @@ def follow_kernel(kit: Kit) -> wp.Kernel:
 
     @kernel
     def follow(model: kit.Model, data: kit.Data):
+        """Copy the state of leaders to their twins in one lane of a pack."""
         pack, k = wp.tid()
         mesh = model.pack_mesh[pack]
         for e in range(model.twins[mesh]):

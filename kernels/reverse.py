@@ -38,6 +38,7 @@ def soften(kit: Kit):
 
     @kit.func
     def add(model, data, tape, pack, k, p, row, height: real, level, sign: real):
+        """Subtract or add the derivatives of one contact by height and by velocity in ``tape.contact``."""
         z = height / real(tape.smoothing)
         if z < real(REACH):
             over, law = real(1.0) / wp.sqrt(z * z + real(4.0)), model.contact
@@ -72,7 +73,8 @@ def ground(kit: Kit):
 
     Every corner of a voxel counts, as in :mod:`warpvox.kernels.contact`.
     """
-    add, width = soften(kit), kit.width
+    add = soften(kit)
+    width = kit.width
 
     @kit.func
     def above(model, frame, cell, n, x: real, y: real):
@@ -125,6 +127,7 @@ def ground(kit: Kit):
 
     @kit.func
     def all_near(model, data, tape, mesh, pack, lane, unit):
+        """Add the contacts of the corners of all voxels near terrain, lane by lane."""
         first = (tape.substeps[unit] - 1) * model.points[mesh]
         for n in range(data.near_count[unit]):
             v = data.near[unit, n]
@@ -144,9 +147,14 @@ def reverse_kernel(precision: str, width: int) -> wp.Kernel:
     ``first_pack`` is the first pack of a launch.
     """
     kit = kit_of(precision, width)
-    begin, set_goals = save(kit), goals(kit)
-    bounds, candidates, contact = boxes(kit), collect(kit), contacts(kit)
-    motion, strain, contact_derivatives = runge_kutta(kit), limit(kit), ground(kit)
+    begin = save(kit)
+    set_goals = goals(kit)
+    bounds = boxes(kit)
+    candidates = collect(kit)
+    contact = contacts(kit)
+    motion = runge_kutta(kit)
+    strain = limit(kit)
+    contact_derivatives = ground(kit)
 
     @kit.func_native("native/record.h")
     def keep(model, data, tape, mesh, pack, lane, unit): ...
@@ -161,6 +169,7 @@ def reverse_kernel(precision: str, width: int) -> wp.Kernel:
     def reverse_step(
         model: kit.Model, data: kit.Data, tape: kit.Tape, units: int, first_pack: int, substeps: int, dt: wp.float64
     ):
+        """Do the control step of one unit with all states kept, then go back to its start."""
         row, part = wp.tid()
         pack = first_pack + row
         lane = part * width

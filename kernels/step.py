@@ -33,7 +33,9 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
     ``first_pack`` is the first pack of a launch.
     """
     kit = kit_of(precision, width)
-    begin, set_goals, end = save(kit), goals(kit), settle(kit)
+    begin = save(kit)
+    set_goals = goals(kit)
+    end = settle(kit)
     stages = (build(kit) for build in STAGES[arithmetic])
     bounds, candidates, contact, motion, strain, folds = stages
 
@@ -49,6 +51,7 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
 
     @kernel
     def control_step(model: kit.Model, data: kit.Data, first_pack: int, units: int, substeps: int, dt: wp.float64):
+        """Do one control step of one unit of a pack."""
         row, part = wp.tid()
         pack = first_pack + row
         lane = part * width

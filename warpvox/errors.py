@@ -83,7 +83,9 @@ class ResumeError(RunError):
 
 
 class DivergenceError(RunError):
-    """Learning has left the finite numbers; its settings, mostly the learning rate, do not suit the task."""
+    """Training has produced numbers that are not finite; its settings, mostly the learning rate, do not suit the
+    task.
+    """
 
 
 class RolloutError(WarpvoxError, ValueError):
@@ -95,7 +97,7 @@ class DeviceError(WarpvoxError, RuntimeError):
 
 
 class MemoryLimitError(DeviceError):
-    """More was asked for than fits into the memory that is free; the message says what fits."""
+    """A request for more than the free memory holds; the message says what fits."""
 
 
 class StorageError(WarpvoxError, OSError):

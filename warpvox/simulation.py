@@ -281,22 +281,22 @@ class Simulation(Sensing):
 
     @property
     def frozen(self) -> torch.Tensor:
-        """bool [num_envs]: environments that keep their state."""
+        """Which environments keep their state in steps: bool [num_envs]."""
         return self._of_environments("frozen") == 1
 
     @property
     def time(self) -> torch.Tensor:
-        """int64 [num_envs]: complete control steps since the reset."""
+        """Number of complete control steps since the reset, int64 [num_envs]."""
         return self._of_environments("time").long()
 
     @property
     def unstable(self) -> torch.Tensor:
-        """bool [num_envs]: the last step was stopped (self-folding or divergence) and undone."""
+        """Where the last step was stopped and undone, by self-folding or divergence: bool [num_envs]."""
         return (self._of_environments("status") & STOPPED) != 0
 
     @property
     def diverged(self) -> torch.Tensor:
-        """bool [num_envs]: the last step was stopped because it diverged; such an environment is unstable, too.
+        """Where the last step was stopped because it diverged, bool [num_envs]; these are unstable, too.
 
         A step diverges with values that are not finite, speeds above 1e4 (units of inner time) or coordinates beyond
         1e6; see :mod:`warpvox.kernels.state`. The step is undone; if it began with non-finite values, which only
@@ -306,7 +306,7 @@ class Simulation(Sensing):
 
     @property
     def overflow(self) -> torch.Tensor:
-        """bool [num_envs]: the last step met more contact candidates than there is room for, and left some out."""
+        """Where the last step met more contact candidates than there is room for and left some out: bool [num_envs]."""
         return (self._of_environments("status") & OVERFLOW) != 0
 
     @property

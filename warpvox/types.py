@@ -22,6 +22,8 @@ OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 
 
 class _Axes(dict[str, int]):
+    """The columns of x and y in positions."""
+
     def __missing__(self, axis: str) -> int:
         check_choice("axis", axis, self, TaskError)
         raise KeyError(axis)

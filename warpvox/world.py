@@ -198,7 +198,8 @@ class World:
             if not is_integer(height):
                 raise WorldError(f"grid_height must be an integer, got {height!r:.80}.")
             if right <= width and top <= height and width * height <= LARGEST_GRID:
-                trial.width, trial.height = max(trial.width, width), max(trial.height, height)
+                trial.width = max(trial.width, width)
+                trial.height = max(trial.height, height)
                 check_size(trial.width, trial.height)
         except WorldError as error:
             raise WorldError(f"{origin}: {error}") from None

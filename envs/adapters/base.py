@@ -220,6 +220,7 @@ def spaces_of(env: Any) -> tuple[Box, Box]:
     high = np.where(padding, 0.0, -np.inf)
     for term in env.spec.observations:
         at = env.layout.possible_columns[term.name]
-        low[at], high[at] = np.minimum(low[at], term.about.low), np.maximum(high[at], term.about.high)
+        low[at] = np.minimum(low[at], term.about.low)
+        high[at] = np.maximum(high[at], term.about.high)
     actions = Box(ACTION_LOW, ACTION_HIGH, (env.num_actions,), dtype)
     return Box(low.astype(dtype), high.astype(dtype), dtype=dtype), actions

@@ -16,7 +16,7 @@ from warpvox.errors import ConfigError, SimulationError, did_you_mean, listing
 
 
 class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
-    """A :class:`warpvox.envs.vec_env.VoxelVecEnv` behind gymnasium's vector interface: one batch, no processes.
+    """Environments behind gymnasium's vector interface, in one batch and one process.
 
     Observations ``[num_envs, num_obs]``, rewards float64 and flags ``[num_envs]`` are numpy arrays; ``infos`` holds
     ``unstable``, ``diverged`` and ``reward_terms/NAME``, as they are for a single environment. An environment that has

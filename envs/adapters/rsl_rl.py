@@ -61,13 +61,16 @@ class RslRlVecEnv(VecEnv):
             raise ConfigError("Training needs environments that reset themselves: make_vec(auto_reset=True).")
         self.env = env
         self.network_dtype = torch.get_default_dtype()  # that of the networks which are made now
-        self.num_envs, self.num_actions = env.num_envs, env.num_actions
+        self.num_envs = env.num_envs
+        self.num_actions = env.num_actions
         self.max_episode_length = env.max_episode_steps
         self.device = env.device
         self.cfg = {"task": env.spec.id, "rules": env.rules}
-        self.action_scale, self.reward_scale = action_scale, reward_scale
+        self.action_scale = action_scale
+        self.reward_scale = reward_scale
         self.bootstrap_time_limit = bootstrap_time_limit
-        self.apart, self.reward_norm = apart, None
+        self.apart = apart
+        self.reward_norm = None
         if reward_gamma is not None:
             self.reward_norm = _ReturnScale(env.num_envs, reward_gamma, env.device, env.num_designs if apart else 1)
         # The length that random starts pretend is none that the policy has lived through.

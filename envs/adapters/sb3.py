@@ -21,7 +21,7 @@ except ImportError as error:
 
 
 class VoxelSB3VecEnv(BatchAdapter, VecEnv):
-    """A :class:`warpvox.envs.vec_env.VoxelVecEnv` behind Stable-Baselines3's ``VecEnv``: one batch, no processes.
+    """Environments behind Stable-Baselines3's ``VecEnv``, in one batch and one process.
 
     Observations ``[num_envs, num_obs]`` and rewards ``[num_envs]`` are float32. Environments that end are reset in the
     same step; their ``infos`` then hold ``terminal_observation``, ``TimeLimit.truncated`` (ended by the time limit

@@ -89,7 +89,7 @@ def elevation(state: Snapshot, name: str, reach: int, objects: tuple[str, ...]) 
 
 @about("h_a({reach}): y of the terrain above {name}", unit=LENGTH, entries=_count)
 def overhang(state: Snapshot, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
-    """How high the terrain above is, as printed (h_a in section B.1): the mirror image of :func:`elevation`.
+    """Return the height of the terrain above, as in the paper (h_a in section B.1): :func:`elevation` upside down.
 
     Entry i is the y of the lowest terrain point above the centre of mass p in [p_x + i, p_x + i + 1] voxels, however
     far up it is. Reading of what the paper leaves open: without such a point it is 5 voxels above p, the distance

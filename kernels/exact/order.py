@@ -21,6 +21,7 @@ def note_one(kit: Kit):
 
     @kit.func
     def add(data, pack, k, hit: wp.vec4i, ends: wp.vec2i, side: wp.vec3d):
+        """Append the contact to the list of lane k, or set OVERFLOW if the list is full."""
         n = data.hits[pack, k]
         if n >= data.hit.shape[1]:
             data.status[pack, k] = data.status[pack, k] | OVERFLOW
@@ -50,6 +51,7 @@ def note(kit: Kit):
 
     @kit.func
     def act(model, data, mesh, pack, k, i, j, c, p, ends: wp.vec2i, side: wp.vec3d, times: real):
+        """Store a contact of corner c (point p) of voxel i with a side of voxel j; in one object for both orders."""
         m, r = leaf(model, mesh, i), leaf(model, mesh, j)
         mine, other = model.node[mesh, m][2], model.node[mesh, r][2]
         if mine <= other:
@@ -74,6 +76,9 @@ def path_key(kit: Kit):
 
     @kit.func
     def key(model, data, mesh, pack, k, first, second, last):
+        """Return the sort key of the contact of leaves ``first`` and ``second``; ``last`` tells apart contacts of
+        both.
+        """
         to_a, to_b = model.node[mesh, first], model.node[mesh, second]
         a, b = int(to_a[3]), int(to_b[3])  # the roots
         path = wp.int64(to_a[2] * model.objects[mesh] + to_b[2])
@@ -103,7 +108,9 @@ def path_key(kit: Kit):
 def take(kit: Kit):
     """Build the stage that adds the forces of all stored contacts to ``contact``, in the released order."""
     width = kit.width
-    boxes, key, forces = kit.stage("exact/tree_boxes.h"), path_key(kit), contact_forces(kit)
+    boxes = kit.stage("exact/tree_boxes.h")
+    key = path_key(kit)
+    forces = contact_forces(kit)
 
     @kit.func
     def sort(model, data, mesh, pack, k):
@@ -121,6 +128,7 @@ def take(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
+        """Add the forces of the stored contacts of the unit's lanes in the order of their keys."""
         most = int(0)
         for k in range(lane, lane + int(width)):
             most = wp.max(most, data.hits[pack, k])
@@ -144,7 +152,8 @@ def take(kit: Kit):
 def contacts(kit: Kit):
     """Build the stage that finds all contacts and adds their forces in the released order."""
     width = kit.width
-    search, in_order = find(kit, note(kit)), take(kit)
+    search = find(kit, note(kit))
+    in_order = take(kit)
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):

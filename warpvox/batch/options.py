@@ -23,7 +23,7 @@ _WIDTHS = (1, 8, 16, 32)
 
 @dataclass(frozen=True)
 class SimOptions:
-    """Options of a simulation: taken by everything that makes some, whole as ``sim`` or one by one by name.
+    """Options of a simulation, passed as ``sim`` or one by one by name.
 
     Attributes:
         device: ``auto`` (CUDA where there is one, from 256 environments on), ``cpu``, ``cuda[:<index>]``.

@@ -85,6 +85,7 @@ class Batch:
     pack_group: list[int] = field(default_factory=list)
 
     def __post_init__(self, different: Mapping[bytes, World]) -> None:
+        """Group the worlds, assign the environments to packs and lanes, and check the bodies against ``grid``."""
         self.physics = self.options.physics
         self.arithmetic = self.options.arithmetic
         self.device = self.options.device
@@ -171,7 +172,7 @@ class Batch:
 
     @property
     def groups(self) -> np.ndarray:
-        """int ``[entries]``: the group of each distinct world."""
+        """Group of each distinct world, int ``[entries]``."""
         return np.array([entry.group for entry in self.entries])
 
     def replace(self, envs: Sequence[int], worlds: Sequence[World]) -> np.ndarray:

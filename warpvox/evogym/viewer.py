@@ -79,7 +79,7 @@ class EvoViewer:
         self._tracked = list(objects)
 
     def set_tracking_settings(self, **settings: object) -> None:
-        """Say how objects are followed.
+        """Set how tracked objects are followed.
 
         Args:
             padding: (x, y), voxels left free around the objects.
