@@ -1,4 +1,4 @@
-"""Gaits that grow: a beam search over the motions of an episode, stage by stage."""
+"""Beam search for gaits: the motions of an episode are chosen stage by stage."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ def beam_search(
     episodes: int,
     noise: Draws | None,
 ) -> tuple[list[tuple[float, Gait]], np.ndarray]:
-    """Search for gaits of some designs, all of them side by side, in one go through the episode.
+    """Search gaits for several designs side by side, stage by stage through one episode; return the best of each.
 
     The beginnings of episodes found so far are each continued for a stage by several motions, from copies of the state
     of the simulation, and the best of what follows are the next beginnings. This takes as many control steps as
@@ -69,9 +69,10 @@ def beam_search(
 
 @dataclass(frozen=True)
 class _Beginning:
-    """The beginning of an episode: where it was played, its motions, and whether they are those of the best known gait.
+    """The first part of an episode.
 
-    The latter is continued whatever its value.
+    ``place``: index of the gait that played it; ``begun``: its motions; ``is_known``: they are those of the best known
+    gait, which is continued whatever its value.
     """
 
     place: int = 0
@@ -80,11 +81,11 @@ class _Beginning:
 
 
 class _Search:
-    """The beam search of one design.
+    """State of the beam search of one design.
 
     Attributes:
-        beginnings: what is continued; empty when all episodes have ended.
-        sources: for each continuation the place of what it continues.
+        beginnings: parts of episodes to continue; empty when all episodes have ended.
+        sources: for each continuation, the index of the gait whose episode it continues.
         best: the best mean return of an episode that has ended, and its gait.
     """
 
@@ -103,7 +104,7 @@ class _Search:
         self._gaits: list[Gait] = []
 
     def continued(self, first: int, last: int) -> list[Gait]:
-        """Motions to be tried from control step ``first`` to ``last``, which is not among them."""
+        """Return the gaits to try from control step ``first`` up to but excluding ``last``; sets ``sources``."""
         if not self.beginnings:  # environments that have ended stay as they are
             self.sources = list(range(self.count))
             return self._gaits
@@ -125,7 +126,7 @@ class _Search:
         return self._gaits
 
     def choose(self, values: Sequence[float], ended: Sequence[bool]) -> None:
-        """Keep the best of what was tried: ``values`` are mean returns so far, ``ended``: all episodes have ended."""
+        """Keep the best continuations as ``beginnings``, and update ``best`` by those that have ended."""
         if not self.beginnings:
             return
         for tried in self._tried:
@@ -146,7 +147,7 @@ class _Search:
         self.beginnings = chosen
 
     def _motions(self, begun: _Begun, number: int, first: int, last: int) -> _Begun:
-        """The ``number``-th continuation of a beginning."""
+        """Choose the ``number``-th continuation of a beginning: the same motion, a mutant, a known or a random one."""
         rng = self.rng
         body = self.body
         if begun and number == 0:
@@ -169,7 +170,7 @@ class _Search:
         return ((first, motion),)
 
     def _plan(self, first: int, last: int) -> _Begun:
-        """The motions of the best known gait."""
+        """Return the motions of the best known gait between control steps ``first`` and ``last``."""
         present = max(place for place, (begin, _) in enumerate(self.plan) if begin <= first)
         later = tuple((begin, motion) for begin, motion in self.plan[present + 1 :] if begin < last)
         return ((first, self.plan[present][1]), *later)

@@ -1,4 +1,4 @@
-"""Open-loop gaits as a design search evolves them: random ones, and mutants."""
+"""Open-loop gaits and their variation in a design search: random gaits, mutants, single motions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ SHORTEST, LONGEST = 3.0, 400.0
 
 @dataclass(frozen=True, eq=False)
 class Gait:
-    """Motion without feedback, for any body of a grid: a sinusoid for each cell, another one in each stage.
+    """Motion without feedback, for any body in a grid: in each stage a sinusoid for each cell.
 
     In control step t, of stage s, the action of an actuator in cell c is
     ``1.1 + 0.5 * clip(rest[s, c] + amplitude[s, c] * sin(2 pi t / period[s] + phase[s, c]), -1, 1)``.
@@ -36,6 +36,7 @@ class Gait:
     rest: np.ndarray
 
     def __post_init__(self) -> None:
+        """Round all values to float32, and store them as float64."""
         for name, values in vars(self).items():
             object.__setattr__(self, name, values.astype(np.float32).astype(np.float64))
 
@@ -45,7 +46,7 @@ Motion = tuple[float, np.ndarray, np.ndarray, np.ndarray]
 
 
 def motions_of(gait: Gait) -> tuple[tuple[int, Motion], ...]:
-    """The motions of a gait, with the control steps in which they begin."""
+    """Return the motions of a gait, each with the control step in which it begins."""
     found = []
     for stage, begin in enumerate(map(int, gait.begin)):
         is_last = stage == len(gait.begin) - 1
@@ -57,14 +58,14 @@ def motions_of(gait: Gait) -> tuple[tuple[int, Motion], ...]:
 
 
 def gait_of(motions: Sequence[tuple[int, Motion]]) -> Gait:
-    """The inverse of :func:`motions_of`."""
+    """Make a gait from its motions; the inverse of :func:`motions_of`."""
     begins = [begin for begin, _ in motions]
     periods, amplitudes, phases, rests = zip(*(motion for _, motion in motions), strict=True)
     return Gait(np.array(begins), np.array(periods), np.array(amplitudes), np.array(phases), np.array(rests))
 
 
 def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -> Gait:
-    """A random gait: each stage a wave or a pose, or one motion for the whole episode.
+    """Draw a random gait: a wave or a pose in each stage, or one motion for the whole episode.
 
     Stages are short at the beginning of the episode as often as at its end, which alone counts in some tasks.
     """
@@ -81,7 +82,7 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
 
 
 def with_stages(gait: Gait, stages: int, steps: int) -> Gait:
-    """The same motion in more stages: the longest one is divided in two, again and again."""
+    """Return a gait with the same motion in ``stages`` stages, made by halving the longest stage repeatedly."""
     begin = [int(time) for time in gait.begin]
     source = list(range(len(gait.begin)))  # the stage whose motion each of the new ones has
     while len(begin) < stages:
@@ -94,7 +95,7 @@ def with_stages(gait: Gait, stages: int, steps: int) -> Gait:
 
 
 def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
-    """A random wave or pose."""
+    """Draw a random wave or pose."""
     vertical = body == Cell.V_ACT
 
     # A pose: each actuator at its longest or shortest; as often all of a kind alike as each at random
@@ -120,7 +121,7 @@ def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
 
 
 def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
-    """A gait that differs from ``gait`` in one to three ways, in one stage or in all of them."""
+    """Return a mutant of ``gait`` with one to three changes, each to one stage or to all."""
     stages = len(gait.begin)
     # In three mutants of ten one stage begins another motion: what happens before it stays as it was.
     if stages > 1 and rng.random() < 0.3:
@@ -136,7 +137,7 @@ def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) 
 
 
 def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design, begin: int) -> Motion:
-    """A motion from control step ``begin`` on that differs from ``motion`` in one to three ways."""
+    """Return a mutant of ``motion`` with one to three changes; it begins at control step ``begin``."""
     gait = gait_of([(begin, motion)])
     everywhere = np.ones(1, bool)
     for _ in range(rng.integers(1, 4)):
@@ -145,7 +146,7 @@ def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design, begin:
 
 
 def _with_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
-    """Another motion in one stage or from there on: a random one, or that of some stage."""
+    """Return ``gait`` with another motion, random or from another stage, in one stage or all from there on."""
     # Where, and which motion
     stages = len(gait.begin)
     first, source = rng.integers(stages, size=2)
@@ -167,7 +168,7 @@ def _with_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int)
 
 
 def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chosen: np.ndarray) -> dict:
-    """The changed fields of ``gait``; ``chosen``: stages that change, bool ``[stages]``."""
+    """Draw one change of ``gait`` and return the changed fields; ``chosen``: stages that change, bool ``[stages]``."""
     # Mutations are as often small as large.
     size = _log_uniform(rng, (0.02, 1.0))
     cells = chosen[:, None, None] * (rng.random(body.shape) < rng.choice([0.08, 0.3, 1.0]))
@@ -201,11 +202,12 @@ def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chos
 
 
 def _places(body: Design) -> tuple[np.ndarray, np.ndarray]:
-    """x (to the right) and y (up) of each cell, from the middle of the body's voxels."""
+    """Return x (to the right) and y (up) of each cell, relative to the mean position of the body's voxels."""
     rows, columns = np.nonzero(body)
     row, column = np.mgrid[: body.shape[0], : body.shape[1]]
     return column - columns.mean(), rows.mean() - row
 
 
 def _log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
+    """Draw a number between ``limits`` whose logarithm is uniformly distributed."""
     return float(np.exp(rng.uniform(*np.log(limits))))
