@@ -1,4 +1,4 @@
-"""Policies as files for other programs: ONNX and TorchScript, each compared with the policy before it is kept.
+"""Export of policies to ONNX and TorchScript; each file is compared with the policy before it is kept.
 
 Both also contain :func:`warpvox.algos.checkpoints.policy.policy_bytes`, from which :func:`read_exported` rebuilds the
 policy: reading such a file never runs the program in it.
@@ -43,7 +43,7 @@ Runner = Callable[[np.ndarray], np.ndarray]
 
 
 def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
-    """Write a policy as TorchScript; returns in words how it was checked.
+    """Write a policy as TorchScript; return in words how it was checked.
 
     ``torch.jit.load(path)(obs)``, or ``torch::jit::load`` in C++, takes ``[..., num_obs]``; of a policy for voxels
     ``[batch, num_obs]``.
@@ -66,13 +66,14 @@ def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
 
 
 def _copied(policy: Policy) -> Policy:
+    """Return a copy of the policy on the CPU. RunError: it is recurrent, which is not exported."""
     if policy.spec.rnn is not None:
         raise RunError("A recurrent policy is not exported: warpvox.load_policy() gives it as a torch module.")
     return copy.deepcopy(policy).cpu()
 
 
 def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
-    """Write a policy as one ONNX file; returns in words how it was checked.
+    """Write a policy as one ONNX file; return in words how it was checked.
 
     Input ``obs`` float32 ``[batch, num_obs]``, output ``actions`` float32 ``[batch, num_actions]``. Compared by
     ONNX Runtime where it is installed, else by the reference evaluator of the package onnx.
@@ -111,7 +112,7 @@ POLICY_WRITERS = {"onnx": ("policy.onnx", write_onnx), "jit": ("policy.pt", writ
 
 
 def read_exported(path: Path, network: str | None = None) -> Policy | None:
-    """The policy that a file of :func:`write_onnx` or :func:`write_script` holds; None: it is another kind of file.
+    """Return the policy in a file of :func:`write_onnx` or :func:`write_script`; None: another kind of file.
 
     ``network``: as for :func:`warpvox.algos.checkpoints.policy.read_policy`.
     """
@@ -123,6 +124,7 @@ def read_exported(path: Path, network: str | None = None) -> Policy | None:
 
 
 def _card_of_onnx(path: Path) -> bytes:
+    """Return the policy's bytes in an ONNX file; RunError: it cannot be read or has none."""
     if find_spec("onnx") is None:
         raise RunError(f"To read {path} the package onnx is needed: pip install 'warpvox[export]'.")
     import onnx
@@ -140,7 +142,7 @@ def _card_of_onnx(path: Path) -> bytes:
 
 
 def _card_of_script(path: Path) -> bytes | None:
-    """The policy in an archive of TorchScript; None: there is none."""
+    """Return the policy's bytes in a TorchScript file; None: it has none."""
     if not zipfile.is_zipfile(path):
         return None
     try:
@@ -157,12 +159,13 @@ def _card_of_script(path: Path) -> bytes | None:
 
 
 def _check_age(path: Path, names: Container[str]) -> None:
+    """Raise RunError if a file was exported by warpvox 0.1.0."""
     if OLD_CARD in names:
         raise RunError(f"{path} was exported by warpvox 0.1.0: export the policy again from its run.")
 
 
 def _onnx_runner(path: Path) -> tuple[str, Runner]:
-    """The library that runs ONNX files here, by its name."""
+    """Return the name of the library that runs ONNX files here, and a function that runs this one."""
     run: Callable[..., Any]
     if find_spec("onnxruntime") is not None:
         import onnxruntime
@@ -176,7 +179,7 @@ def _onnx_runner(path: Path) -> tuple[str, Runner]:
 
 
 def _compare(policy: Policy, run: Runner, written: Path, path: object) -> str:
-    """Raise RunError unless a file acts as the policy does and describes this very policy; returns how far it is off.
+    """Raise RunError unless a written file acts like the policy and holds it; return the largest difference in words.
 
     ``run``: the program in the file ``written``, which is to become ``path``.
     """
@@ -198,7 +201,7 @@ def _compare(policy: Policy, run: Runner, written: Path, path: object) -> str:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Without torch's remarks about packages that a policy does not need, and about its own future."""
+    """Within the block, silence torch's warnings about optional packages and future changes."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)

@@ -1,4 +1,4 @@
-"""A network for voxels as an rsl-rl model: inputs, scaling, the order of actions, and their distribution."""
+"""Voxel networks as rsl-rl models: inputs, scaling, order of actions, action distribution."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -20,7 +20,7 @@ LEAST = 1e-4
 
 
 class VoxelNormalizer(nn.Module):
-    """Turns observations into inputs, scaled by their running mean and deviation over the voxels that there are.
+    """Converts observations to inputs scaled by running mean and deviation over the voxels of all bodies.
 
     A feature of all voxels is scaled alike, wherever in the grid it lies, so that a voxel looks the same in all bodies.
     What moves is scaled; place, type, neighbours and the clock stay as they are.
@@ -38,7 +38,7 @@ class VoxelNormalizer(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
-        """Observations ``[rows, num_obs]`` to the inputs of a network, and behind them order and kinds of actions."""
+        """Return a network's inputs for observations ``[rows, num_obs]``, followed by order and kinds of actions."""
         features, present, actions, kinds = self.inputs(obs)
         deviation = self.var.sqrt() + LEAST
         moving = features[..., :MOVING].sub_(self.mean[:MOVING]).div_(deviation[:MOVING])
@@ -48,12 +48,13 @@ class VoxelNormalizer(nn.Module):
         return torch.cat([features.flatten(1), *rest, actions.to(obs.dtype), kinds], dim=1)
 
     def _rest(self, obs: torch.Tensor) -> torch.Tensor:
+        """Return the entries of the observations between the grid and the time."""
         last = obs.shape[1] - int(self.layout.timed)
         return obs[:, last - self.layout.scaled : last]
 
     @torch.no_grad()
     def update(self, obs: torch.Tensor) -> None:
-        """Learn from observations ``[rows, num_obs]``; processes that train together learn from all of theirs."""
+        """Update the moments by observations ``[rows, num_obs]`` of all processes of a training."""
         sums = sum((self._sums(rows) for rows in obs.split(BLOCK)), torch.zeros(()))
         if torch.distributed.is_initialized():
             torch.distributed.all_reduce(sums)
@@ -67,7 +68,7 @@ class VoxelNormalizer(nn.Module):
         self.var += rate * (var - self.var + moved * (mean - self.mean))
 
     def _sums(self, obs: torch.Tensor) -> torch.Tensor:
-        """Sums and sums of squares of what is scaled, numbers of voxels and of rows; float64."""
+        """Return sums and sums of squares of scaled entries, number of voxels and number of rows; float64."""
         features, present, _, _ = self.inputs(obs)
         moving, rest = features[..., :MOVING], self._rest(obs)
         sums = torch.cat([moving.sum((0, 1)), rest.sum(0), moving.square().sum((0, 1)), rest.square().sum(0)])
@@ -75,7 +76,7 @@ class VoxelNormalizer(nn.Module):
 
 
 class VoxelModel(Network):
-    """Actor or critic for observations with ``obs="voxel"``; rsl-rl's PPO trains it.
+    """Actor or critic for observations with ``obs="voxel"``, which rsl-rl's PPO trains.
 
     Args:
         obs, obs_groups, obs_set, output_dim, obs_normalization, distribution_cfg: as of rsl-rl's models; a model with a
@@ -109,7 +110,7 @@ class VoxelModel(Network):
         self._parts = [count, self.layout.rest, cells, self.layout.actions]
 
     def unpack(self, latent: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Inputs ``[rows, inputs]`` in parts: voxels ``[rows, cells, 26]``, the rest, order of actions.
+        """Split inputs ``[rows, inputs]`` into voxels ``[rows, cells, 26]``, the rest and the order of actions.
 
         Tells the distribution which actions the bodies have.
         """
@@ -119,7 +120,7 @@ class VoxelModel(Network):
         return features.contiguous().view(-1, self.layout.cells, FEATURES), rest, actions
 
     def run(self, latent: torch.Tensor) -> torch.Tensor:
-        """Inputs to the means of the actions ``[rows, actions]``, or to values ``[rows, 1]``."""
+        """Return the means of the actions ``[rows, actions]``, or values ``[rows, 1]``, for inputs."""
         cells, rest, actions = self.unpack(latent)
         values = self.network(cells, rest)
         if self.distribution is None:

@@ -21,7 +21,7 @@ from warpvox.design import are_valid, draw_bodies
 
 
 class BayesianSearch(BaseSearch):
-    """Fits a Gaussian process to all that is known and asks it for the next generation.
+    """Fits a Gaussian process to all evaluated designs and proposes those that it expects most of.
 
     ``acquisition="paper"``: of random designs, batch Thompson sampling picks the starts; from each, L-BFGS climbs
     expected improvement. Nearly all ends, rounded to voxels, are one and the same body or not valid; so a climb goes
@@ -38,7 +38,7 @@ class BayesianSearch(BaseSearch):
     settings: BO
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """Random bodies first, then the maximisers of the acquisition."""
+        """Return random bodies in the first generation, then maximisers of the acquisition."""
         if self.generation == 0:
             return [self.random_proposal(rng) for _ in range(count)]
         propose = self._summits if self.settings.acquisition == "pathwise" else self._improved
@@ -50,10 +50,11 @@ class BayesianSearch(BaseSearch):
         return proposals + [self.random_proposal(rng) for _ in range(count - len(proposals))]
 
     def recall(self, candidates: Sequence[Candidate]) -> None:
-        """Take the candidates as given: to fit every generation again would cost minutes and change nothing."""
+        """Take ``candidates`` as given: fitting the process again would cost minutes and change nothing."""
         self.adopt(candidates)
 
     def _improved(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
+        """Return bodies by expected improvement, climbed from the starts that Thompson sampling picks."""
         pool, _ = self.pool(rng, self.settings.candidates, 0)
         if not len(pool):
             return []
@@ -68,7 +69,7 @@ class BayesianSearch(BaseSearch):
         return [Proposal(body, (), "improvement" if moved else "thompson") for body, moved in chosen]
 
     def _ends_or_starts(self, starts: np.ndarray, ends: np.ndarray) -> Iterator[tuple[np.ndarray, bool]]:
-        """Each end, or its start where the end is not valid or not new; and whether it has moved."""
+        """Yield each end, or its start if the end is not valid or not new, and whether it moved."""
         for start, end, good in zip(starts, ends, are_valid(ends), strict=True):
             if good and self.claim(end):
                 yield end, not np.array_equal(end, start)
@@ -78,7 +79,7 @@ class BayesianSearch(BaseSearch):
     def _climbed(
         self, values: Callable[[np.ndarray], np.ndarray], starts: np.ndarray, ends: np.ndarray
     ) -> Iterator[tuple[np.ndarray, bool]]:
-        """A summit for each start, and whether it lies elsewhere than the start."""
+        """Yield the body that the climb from each start ends at, and whether it differs from the start."""
 
         def free(bodies: np.ndarray) -> np.ndarray:
             return are_valid(bodies) & np.array([not self.is_known(body_key(body)) for body in bodies])
@@ -89,6 +90,7 @@ class BayesianSearch(BaseSearch):
                 yield summit, not np.array_equal(summit, start)
 
     def _summits(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
+        """Return the maximiser of each of ``count`` functions drawn from the posterior."""
         # A quarter of the pool is random; the rest are mutants of the best.
         random = max(1, round(self.settings.candidates * 0.25))
         pool, parents = self.pool(rng, random, self.settings.candidates - random)
@@ -107,12 +109,12 @@ class BayesianSearch(BaseSearch):
         return proposals
 
     def _best_new(self, bodies: np.ndarray, values: np.ndarray) -> int | None:
-        """The place of the best new body, claimed."""
+        """Claim the new body of highest value and return its index; None if there is no new one."""
         places = (place for place in np.argsort(-values, kind="stable") if values[place] > -np.inf)
         return next((int(place) for place in places if self.claim(bodies[place])), None)
 
     def pool(self, rng: np.random.Generator, random: int, mutants: int) -> tuple[np.ndarray, list[tuple[int, ...]]]:
-        """Bodies to choose from: ``random`` ones and ``mutants`` of the best, or fewer where there are no more.
+        """Draw new bodies to choose from: ``random`` random ones and ``mutants`` of the best designs.
 
         Returns:
             New valid bodies int8 ``[m, rows, columns]``, all different, and the parents of each: none, or the one.

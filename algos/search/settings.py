@@ -41,7 +41,7 @@ class SearchSettings(Settings):
 
 
 def register_search(kind: type[Kind]) -> type[Kind]:
-    """Make a search known by the ``algorithm`` of its settings."""
+    """Add a class to :data:`ALGORITHMS` under its ``algorithm``; a decorator."""
     ALGORITHMS[kind.algorithm] = kind
     return kind
 
@@ -150,7 +150,7 @@ class RandomDesigns(SearchSettings):
 @register_search
 @dataclass
 class CustomSearch(SearchSettings):
-    """A search of your own; see docs/own_search.md."""
+    """Search by code of your own; see docs/own_search.md."""
 
     title = "custom"
     implementation = "factory:make_custom"
