@@ -1,4 +1,4 @@
-"""Disturbed episodes: what a policy is worth when actions, beginnings and sensors are not quite as it expects."""
+"""Disturbed episodes: noise on actions and sensors, repeated actions, random starts."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ NOISE, STICKY, START, SENSORS, LENGTH = range(5)
 
 
 class Draws:
-    """Random numbers of disturbed episodes, functions of the seed, the copy, the control step and the purpose.
+    """Random numbers of disturbed episodes, which depend only on seed, stream, copy, control step and purpose.
 
     Args:
         seed: with the stream, :data:`JUDGED` or :data:`SEARCHED`.
@@ -33,13 +33,13 @@ class Draws:
         self.stream = RandomStream(cast(Any, [(stream, seed)]), copies, device)
 
     def uniform(self, purpose: int, step: int, count: int) -> torch.Tensor:
-        """float64 ``[copies, count]`` in [0, 1)."""
+        """Return uniform numbers in [0, 1), float64 ``[copies, count]``."""
         # An episode has fewer than 2**20 control steps.
         self.stream.episode.fill_(purpose * 2**20 + step)
         return self.stream.rewind().integers(0, 2**53, count).double() / 2**53
 
     def normal(self, purpose: int, step: int, count: int) -> torch.Tensor:
-        """float64 ``[copies, count]``, standard normal (Box and Muller)."""
+        """Return standard normal numbers, float64 ``[copies, count]`` (Box and Muller)."""
         first, second = self.uniform(purpose, step, 2 * count).unflatten(1, (count, 2)).unbind(2)
         values = torch.sqrt(-2.0 * torch.log(1.0 - first)) * torch.cos(2.0 * math.pi * second)
         # Multiples of 2**-20: machines whose logarithms differ in the last bit agree.
@@ -47,7 +47,7 @@ class Draws:
 
 
 def with_noise(actions: torch.Tensor, draws: Draws, step: int, deviation: Any) -> torch.Tensor:
-    """Actions ``[n * copies, num_actions]`` with noise: row r has that of copy ``r % copies``.
+    """Return ``actions`` ``[n * copies, num_actions]`` with noise; row r gets that of copy ``r % copies``.
 
     ``deviation``: a number or ``[n * copies, 1]``.
     """
@@ -57,7 +57,7 @@ def with_noise(actions: torch.Tensor, draws: Draws, step: int, deviation: Any) -
 
 
 class Disturbed:
-    """A policy in disturbed environments: for every design a block of episodes of each disturbance in turn.
+    """Policy in disturbed environments; each design has a block of episodes for each disturbance.
 
     Args:
         policy: observations to actions, as :func:`warpvox.algos.evaluate.evaluate` takes it.
@@ -113,11 +113,11 @@ class Disturbed:
             self.policy.reset()
 
     def _each(self, numbers: torch.Tensor) -> torch.Tensor:
-        """The numbers of the copies, by environment."""
+        """Repeat the numbers of the copies for all environments."""
         return numbers.repeat(len(self.kinds) // len(numbers), 1)
 
     def __call__(self, obs: torch.Tensor) -> torch.Tensor:
-        """Actions ``[num_envs, num_actions]`` for observations ``[num_envs, num_obs]``."""
+        """Return disturbed actions ``[num_envs, num_actions]`` for observations ``[num_envs, num_obs]``."""
         draws = self.draws
         step = self.step
 
@@ -146,7 +146,7 @@ class Disturbed:
 
 
 def as_judged(policy: Any, env: VoxelVecEnv, seed: int | Sequence[int] | None, fitness: str) -> Any:
-    """A policy as a search or a training with this ``fitness`` judges it; ``seed``: of its episodes."""
+    """Return ``policy`` as ``fitness`` evaluates it: unchanged, or with noise on the actions drawn from ``seed``."""
     if fitness == NOMINAL:
         return policy
     first = seed[0] if isinstance(seed, Sequence) else seed

@@ -1,4 +1,4 @@
-"""Comparison of what a file holds with what is to go on from it: names, types, shapes, finite numbers."""
+"""Checks of a file's content before it is used: names, types, shapes, finite numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from warpvox.errors import RunError
 
 @dataclass(frozen=True)
 class AnyTensor:
-    """Stands for tensors of a type; ``shape`` has None where any length will do."""
+    """Stands for any tensor of this type and shape; None in ``shape`` allows any length."""
 
     dtype: torch.dtype
     shape: tuple[int | None, ...]
@@ -23,7 +23,7 @@ class AnyTensor:
 
 
 def check_like(found: Any, like: Any, name: str = "") -> None:
-    """Raise RunError unless ``found``, from a file, can take the place of ``like``.
+    """Raise RunError unless ``found``, read from a file, has the types and shapes of ``like``.
 
     Args:
         like: a tensor, for one of its type and shape with finite numbers; an :class:`AnyTensor`; a type, for a value
@@ -65,6 +65,7 @@ def check_like(found: Any, like: Any, name: str = "") -> None:
 
 
 def _misfit(name: str, wanted: object, found: object) -> RunError:
+    """Return the error for an entry that has another type or shape than wanted."""
     got = f"{found!r:.60}"
     if isinstance(found, torch.Tensor):
         got = f"{str(found.dtype).removeprefix('torch.')} {list(found.shape)}"
@@ -72,7 +73,7 @@ def _misfit(name: str, wanted: object, found: object) -> RunError:
 
 
 def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> dict[str, Any]:
-    """The argument of ``optimizer.load_state_dict``: moments and learning rates of a file, all else as configured.
+    """Return an argument for ``optimizer.load_state_dict`` with a file's moments and learning rates, checked.
 
     torch neither compares moments with the parameters nor looks at their strides, and goes on in them beyond their
     ends: what is returned are copies with all numbers in order.
@@ -120,7 +121,7 @@ def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> 
 
 
 def _of(entry: Any, key: str, moment: Any, parameter: torch.Tensor) -> Any:
-    """Stand-in for the moment ``key`` in the ``entry`` of a parameter, from that of a parameter of two numbers."""
+    """Return what ``check_like`` must compare the entry ``key`` with, for this parameter."""
     if not isinstance(moment, torch.Tensor):
         return None if moment is None else type(moment)
     if moment.shape == (2,):
@@ -134,7 +135,7 @@ def _of(entry: Any, key: str, moment: Any, parameter: torch.Tensor) -> Any:
 
 
 def check_plain(content: Any) -> None:
-    """Raise ValueError unless all tensors in dictionaries and lists are plain ones that have all their numbers."""
+    """Raise ValueError unless all tensors in nested dictionaries and lists are plain, with all numbers stored."""
     waiting: list[Any] = [content]
     seen: set[int] = set()  # a file may have lists that contain themselves
     while waiting:

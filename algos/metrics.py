@@ -1,4 +1,4 @@
-"""Metrics of a training run: ``metrics.csv``, TensorBoard's events, and rsl-rl's writer for Neptune."""
+"""Metrics of a training run: ``metrics.csv``, TensorBoard events, and rsl-rl's writer for Neptune."""
 
 import csv
 import math
@@ -39,7 +39,7 @@ SERVICES = ("wandb", "neptune")
 
 
 class Metrics:
-    """Writes one row an iteration; rows that a resumed run will write again are dropped first.
+    """Writes a row for each iteration to ``metrics.csv`` and to a logger; first drops rows that will be repeated.
 
     Every row is with the system before the next iteration begins, in ``metrics.csv`` and in the TensorBoard events.
     ``logger``: one of :data:`warpvox.algos.settings.LOGGERS`, checked by :func:`check_logger`.
@@ -83,7 +83,7 @@ class Metrics:
 
 
 def tagged(row: Mapping[str, float]) -> dict[str, float]:
-    """The known values of a row by their tags for loggers."""
+    """Return the known values of a row by their logger tags."""
     return {tag: row[name] for name, tag in COLUMNS.items() if tag and _known(row.get(name))}
 
 
@@ -94,7 +94,7 @@ def check_logger(name: str) -> None:
 
 
 def read_metrics(folder: Path) -> list[dict[str, float]]:
-    """The rows of a run's ``metrics.csv``, empty cells as NaN; no rows if there is no such file.
+    """Read the rows of a run's ``metrics.csv``, empty cells as NaN; no rows if there is no file.
 
     A last line that was cut short by a crash is left out.
     """
@@ -119,7 +119,7 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
 
 
 def _row_line(row: Mapping[str, float]) -> str:
-    """A row as a line of ``metrics.csv``; values that are not known are empty."""
+    """Return a row as a line of ``metrics.csv``; unknown values are empty."""
     cells = []
     for name in COLUMNS:
         value = row.get(name)

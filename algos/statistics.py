@@ -1,4 +1,4 @@
-"""Means with their confidence intervals, by Student's t distribution."""
+"""Means and their confidence intervals by Student's t distribution."""
 
 import math
 import warnings
@@ -14,7 +14,7 @@ LEVEL = 0.95
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean (or a difference of two), its confidence interval, and how many values it is of.
+    """A mean, or a difference of two, its confidence interval, and the number of values.
 
     ``low`` and ``high`` are NaN where there are too few values.
     """
@@ -30,7 +30,7 @@ class Interval:
 
 
 def mean_interval(values: Sequence[float] | np.ndarray, level: float = LEVEL) -> Interval:
-    """The mean of independent values with Student's interval.
+    """Return the mean of independent values with Student's confidence interval.
 
     ValueError: there are no values.
     """
@@ -49,7 +49,7 @@ def mean_interval(values: Sequence[float] | np.ndarray, level: float = LEVEL) ->
 
 
 def difference(first: Sequence[float], second: Sequence[float], level: float = LEVEL) -> Interval:
-    """The mean of ``first`` less that of ``second``, with Welch's interval: their variances need not be equal.
+    """Return the mean of ``first`` minus that of ``second`` with Welch's interval, for unequal variances.
 
     ``n`` is the smaller number of values. ValueError: there are no values.
     """
@@ -72,6 +72,7 @@ def difference(first: Sequence[float], second: Sequence[float], level: float = L
 
 
 def _checked(values: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Return the values as float64 ``[n]``; ValueError: there are none, or they are no list."""
     data = np.asarray(values, dtype=np.float64)
     if data.ndim != 1 or not len(data):
         raise ValueError(f"a mean needs a list of values, got an array of shape {data.shape}")

@@ -1,4 +1,4 @@
-"""The report of a design search: one page without scripts from elsewhere, network or server.
+"""The report of a design search: one HTML page that needs no network and no server.
 
 It is made from the archive alone, so it can be made again at any time, also while the search is running.
 """
@@ -27,7 +27,7 @@ FILE, FILM = "report.html", "film.webp"
 
 
 def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str:
-    """The page as text.
+    """Return the report as the text of an HTML page.
 
     Args:
         facts: what stands under the title, by name: status, search, version, ...
@@ -69,6 +69,7 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
 
 
 def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
+    """Return the main figures of the search, as text by name."""
     if not done:
         return {"evaluations": "0"}
     trained = [record for record in done if record.reused is None]
@@ -83,7 +84,7 @@ def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
 
 
 def _progress(search: SearchResult, archive: Archive) -> str:
-    """Fitness over evaluations: every design, finalists by themselves, the best so far, the mean of each generation."""
+    """Return a chart of fitness over evaluations: designs, finalists, best so far, mean of each generation."""
     trained = [record for record in search.records if record.reused is None and record.fitness is not None]
     dots = []
     notes = []
@@ -109,7 +110,7 @@ def _progress(search: SearchResult, archive: Archive) -> str:
 
 
 def _card(record: Record, folder: Path) -> str:
-    """A design, in motion if there is a film of it, with the command that plays it if it is there."""
+    """Return the HTML card of a design: its film or body, origin, curve, and the command that plays it."""
     candidate = record.candidate
     parents = ", ".join(f"#{parent}" for parent in candidate.parents)
     descent = f"{candidate.origin} of {parents}" if parents else candidate.origin
@@ -135,7 +136,7 @@ def _card(record: Record, folder: Path) -> str:
 
 
 def _row(record: Record) -> str:
-    """The row of a design in the table of all."""
+    """Return the row of a design in the table of all designs, as HTML."""
     candidate = record.candidate
     state = ""
     if record.reused is not None:
@@ -170,7 +171,7 @@ def _row(record: Record) -> str:
 
 
 def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
-    """Column and row of each node: generations from left to right, parents about where their children are."""
+    """Return column and row of each design in the tree: generations left to right, parents near their children."""
     # Columns. A parent may, in a search that evaluates one design at a time, be of the same generation as its child.
     order = sorted({record.candidate.generation for record in line})
     column = {record.id: order.index(record.candidate.generation) for record in line}
@@ -196,7 +197,7 @@ def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
 
 
 def family_tree(line: Sequence[Record]) -> str:
-    """The tree as an ``<svg>`` element, with a sentence if it had to be cut."""
+    """Return the family tree as an ``<svg>`` element, with a note if ancestors were left out."""
     # The nearest ancestors, and where they stand in pixels
     shown = list(line)[-60:]
     cell = 8

@@ -61,7 +61,7 @@ def neat_config(settings: CppnNeat) -> neat.Config:
 
 
 def inputs(shape: tuple[int, int]) -> np.ndarray:
-    """Return the network's inputs for each voxel, row by row: ``[cells, 3]``, x (right), y (down), distance from centre."""
+    """Return the network's inputs for each voxel, row by row: ``[cells, 3]``, x right and y down from the middle."""
     rows, columns = shape
     y, x = np.mgrid[:rows, :columns].reshape(2, -1) - np.array([[(rows - 1) / 2], [(columns - 1) / 2]])
     return np.stack([x, y, np.hypot(x, y)], 1)
@@ -121,7 +121,7 @@ class CppnNeatSearch(BaseSearch):
             self.species.speciate(self.config, self.population, self.generation)
 
     def _breed(self) -> dict[int, neat.DefaultGenome]:
-        """Return the next generation's networks by key: children, or new ones where there are no parents."""
+        """Return the next networks by key: children, or new ones at the start and after an extinction."""
         if self.generation:
             size = self.settings.population
             try:

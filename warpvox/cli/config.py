@@ -1,4 +1,4 @@
-"""From the words of a command line to its settings: parsed once, composed once by Hydra, checked when they are made."""
+"""Settings from the words of a command line: parsed by Hydra's grammar, composed by Hydra, checked at the end."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -24,12 +24,12 @@ from warpvox.runs import CODESIGN, CONFIG, TRAINING, search_as_now, without_serv
 
 
 def load(command: str, words: Sequence[str], config_dir: Path | None = None) -> Any:
-    """The settings that the words of a command line ask for, see :func:`settings_of`."""
+    """Return the settings that the words of a command line give, see :func:`settings_of`."""
     return settings_of(command, read_words(command, words), config_dir)
 
 
 def settings_of(command: str, overrides: Mapping[str, Override], config_dir: Path | None = None) -> Any:
-    """The settings of a command: its defaults, above them a stored configuration, above that what is given.
+    """Compose the settings of a command: defaults, overridden by a stored configuration, then by ``overrides``.
 
     A group that is given takes the place of its section in the stored configuration.
 
@@ -91,7 +91,7 @@ def settings_of(command: str, overrides: Mapping[str, Override], config_dir: Pat
 
 
 def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
-    """The words of a command line by their keys, as Hydra's grammar has them. Keys may still be unknown.
+    """Parse the words of a command line by Hydra's grammar; return them by key. Keys may still be unknown.
 
     A text that the grammar cannot read, or takes for a number, is quoted for it; so is what names a path.
 
@@ -138,7 +138,7 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
 
 
 def _parsed(word: str) -> Override | None:
-    """A word as Hydra's grammar has it; None: it cannot be read."""
+    """Parse a word by Hydra's grammar; None: it is not valid."""
     try:
         return OverridesParser.create().parse_override(word)
     except (HydraException, ValueError, RecursionError):  # numbers of thousands of digits, brackets without end
@@ -146,7 +146,7 @@ def _parsed(word: str) -> Override | None:
 
 
 def _stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path | None]:
-    """The stored configuration that ``config`` or ``resume`` names, and its file; None: they name none.
+    """Read the stored configuration that ``config`` or ``resume`` names; return it and its file, or empty and None.
 
     ``resume`` becomes the folder or checkpoint that it names.
     """
@@ -189,7 +189,7 @@ def _set(command: str, config: DictConfig, key: str, value: Any) -> None:
 
 
 def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
-    """The error for a key that a composed configuration does not have, with the best hint that there is."""
+    """Return the error for an unknown key, with the best hint that can be given."""
     keys = keys_of(command)
     known = [name for name in flat(cast(Any, OmegaConf.to_container(config))) if name in keys]
     last = key.split(".")[-1]

@@ -1,4 +1,4 @@
-"""Runs that differ only in their seed, and labels that distinguish such groups."""
+"""Groups of runs that differ only in their seed, with labels that distinguish the groups."""
 
 import hashlib
 import json
@@ -14,7 +14,7 @@ from warpvox.runs import Run
 
 
 def group_runs(runs: Sequence[Run]) -> list[Group]:
-    """Runs with the same settings together, in the order in which they are given.
+    """Group runs with the same settings, in the order in which they are given.
 
     A label says what differs between the groups, of a single one the task.
     """
@@ -38,7 +38,7 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
 
 
 def settings(run: Run) -> dict[str, Any]:
-    """Settings of a run by dotted keys, without those that only say where and how it was computed.
+    """Return a run's settings by dotted key, without those that only say where and how it was computed.
 
     Among them the checkpoint that was named, as several of one run are no repetitions.
     """
@@ -54,7 +54,7 @@ def settings(run: Run) -> dict[str, Any]:
 
 
 def _with_presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
-    """Settings with the name of a preset in the place of what it has set."""
+    """Replace the settings that a preset sets by the name of the preset."""
     result = dict(values)
 
     # The constants of physics follow from their preset.
@@ -74,7 +74,7 @@ def _with_presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
 
 
 def _label(values: dict[str, Any], keys: list[str]) -> str:
-    """The first few settings that tell a group from others."""
+    """Return a label with the first few settings that distinguish a group from others."""
     parts = []
     for key in [key for key in keys if key in values][:SHOWN]:  # a robot of the zoo has but a few
         value = values[key]
@@ -89,7 +89,7 @@ def _label(values: dict[str, Any], keys: list[str]) -> str:
 
 
 def _design(body: Any) -> str:
-    """The name of an example, or the size of a body and what distinguishes it from others of this size."""
+    """Return the name of an example body, or the size of a body and a short hash."""
     for name in example_designs():
         if example_design(name).tolist() == body:
             return name

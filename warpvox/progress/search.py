@@ -31,14 +31,14 @@ QUIET_SECONDS = 30.0
 
 
 def with_tracker(settings: Codesign, listeners: Sequence[Listener]) -> list[Listener]:
-    """The listeners of a search, before them the one that its ``logger`` names."""
+    """Return the listeners of a search, with that of its ``logger`` as the first."""
     if settings.logger != "wandb":
         return list(listeners)
     return [_TrackedSearch(settings), *listeners]
 
 
 class _TrackedSearch(Listener):
-    """Sends a design search: fitness and best bodies of each generation, at the end the best robot as a film."""
+    """Sends a search to Weights & Biases: fitness and best bodies of each generation, a film at the end."""
 
     def __init__(self, settings: Any) -> None:
         self._settings = settings
@@ -50,6 +50,7 @@ class _TrackedSearch(Listener):
         self._tracker = Tracker(run.folder, "codesign", self._settings.search.algorithm)
 
     def told(self, generation: int, fresh: bool) -> None:
+        """Send fitness, evaluations and the picture of a newly finished generation."""
         if fresh:
             archive = self._run.archive
             rows = archive.generations()
@@ -63,7 +64,7 @@ class _TrackedSearch(Listener):
 
 
 class SearchProgress(Listener):
-    """Shows a search: a live block on a terminal, else a line now and then."""
+    """Shows the progress of a search: a live display on a terminal, else a line now and then."""
 
     def __init__(self, console: Console) -> None:
         self.console = console
@@ -71,6 +72,7 @@ class SearchProgress(Listener):
         self._live: Live | None = None
 
     def begun(self, run: SearchRun) -> None:
+        """Start the clock, print the first lines, and start the live display on a terminal."""
         self.run = run
         self.archive = run.archive
         self._began = self._printed = time.monotonic()
@@ -89,6 +91,7 @@ class SearchProgress(Listener):
             self._show()
 
     def _say_where(self) -> None:
+        """Print algorithm, task, device and folder, and what a resumed search lacks."""
         run = self.run
         settings = self.run.settings
         where = f"{run.workers} workers of Ray" if run.workers else settings.device
@@ -105,7 +108,7 @@ class SearchProgress(Listener):
             echo(self.console, spent + more)
 
     def ended(self, summary: Mapping[str, Any]) -> None:
-        """Say how it has ended and what one can do next."""
+        """Print the result and the commands to look at it or to resume."""
         if self._live is not None:
             self._live.stop()
         if not summary:
@@ -132,6 +135,7 @@ class SearchProgress(Listener):
             echo(self.console, f"go on: warpvox codesign {shell_argument('resume', folder)}{keys}")
 
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
+        """Reset the work of the generation, and print how many designs are to be evaluated."""
         self._generation = generation
         self._work = {}
         last = any(candidate.origin == FINALIST for candidate in waiting)
@@ -143,6 +147,7 @@ class SearchProgress(Listener):
         self._show()
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
+        """Note the progress of a batch, and print a line now and then without a terminal."""
         self._work[batch[0].id] = _Training(len(batch), event)
         now = time.monotonic()
         self._first = self._first or (now, self._steps)
@@ -158,6 +163,7 @@ class SearchProgress(Listener):
         self._show()
 
     def told(self, generation: int, fresh: bool) -> None:
+        """Print the best and mean fitness of a newly finished generation."""
         if not fresh:
             return
         row = self.archive.generations()[generation]
@@ -171,7 +177,7 @@ class SearchProgress(Listener):
         self._show()
 
     def _counts(self) -> str:
-        """How many designs, and of the finalists, are evaluated; the latter once the search has come to them."""
+        """Return in words how many designs, and finalists once they have begun, are evaluated."""
         finalists = self.archive.finalists()
         text = f"{self.archive.trained() - finalists}/{self.run.total - self.run.finalists} designs"
         if self._last or finalists:
@@ -180,12 +186,12 @@ class SearchProgress(Listener):
 
     @property
     def done(self) -> float:
-        """Designs trained, those under way in part."""
+        """Number of evaluated designs, with fractions for those in training."""
         return self.archive.trained() + sum(training.share * training.designs for training in self._work.values())
 
     @property
     def _steps(self) -> int:
-        """Control steps of training since the beginning."""
+        """Control steps of trainings since this run of the search began."""
         return self._spent + sum(training.steps for training in self._work.values())
 
     def _figures(self) -> str:
@@ -193,7 +199,7 @@ class SearchProgress(Listener):
         return f"{rate:,.0f} steps/s  left {self._left()}"
 
     def _left(self) -> str:
-        """The time until the search is done, or its finalists begin, which take another time for a control step."""
+        """Return in words the time until the search, or its part before the finalists, is done."""
         if self._first is None or self._steps <= self._first[1]:
             return "-"
         began, before = self._first
@@ -209,7 +215,7 @@ class SearchProgress(Listener):
         return left if self._last or not self.run.finalists else f"{left}, then {self.run.finalists} finalists"
 
     def _inside(self) -> str:
-        """The trainings under way in words."""
+        """Return in words the progress of the trainings in the present generation."""
         events = [training.event for training in self._work.values()]
         if not events:
             return "starting"
@@ -226,6 +232,7 @@ class SearchProgress(Listener):
         return f"iteration {done}/{total}"
 
     def _show(self) -> None:
+        """Update the live display, if there is one."""
         if self._live is None:
             return
         best = self.archive.best()
@@ -246,7 +253,7 @@ class SearchProgress(Listener):
 
 @dataclass
 class _Training:
-    """A batch under way, and what was reported of it last."""
+    """A batch in evaluation: number of designs, and the last event reported."""
 
     designs: int
     event: dict[str, Any]

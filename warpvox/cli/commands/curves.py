@@ -1,4 +1,4 @@
-"""``warpvox curves``: learning curves of runs as one picture, as a table and as CSV."""
+"""``warpvox curves``: draws learning curves of runs as one picture, and writes their numbers as CSV."""
 
 import dataclasses
 from collections.abc import Collection
@@ -28,7 +28,7 @@ from warpvox.runs import Run
 
 
 def run(config: CurvesConfig, given: Collection[str], console: Console) -> None:
-    """Draw the picture, print the table and write it."""
+    """Draw the curves, write them with their numbers, and print a table of the last and best returns."""
     check_suffix("file", config.file, SUFFIXES, ConfigError)
 
     # The curves: of searches, or of trainings by task

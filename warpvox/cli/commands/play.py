@@ -1,4 +1,4 @@
-"""``warpvox play``: a trained policy without exploration, or a simple agent; its returns, and what it did."""
+"""``warpvox play``: runs a trained policy or a simple agent, prints returns and shows or exports the episode."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _OF_AGENTS = ("task", "design", "rules")
 
 
 def run(config: PlayConfig, given: Collection[str], console: Console) -> Path:
-    """Run one episode everywhere, write it down and show it; returns the folder of the results."""
+    """Run one episode in every environment, write it and show it; return the folder of the results."""
     check_source(config)
     obstacle = why_no_window() if wanted() else f"{SWITCH}=none switches windows off"
     if config.window == "on" and obstacle is not None:
@@ -82,7 +82,7 @@ def run(config: PlayConfig, given: Collection[str], console: Console) -> Path:
 
 
 def check_source(config: Any) -> None:
-    """Raise ConfigError if a run, or what goes with one, is named and something else to be shown as well."""
+    """Raise ConfigError if both a run and a rollout, agent or zoo robot are named, or a key needs a run."""
     other = next((name for name in ("rollout", "agent", "zoo") if getattr(config, name, None) is not None), None)
     if other and config.run not in ("latest", ""):  # the default, and what a stored configuration without a run has
         raise ConfigError(f"run and {other} both say what is shown: give one of them.")
@@ -92,7 +92,7 @@ def check_source(config: Any) -> None:
 
 
 def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
-    """The rollout of a trained run's policy, and the folder of the run."""
+    """Record an episode of a run's policy; return the rollout and the path of the checkpoint or folder."""
     given = [name for name in _OF_AGENTS if getattr(config, name, None) is not None]
     if "task" in given and isinstance(config.task, Code):
         given.remove("task")  # who names a task's code, trusts it
@@ -114,7 +114,7 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
 
 
 def _refuse(names: Iterable[str]) -> None:
-    """Raise ConfigError for keys that a trained run has values of its own for."""
+    """Raise ConfigError for keys whose values a trained run has itself."""
     for name in names:
         raise ConfigError(f"{name} goes with agent=random|sine|zero; a trained run has its own {name}.")
 
@@ -122,7 +122,7 @@ def _refuse(names: Iterable[str]) -> None:
 def write_results(
     rollout: Rollout, config: Any, source: str, command: str, formats: list[str], console: Console, keep: bool = True
 ) -> Path:
-    """Print the returns and write the folder of a play or an export; returns it.
+    """Print the returns and write the folder of a play or an export; return the folder.
 
     Args:
         source: what made the rollout; ``config.run`` is replaced by it where that names a run.
@@ -161,7 +161,7 @@ def play_in_window(
     clock: Callable[[], float] = time.perf_counter,
     make_window: Callable[[tuple[int, int], str], Any] = Window,
 ) -> int:
-    """Show environments side by side, again and again, until the window is closed; the number of pictures shown.
+    """Show environments side by side in a loop until the window is closed; return the number of pictures.
 
     Time runs as in the simulation: a machine too slow to draw every frame leaves some out.
     """

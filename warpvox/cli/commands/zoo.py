@@ -1,4 +1,4 @@
-"""``warpvox zoo``: the trained robots that come with the package, or one of them in detail."""
+"""``warpvox zoo``: lists the trained robots that come with the package, or shows one in detail."""
 
 from collections.abc import Collection
 from pathlib import Path
@@ -19,7 +19,7 @@ from warpvox.view.cell_text import body_rows
 
 
 def run(config: ZooConfig, given: Collection[str], console: Console) -> None:
-    """List the robots, or show one."""
+    """Print a table of the robots, or one robot in detail."""
     folder = ZOO_FOLDER if config.folder is None else Path(config.folder).expanduser()
 
     # Files by task, in the order of the paper; tasks of the user's own last
@@ -38,7 +38,7 @@ def run(config: ZooConfig, given: Collection[str], console: Console) -> None:
 
 
 def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None:
-    """All robots as a table."""
+    """Print all robots as a table."""
     table = Table()
     # on a narrow terminal the body takes several lines
     for heading in ("task", "under noise", "nominal", "", "steps", "trained", "body"):
@@ -76,7 +76,7 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
 
 
 def _print_one(path: Path, console: Console) -> None:
-    """One robot in detail."""
+    """Print one robot in detail."""
     robot = read_robot(path)
     console.print(body_rows([robot.body], [robot.task], console))
     about = robot.about
