@@ -26,7 +26,7 @@ from tasks import measure_tasks
 
 import warpvox as wv
 
-FIRST_CHECKS = "tests/envs/test_device.py", "tests/kernels/test_sanitizer.py"
+FIRST_CHECKS = "tests/envs/test_device.py", "tests/algos/ppo/test_iteration.py", "tests/kernels/test_sanitizer.py"
 LARGE = {
     "envs": [16384, 65536, 4096, 1024, 256, 64],
     "num_envs": 1024,

@@ -105,6 +105,7 @@ def register(command: str) -> None:
 def settings_named(command: str, **names: str) -> dict[str, Any]:
     """Return the settings that differ from the defaults where names such as ``ppo="evogym"`` are chosen."""
     with hydras_errors():
-        words = [], [f"{key}={quoted(name)}" for key, name in names.items()]
-        usual, named = (vars(OmegaConf.to_object(composed(command, one))) for one in words)
+        words = [f"{key}={quoted(name)}" for key, name in names.items()]
+        usual = vars(OmegaConf.to_object(composed(command)))
+        named = vars(OmegaConf.to_object(composed(command, words)))
     return {key: value for key, value in named.items() if value != usual[key]}

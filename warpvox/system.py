@@ -210,7 +210,8 @@ def _control_groups(root: Path, controller: str, new: list[str], old: list[str])
 
 def _left_of_group(folder: Path, limit: str, used: str, cache: str) -> list[int]:
     try:
-        most, now = ((folder / name).read_text().strip() for name in (limit, used))
+        most = (folder / limit).read_text().strip()
+        now = (folder / used).read_text().strip()
         if not most.isdigit() or int(most) >= 1 << 60:  # "max", or version 1's way to say so
             return []
         statistics = (folder / "memory.stat").read_text()

@@ -91,7 +91,8 @@ class VoxelSB3VecEnv(BatchAdapter, VecEnv):
         if done.any():
             final = self._numbers(info["final_obs"])
             late = (truncated & ~terminated).cpu().numpy()
-            returns, lengths = (info["episode"][name].cpu().tolist() for name in ("return", "length"))
+            returns = info["episode"]["return"].cpu().tolist()
+            lengths = info["episode"]["length"].cpu().tolist()
             for env in np.flatnonzero(done):
                 infos[env] = {
                     "terminal_observation": final[env],

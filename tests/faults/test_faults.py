@@ -1,9 +1,11 @@
 """Killed, interrupted, on a full disk, with damaged files: nothing is lost, and one line says what to do."""
 
 import errno
+import itertools
 import json
 import os
 import pathlib
+import pkgutil
 import shutil
 import signal
 import sqlite3
@@ -313,26 +315,37 @@ def test_a_run_that_another_process_continued_meanwhile_goes_on_from_there(
     assert yaml.safe_load((run / "config.yaml").read_text().partition("...")[0])["max_iterations"] == max(asked, 5)
 
 
+UPDATE, REPORT = "warpvox.algos.ppo.stock.PPO.update", "warpvox.progress.training.Terminal.iterated"
+
+
 @pytest.mark.parametrize(
-    ("numbers", "code", "words"),
+    ("place", "numbers", "code", "words"),
     [
-        ([signal.SIGTERM], 143, "interrupted, state saved after 64 control steps"),
-        ([signal.SIGHUP, signal.SIGHUP], 129, "interrupted, state saved after 64 control steps"),
-        ([signal.SIGTERM, signal.SIGINT], 130, "interrupted, the state of iteration 1 is kept, after 64 control"),
+        (UPDATE, [signal.SIGTERM], 143, "interrupted, state saved after 64 control steps"),
+        (UPDATE, [signal.SIGHUP, signal.SIGHUP], 129, "interrupted, state saved after 64 control steps"),
+        (
+            REPORT,
+            [signal.SIGTERM, signal.SIGINT],
+            130,
+            "interrupted, the state of iteration 1 is kept, after 64 control",
+        ),
     ],
 )
 def test_a_signal_waits_for_the_iteration_and_a_second_one_does_not(
-    numbers: list, code: int, words: str, warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, runs: dict
+    place: str, numbers: list, code: int, words: str, warpvox: Callable, tmp_path: Path, monkeypatch, runs: dict
 ) -> None:
+    """It comes in the second iteration, or when this one is reported."""
     usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
     before = {number: signal.signal(number, handler) for number, handler in usual.items()}
+    function, calls = pkgutil.resolve_name(place), itertools.count(1)
 
-    def send(_: Any, row: dict) -> None:
-        for number in numbers if row["iteration"] == 2 else ():
+    def interrupted(*words: Any) -> Any:
+        for number in numbers if next(calls) == 2 else ():
             signal.raise_signal(number)
+        return function(*words)
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpvox.progress.training.Terminal.iterated", send)
+        patch.setattr(place, interrupted)
         outcome = warpvox(*TRAIN, code=code)
     for number, handler in before.items():
         signal.signal(number, handler)

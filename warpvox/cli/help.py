@@ -51,12 +51,14 @@ def _keys(schema: type, prefix: str) -> Iterator[tuple[str, Key]]:
     types = get_type_hints(schema)
     for item in dataclasses.fields(schema):
         name = prefix + item.name
+        kind = types[item.name]
         default = item.default if item.default_factory is dataclasses.MISSING else item.default_factory()
         about = item.metadata
-        yield name, Key(types[item.name], default, about["help"], about.get("choices", ()))
-        kinds = [one if isinstance(one, type) else type(one) for one in (default, *about.get("nodes", {}).values())]
-        kinds = [kind for kind in kinds if dataclasses.is_dataclass(kind) and issubclass(kind, types[item.name])]
-        yield from (part for kind in kinds for part in _keys(kind, f"{name}."))
+        yield name, Key(kind, default, about["help"], about.get("choices", ()))
+        for one in (default, *about.get("nodes", {}).values()):
+            part = one if isinstance(one, type) else type(one)
+            if dataclasses.is_dataclass(part) and issubclass(part, kind):
+                yield from _keys(part, f"{name}.")
 
 
 def groups_of(command: str) -> list[str]:

@@ -203,5 +203,6 @@ def _cells(document: Mapping[str, Any], rows: int, columns: int, error: type[War
 
 def _box(filled: np.ndarray) -> tuple[slice, slice]:
     """The rows and columns that hold anything."""
-    rows, columns = (np.flatnonzero(filled.any(axis)) for axis in (1, 0))
+    rows = np.flatnonzero(filled.any(1))
+    columns = np.flatnonzero(filled.any(0))
     return slice(*rows[[0, -1]] + (0, 1)), slice(*columns[[0, -1]] + (0, 1))

@@ -4,7 +4,6 @@ As in the release, positions and velocities of any control step since the reset 
 """
 
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -60,16 +59,25 @@ class Engine:
         self._status = sim.array("status").numpy().reshape(-1)
         self._actions = sim.action_buffer.numpy()[0]  # of all robots
         self._actions[:] = 1.0  # until an action is set, actuators keep their length
-        robots = [(body, body.first_action, body.source.num_actuators) for body in sim.designs[0].robots]
-        self.goals = {body.name: self._actions[first : first + count] for body, first, count in robots}
+        self.goals = {}
+        for body in sim.designs[0].robots:
+            last = body.first_action + body.source.num_actuators
+            self.goals[body.name] = self._actions[body.first_action : last]
+
         # A record has the points of what moves first, as the simulation has them.
         recorded = sorted(moving, key=lambda body: body.first_point) + statics
         self._moving = sum(len(body.points) for body in moving)
-        ends = np.cumsum([0, *(len(body.points) for body in recorded)]).tolist()
-        self._spans = {body.name: slice(*span) for body, span in zip(recorded, pairwise(ends), strict=True)}
+        self._spans = {}
+        begin = 0
+        for body in recorded:
+            end = begin + len(body.points)
+            self._spans[body.name] = slice(begin, end)
+            begin = end
+
+        # All objects: robots first, each by name
         ordered = sorted(recorded, key=lambda body: (not body.source.is_robot, body.name))
         self._bodies = {body.name: body for body in ordered}
-        self._rows = np.concatenate([np.arange(ends[-1])[self._spans[name]] for name in self._bodies])
+        self._rows = np.concatenate([np.arange(begin)[self._spans[name]] for name in self._bodies])
 
     def step(self, history: int | None = None) -> bool:
         """One control step; True if self-folding (or numbers that are not finite) stopped and undid it.
@@ -96,7 +104,8 @@ class Engine:
 
     def _record(self) -> None:
         now = self._past[self.time] = self._past[0].copy()  # with what cannot move
-        now[0, : self._moving], now[1, : self._moving] = self._views["pos"], self._views["vel"]
+        now[0, : self._moving] = self._views["pos"]
+        now[1, : self._moving] = self._views["vel"]
 
     def revert(self, time: int) -> None:
         """Go back to a recorded time and drop the records after it."""
@@ -105,7 +114,8 @@ class Engine:
         self._past = {then: kept for then, kept in self._past.items() if then <= time}
 
     def _set(self, record: np.ndarray) -> None:
-        self._views["pos"][:], self._views["vel"][:] = record[:, : self._moving]
+        self._views["pos"][:] = record[0, : self._moving]
+        self._views["vel"][:] = record[1, : self._moving]
         self._views["true_vel"][:] = self._views["vel"]
         self._sim.invalidate()
         self._moved()

@@ -224,12 +224,9 @@ class SearchProgress(Listener):
         best = max((value for value, _ in designs if math.isfinite(value)), default=math.nan)
         lost = sum(math.isnan(value) and not training for value, training in designs)
         diverged = f", {lost} diverged" if lost else ""
-        return f"{self._iteration()}, {going} in training{diverged}, best of them {figure(best)}"
-
-    def _iteration(self) -> str:
-        events = [training.event for training in self._work.values()]
-        done, total = (min(event[name] for event in events) for name in ("iteration", "iterations"))
-        return f"iteration {done}/{total}"
+        done = min(event["iteration"] for event in events)
+        total = min(event["iterations"] for event in events)
+        return f"iteration {done}/{total}, {going} in training{diverged}, best of them {figure(best)}"
 
     def _show(self) -> None:
         """Update the live display, if there is one."""

@@ -79,7 +79,8 @@ auto correct_springs = [&](unsigned rounds) {
 };
 
 // The second pass: the sides of rigid voxels, in place, level by level. Levels are many and narrow: the first warp goes
-// through them without the others, 32 sides at a time or to the end of a level.
+// through them without the others. Of as many sides as it has threads, whatever their levels, it corrects those of the first
+// level in which one is beyond the bound, and goes on behind that level.
 auto correct_rigids = [&]() {
     if (!some(at.rigid[0].ends)) return;
     clear_moved();
@@ -88,9 +89,10 @@ auto correct_rigids = [&]() {
         const int n = first + part;
         const Side side = (TIGHT || part < WHOLE) && n < RIGIDS ? at.rigid[n] : Side{0, Real(0)};
         if (!some_of_warp(side.ends)) break;
-        const int end = first_of_warp(side.ends & LAST);
         Pair by;
-        if (side.ends && part <= end && correction(side, model.rigid_strain_limit, model.rigid_strain_share, by)) {
+        const bool beyond = side.ends && correction(side, model.rigid_strain_limit, model.rigid_strain_share, by);
+        const int begin = first_of_warp(beyond), end = first_of_warp(part >= begin && side.ends & LAST);
+        if (beyond && part <= end) {
             shift(at.disp, side, by);
             shift(at.moved, side, by);
             any = true;

@@ -234,3 +234,15 @@ def test_the_pretrained_network_is_gone_on_from(cuda: SimulatedCuda, tmp_path: P
     runner.learn(1)
     steps = source.alg.optimizer.state_dict()["state"][0]["step"]
     assert runner.alg.optimizer.state_dict()["state"][0]["step"] == 1.5 * steps
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("graphs", [(True, True), (False, True)], ids=["twice", "as it is"])
+def test_on_cuda_the_same_seed_gives_the_same_weights(graphs: tuple[bool, bool]) -> None:
+    """In networks and batches of the size that they usually have."""
+    usual = {"steps": 16, "hidden": [64, 64], "epochs": 5, "minibatches": 4}
+    runners = [make_runner("Walker-v0", graph, usual, 20, num_envs=512, designs=["walker"]) for graph in graphs]
+    for runner in runners:
+        runner.learn(20, init_at_random_ep_len=True)
+    assert recorded(runners[1]._iteration)
+    assert_same_weights(*runners)

@@ -44,8 +44,10 @@ class PackageBase(BenchmarkBase):
         package_vel_final: np.ndarray,
     ) -> np.ndarray:
         """``[6]``: the robot's velocity, the way from it to the package, the package's velocity."""
-        places = (robot_pos_final, robot_vel_final, package_pos_final, package_vel_final)
-        robot, robot_speed, package, package_speed = (np.mean(points, axis=1) for points in places)
+        robot = np.mean(robot_pos_final, axis=1)
+        package = np.mean(package_pos_final, axis=1)
+        robot_speed = np.mean(robot_vel_final, axis=1)
+        package_speed = np.mean(package_vel_final, axis=1)
         return np.concatenate([robot_speed, package - robot, package_speed])
 
     def get_reward(
@@ -56,8 +58,10 @@ class PackageBase(BenchmarkBase):
         robot_pos_final: np.ndarray,
     ) -> float:
         """For moving both to the right and together, less for dropping the package; positions are ``[2, n]``."""
-        places = (package_pos_init, package_pos_final, robot_pos_init, robot_pos_final)
-        package_0, package_1, robot_0, robot_1 = (np.mean(points, axis=1) for points in places)
+        package_0 = np.mean(package_pos_init, axis=1)
+        package_1 = np.mean(package_pos_final, axis=1)
+        robot_0 = np.mean(robot_pos_init, axis=1)
+        robot_1 = np.mean(robot_pos_final, axis=1)
         reward = 0.75 * (package_1[0] - package_0[0]) + 0.5 * (robot_1[0] - robot_0[0])
         reward += abs(robot_0[0] - package_0[0]) - abs(robot_1[0] - package_1[0])
         return reward + (10 * (package_1[1] - package_0[1]) if package_1[1] < self.thresh_height else 0.0)

@@ -46,7 +46,9 @@ class WalkToX(Goal):
 
     def evaluate(self, args: Mapping[str, np.ndarray]) -> tuple[float, bool]:
         """How much closer the robot has come, and whether it is within two voxels."""
-        before, after = (abs(self.x_goal * VOXEL - np.mean(args[key][0])) for key in (_BEFORE, _AFTER))
+        goal = self.x_goal * VOXEL
+        before = abs(goal - np.mean(args[_BEFORE][0]))
+        after = abs(goal - np.mean(args[_AFTER][0]))
         # A goal is reached within two voxels.
         return before - after, bool(after < 2 * VOXEL)
 
