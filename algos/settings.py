@@ -70,7 +70,8 @@ class Ppo(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.rnn, self.extra = plain(self.rnn, "ppo.rnn"), plain(self.extra, "ppo.extra")
+        self.rnn = plain(self.rnn, "ppo.rnn")
+        self.extra = plain(self.extra, "ppo.extra")
 
     def check(self, num_envs: int, prefix: str = "ppo") -> None:
         """Raise ConfigError if an iteration of ``num_envs`` environments is too small for its minibatches."""

@@ -53,7 +53,8 @@ def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
         StorageError: it cannot be written.
     """
     check_suffix("A file of TorchScript", path, (".pt", ".pth", ".ts"), RunError)
-    policy, whole = _copied(policy), io.BytesIO()
+    policy = _copied(policy)
+    whole = io.BytesIO()
     with atomic_path(path, follow=True) as temporary, _quiet():
         if policy.spec.voxels is None and policy.spec.gait is None:
             program = torch.jit.script(policy)
@@ -170,11 +171,13 @@ def _onnx_runner(path: Path) -> tuple[str, Runner]:
     if find_spec("onnxruntime") is not None:
         import onnxruntime
 
-        name, run = "ONNX Runtime", onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"]).run
+        name = "ONNX Runtime"
+        run = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"]).run
     else:
         from onnx.reference import ReferenceEvaluator
 
-        name, run = "onnx's reference evaluator", ReferenceEvaluator(str(path)).run
+        name = "onnx's reference evaluator"
+        run = ReferenceEvaluator(str(path)).run
     return name, lambda obs: run(None, {"obs": obs})[0]
 
 
@@ -183,10 +186,12 @@ def _compare(policy: Policy, run: Runner, written: Path, path: object) -> str:
 
     ``run``: the program in the file ``written``, which is to become ``path``.
     """
-    generator, apart = torch.Generator().manual_seed(0), 0.0
+    generator = torch.Generator().manual_seed(0)
+    apart = 0.0
     for rows in ROWS:
         obs = policy.network.random_obs(rows, generator)
-        theirs, ours = run(obs.numpy()), policy.act(obs.numpy())
+        theirs = run(obs.numpy())
+        ours = policy.act(obs.numpy())
         if theirs.shape != ours.shape or not np.isfinite(theirs).all():
             raise RunError(f"{path} is not kept: it gives {theirs.shape} where the policy gives {ours.shape} actions.")
         apart = max(apart, float(np.abs(theirs - ours).max()))

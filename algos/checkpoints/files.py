@@ -206,7 +206,8 @@ def check_spec(spec: PolicySpec, weights: object) -> None:
         if want != got or expected[name].is_floating_point() != weights[name].is_floating_point():
             raise ValueError(f"the weights are those of another network: {name!s:.40} is {got}, not {want}")
     if spec.gait is not None:
-        cells, last = weights["cells"].long(), spec.gait["rows"] * spec.gait["columns"]
+        cells = weights["cells"].long()
+        last = spec.gait["rows"] * spec.gait["columns"]
         if not bool((cells[1:] > cells[:-1]).all() & (cells >= 0).all() & (cells < last).all()):
             raise ValueError(f"the cells of a gait must rise, from 0 to {last - 1}; got {cells.tolist()!r:.100}")
         if not bool((weights["period"] > 0).all()):

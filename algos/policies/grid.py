@@ -32,7 +32,8 @@ class GridNetwork(nn.Module):
         super().__init__()
         width = (width + 1) // 2 if critic else width
         self.critic = critic
-        self.moving, self.fixed = weight(MOVING, width, 1.0), weight(FEATURES - MOVING, width, 0.5)
+        self.moving = weight(MOVING, width, 1.0)
+        self.fixed = weight(FEATURES - MOVING, width, 0.5)
         self.pool = nn.Linear(layout.cells * width + layout.rest, summary)
         self.hidden = nn.Linear(summary, summary if critic else heads)
         if critic:

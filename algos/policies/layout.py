@@ -108,7 +108,8 @@ def layout_of(env: VoxelVecEnv, periods: tuple[float, ...] = CLOCK) -> VoxelLayo
     cells = grid.rows * grid.columns
     if grid.place != slice(0, cells * NUM_FEATURES):
         raise ConfigError("A policy for voxels needs the grid at the beginning of an observation.")
-    rest, timed = env.num_obs - cells * NUM_FEATURES, is_timed(env.obs_columns[0])
+    rest = env.num_obs - cells * NUM_FEATURES
+    timed = is_timed(env.obs_columns[0])
     rest += (2 * len(periods) - 1) * timed
     return VoxelLayout(grid.rows, grid.columns, rest, env.num_actions, timed, periods)
 

@@ -32,7 +32,8 @@ class VoxelNormalizer(nn.Module):
 
     def __init__(self, layout: VoxelLayout) -> None:
         super().__init__()
-        self.layout, self.inputs = layout, VoxelInputs(layout)
+        self.layout = layout
+        self.inputs = VoxelInputs(layout)
         self.register_buffer("mean", torch.zeros(MOVING + layout.scaled))
         self.register_buffer("var", torch.ones(MOVING + layout.scaled))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
@@ -63,14 +64,16 @@ class VoxelNormalizer(nn.Module):
         mean = first / number
         var = (second / number - mean.square()).clamp(min=0)
         self.count += rows
-        rate, moved = rows / self.count, mean - self.mean
+        rate = rows / self.count
+        moved = mean - self.mean
         self.mean += rate * moved
         self.var += rate * (var - self.var + moved * (mean - self.mean))
 
     def _sums(self, obs: torch.Tensor) -> torch.Tensor:
         """Return sums and sums of squares of scaled entries, number of voxels and number of rows; float64."""
         features, present, _, _ = self.inputs(obs)
-        moving, rest = features[..., :MOVING], self._rest(obs)
+        moving = features[..., :MOVING]
+        rest = self._rest(obs)
         sums = torch.cat([moving.sum((0, 1)), rest.sum(0), moving.square().sum((0, 1)), rest.square().sum(0)])
         return torch.cat([sums.double(), present.sum().double()[None], sums.new_full((1,), len(obs)).double()])
 
@@ -99,14 +102,16 @@ class VoxelModel(Network):
     ) -> None:
         nn.Module.__init__(self)
         self.obs_groups, self.obs_dim = self._get_obs_dim(obs, obs_groups, obs_set)
-        self.layout, self.obs_normalization = VoxelLayout(**layout), obs_normalization
+        self.layout = VoxelLayout(**layout)
+        self.obs_normalization = obs_normalization
         self.distribution: VoxelGaussian | None = None
         if distribution_cfg is not None:
             given = {name: value for name, value in distribution_cfg.items() if name != "class_name"}
             self.distribution = VoxelGaussian(output_dim, **given)
         self.obs_normalizer = VoxelNormalizer(self.layout)  # without `obs_normalization` it only cuts to its bounds
         self.network = make_network(network, self.layout, self.distribution is None, settings)
-        cells, count = self.layout.cells, self.layout.cells * FEATURES
+        cells = self.layout.cells
+        count = self.layout.cells * FEATURES
         self._parts = [count, self.layout.rest, cells, self.layout.actions]
 
     def unpack(self, latent: torch.Tensor) -> tuple[torch.Tensor, ...]:

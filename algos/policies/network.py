@@ -42,7 +42,8 @@ class Network(MLPModel):
         # is part of the layers around
         values = latent
         for place, layer in enumerate(layers):
-            weight, bias = layer.weight, layer.bias
+            weight = layer.weight
+            bias = layer.bias
             if place:
                 weight, bias = -2 * weight, bias + weight.sum(1)
             if place < len(layers) - 1:
@@ -87,7 +88,8 @@ class VoxelGaussian(Gaussian):
 
     def look(self, kinds: torch.Tensor) -> None:
         """Set which actions there are: ``kinds`` ``[rows, actions]``, 0: none, 1: horizontal, 2: vertical actuator."""
-        self._is_present, self._present = kinds > 0, kinds.clamp(max=1)
+        self._is_present = kinds > 0
+        self._present = kinds.clamp(max=1)
         self._vertical = kinds - self._present
 
     def by_kind(self, values: torch.Tensor) -> torch.Tensor:

@@ -46,7 +46,8 @@ def check_network(env: VoxelVecEnv, name: str, settings: Any, key: str = "networ
     if settings is not None and not isinstance(settings, Mapping):
         raise ConfigError(f"{key} must be settings by name, such as {{width:32}}; got {settings!r:.80}.")
     layout = layout_for(name, env)
-    actor, shapes = make_network(name, layout, False, settings), ([2, layout.cells, FEATURES], [2, layout.rest])
+    actor = make_network(name, layout, False, settings)
+    shapes = ([2, layout.cells, FEATURES], [2, layout.rest])
     with Generators(0), torch.no_grad():  # the critic and what networks draw do not matter
         for network, wanted in (actor, [2, layout.cells]), (make_network(name, layout, True, settings), [2]):
             try:

@@ -54,10 +54,13 @@ class AttentionBlock(nn.Module):
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
         self.heads = heads
-        self.before, self.between = nn.LayerNorm(width), nn.LayerNorm(width)
-        self.query_key_value, self.mix = nn.Linear(width, 3 * width), nn.Linear(width, width)
+        self.before = nn.LayerNorm(width)
+        self.between = nn.LayerNorm(width)
+        self.query_key_value = nn.Linear(width, 3 * width)
+        self.mix = nn.Linear(width, width)
         self.slope = nn.Parameter(torch.linspace(-3.0, 0.0, heads))
-        self.inner, self.outer = nn.Linear(width, 2 * width), nn.Linear(2 * width, width)
+        self.inner = nn.Linear(width, 2 * width)
+        self.outer = nn.Linear(2 * width, width)
 
     def forward(self, tokens: torch.Tensor, distance: torch.Tensor, present: torch.Tensor) -> torch.Tensor:
         """Return new tokens ``[rows, cells, width]`` from tokens, ``distance`` and the mask ``present``."""

@@ -39,7 +39,8 @@ class Networks:
 
 def fresh_networks(ppo: Ppo, num_obs: int, num_actions: int, seed: int) -> Networks:
     """Make the networks that rsl-rl would start a training with this ``seed`` from."""
-    config, obs = rsl_rl_config(ppo, 1), TensorDict({OBS_GROUP: torch.zeros(1, num_obs)}, batch_size=[1])
+    config = rsl_rl_config(ppo, 1)
+    obs = TensorDict({OBS_GROUP: torch.zeros(1, num_obs)}, batch_size=[1])
 
     def network(name: str, outputs: int) -> MLPModel:
         model, settings = resolve_class(config[name])
@@ -69,9 +70,13 @@ class PopulationTraining:
         prepare: Callable[[int, Any, Networks], None] | None = None,
         eval_seed: int = 0,
     ) -> None:
-        self.factory, self.bodies, self.seeds, self.settings = factory, list(bodies), list(seeds), settings
+        self.factory = factory
+        self.bodies = list(bodies)
+        self.seeds = list(seeds)
+        self.settings = settings
         self.eval_seed = eval_seed
-        self.ppo, self.iteration = settings.ppo, 0
+        self.ppo = settings.ppo
+        self.iteration = 0
         self._make_environments()
         inner = self.env.env
         networks = []
@@ -95,7 +100,8 @@ class PopulationTraining:
 
     def _algorithm(self, networks: Sequence[Networks]) -> PopulationPPO:
         """Return the algorithm that starts from ``networks``, with a random generator for each design."""
-        device, obs = str(self.env.device), self.env.get_observations()
+        device = str(self.env.device)
+        obs = self.env.get_observations()
         # On the CPU a design's stream goes on where its networks were made; on another device it begins with the seed.
         generators = [torch.Generator(device).manual_seed(seed) for seed in self.seeds]
         if device == "cpu":
@@ -152,7 +158,8 @@ class PopulationTraining:
     def keep(self, index: Sequence[int]) -> None:
         """Keep the designs with the indices ``index``; their training continues as before, up to rounding."""
         state = self.env.pick(index)
-        self.bodies, self.seeds = [self.bodies[d] for d in index], [self.seeds[d] for d in index]
+        self.bodies = [self.bodies[d] for d in index]
+        self.seeds = [self.seeds[d] for d in index]
         self._make_environments()
         self.env.set_state(state)
         self.algorithm.keep(index, self.env.get_observations())

@@ -39,8 +39,10 @@ class _TanhLayers(torch.autograd.Function):
     def forward(ctx: Any, inputs: torch.Tensor, *parameters: torch.Tensor) -> torch.Tensor:
         """Compute the outputs and save the activations of each layer."""
         count = len(parameters) // 2
-        weights, biases = parameters[:count], parameters[count:]
-        one, values = inputs.new_ones(()), [inputs]
+        weights = parameters[:count]
+        biases = parameters[count:]
+        one = inputs.new_ones(())
+        values = [inputs]
         for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
             # tanh x = 1 - 2 sigmoid(-2 x), of which the sigmoid takes a tenth of the time of torch's tanh
             out = torch.baddbmm(bias, values[-1], weight, beta=-2, alpha=-2).sigmoid_()
@@ -53,8 +55,10 @@ class _TanhLayers(torch.autograd.Function):
     def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         """Return the gradients by weights and biases; there is none by the inputs."""
         count = len(ctx.saved_tensors) // 2
-        values, weights = ctx.saved_tensors[:count], ctx.saved_tensors[count:]
-        of_weights, of_biases = [], []
+        values = ctx.saved_tensors[:count]
+        weights = ctx.saved_tensors[count:]
+        of_weights = []
+        of_biases = []
         for k in reversed(range(count)):
             of_weights.append(values[k].mT @ gradient)
             of_biases.append(gradient.sum(-2, keepdim=True))
@@ -78,13 +82,16 @@ class StackedGaussian(nn.Module):
 
     def __init__(self, log_std: torch.Tensor, mask: torch.Tensor, limits: Sequence[float]) -> None:
         super().__init__()
-        self.log_std_param, self.limits = nn.Parameter(log_std), limits
+        self.log_std_param = nn.Parameter(log_std)
+        self.limits = limits
         self.register_buffer("mask", mask, persistent=False)
 
     def part(self, share: slice) -> StackedGaussian:
         """Return the distributions of neighbouring designs, which share this one's memory."""
-        part, log_std = copy.copy(self), nn.Parameter(self.log_std_param.data[share])
-        part._parameters, part._buffers = {"log_std_param": log_std}, {"mask": self.mask[share]}
+        part = copy.copy(self)
+        log_std = nn.Parameter(self.log_std_param.data[share])
+        part._parameters = {"log_std_param": log_std}
+        part._buffers = {"mask": self.mask[share]}
         return part
 
     def keep(self, rows: Sequence[int], outputs: int) -> None:
@@ -94,7 +101,8 @@ class StackedGaussian(nn.Module):
 
     def update(self, mean: torch.Tensor) -> None:
         """Set the means to ``mean`` ``[designs, rows, actions]``, and the deviations to the parameters'."""
-        self.mean, self._log_std = mean, self.log_std_param.clamp(*self.limits)
+        self.mean = mean
+        self._log_std = self.log_std_param.clamp(*self.limits)
         self.std = self._log_std.exp()
 
     @property
@@ -143,7 +151,8 @@ class Normalizer(EmpiricalNormalization):
         mean = x.mean(-2, keepdim=True)
         var = (x - mean).square_().mean(-2, keepdim=True)
         self.count += x.shape[-2]
-        rate, moved = x.shape[-2] / self.count, mean - self._mean
+        rate = x.shape[-2] / self.count
+        moved = mean - self._mean
         self._mean += rate * moved
         self._var += rate * (var - self._var + moved * (mean - self._mean))
         self._std.copy_(self._var.sqrt())
@@ -165,7 +174,8 @@ class PopulationModel(MLPModel):
         self.inputs = [row[0].in_features for row in layers]
         self.outputs = [row[-1].out_features for row in layers]
         self.activation = next(layer for layer in first.mlp if not isinstance(layer, nn.Linear))
-        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
+        self.weights = nn.ParameterList()
+        self.biases = nn.ParameterList()
         for column in zip(*layers, strict=True):
             self.weights.append(nn.Parameter(_padded([layer.weight.T for layer in column])))
             self.biases.append(nn.Parameter(_padded([layer.bias[None] for layer in column])))
@@ -236,7 +246,8 @@ class PopulationModel(MLPModel):
     def part(self, share: slice) -> PopulationModel:
         """Return a model of neighbouring designs that shares this one's memory."""
         part = copy.copy(self)
-        part.inputs, part.outputs = self.inputs[share], self.outputs[share]
+        part.inputs = self.inputs[share]
+        part.outputs = self.outputs[share]
         # `.data` and not `.detach()`: what other threads write to their share must not look like a change of this one
         part._modules = {
             "activation": self.activation,
@@ -251,7 +262,9 @@ class PopulationModel(MLPModel):
     def keep(self, index: Sequence[int]) -> None:
         """Keep the designs with the indices ``index``, in this order; parameters remain the same objects."""
         self.inputs, self.outputs = [[sizes[d] for d in index] for sizes in (self.inputs, self.outputs)]
-        inputs, outputs, rows = max(self.inputs), max(self.outputs), list(index)
+        inputs = max(self.inputs)
+        outputs = max(self.outputs)
+        rows = list(index)
         for parameter in (*self.weights, *self.biases):
             parameter.data = parameter.data[rows]
         self.weights[0].data = self.weights[0].data[:, :inputs]

@@ -68,7 +68,8 @@ class PopulationPPO(PPO):
         super().__init__(actor, critic, storage, normalize_advantage_per_mini_batch=True, **settings)
         self.optimizer = VectorAdam([actor, critic], self.adam_eps)
         self.rates = torch.full((self.num_designs,), self.learning_rate, dtype=torch.float64, device=self.device)
-        self.streams, self._pool = streams, None
+        self.streams = streams
+        self._pool = None
         self._fill(storage)
         if threads > 1:  # torch's own number of threads is a setting of every thread
             own = {"initializer": torch.set_num_threads, "initargs": (torch.get_num_threads(),)}
@@ -123,7 +124,8 @@ class PopulationPPO(PPO):
 
     def _fill(self, storage: RolloutStorage) -> None:
         """Use ``storage`` for rollouts from now on, and allocate scaled inputs and action means beside it."""
-        self.storage, self._means = storage, torch.zeros_like(storage.actions)
+        self.storage = storage
+        self._means = torch.zeros_like(storage.actions)
         self._inputs = torch.empty_like(observations(self.actor, storage.observations))
 
     @property
@@ -133,7 +135,9 @@ class PopulationPPO(PPO):
     @torch.no_grad()
     def act(self, obs: TensorDict) -> torch.Tensor:
         """Draw actions; values and log-probabilities are computed later for the whole rollout at once."""
-        storage, step, policy = self.storage, self.storage.step, self.actor.distribution
+        storage = self.storage
+        step = self.storage.step
+        policy = self.actor.distribution
         inputs = self.actor.scaled(observations(self.actor, obs))
         # the normaliser learns after the update only: scaled once, the inputs serve all epochs
         self._inputs[step] = inputs.flatten(0, 1)
@@ -170,7 +174,9 @@ class PopulationPPO(PPO):
     @torch.no_grad()
     def compute_returns(self, obs: TensorDict) -> None:
         """Compute values and log-probabilities of the rollout, then returns and advantages."""
-        st, policy, parts = self.storage, self.actor.distribution, []
+        st = self.storage
+        policy = self.actor.distribution
+        parts = []
         rows = [self._samples(values) for values in (self._inputs, self._means, st.actions)]
         size = -(-rows[0].shape[1] // self.num_mini_batches)  # no more memory than learning takes
         for inputs, mean, actions in zip(*(values.split(size, dim=1) for values in rows), strict=True):
@@ -215,7 +221,8 @@ class PopulationPPO(PPO):
 
         Threads share the work block by block, so that their number changes no result.
         """
-        data, count = self._shuffled(), -(-self.num_designs // BLOCK) if str(self.device) == "cpu" else 1
+        data = self._shuffled()
+        count = -(-self.num_designs // BLOCK) if str(self.device) == "cpu" else 1
         ends = [self.num_designs * k // count for k in range(count + 1)]
         blocks = [slice(*pair) for pair in itertools.pairwise(ends)]
         run = self._pool.map if self._pool else map
@@ -241,21 +248,27 @@ class PopulationPPO(PPO):
         centred = rows.advantages - rows.advantages.mean(1, keepdim=True)
         rows = rows._replace(advantages=centred / (rows.advantages.std(1, keepdim=True) + 1e-8))
         count = rows.returns.shape[1] // self.num_mini_batches * self.num_mini_batches
-        order, designs = self.streams.permutations(count), torch.arange(self.num_designs, device=self.device)
+        order = self.streams.permutations(count)
+        designs = torch.arange(self.num_designs, device=self.device)
         return Samples(*(values[designs[:, None], order] for values in rows))
 
     def _learn(self, block: slice, data: Samples) -> torch.Tensor:
         """Run all epochs of the designs in ``block``; return value loss, surrogate loss, entropy ``[3, designs]``."""
-        actor, critic = self.actor.part(block), self.critic.part(block)
-        size, times = data.returns.shape[1] // self.num_mini_batches, self.num_learning_epochs * self.num_mini_batches
-        policy, rate = self.actor.distribution.part(block), self.rates[block]
+        actor = self.actor.part(block)
+        critic = self.critic.part(block)
+        size = data.returns.shape[1] // self.num_mini_batches
+        times = self.num_learning_epochs * self.num_mini_batches
+        policy = self.actor.distribution.part(block)
+        rate = self.rates[block]
         layers = [*actor.weights, *actor.biases], [*critic.weights, *critic.biases]
         policy.update(data.mean[block])
-        old_std, sums = policy.std.detach(), data.mean.new_zeros(3, len(rate))
+        old_std = policy.std.detach()
+        sums = data.mean.new_zeros(3, len(rate))
         for k in range(times):
             first = k % self.num_mini_batches * size
             part = Samples(*(values[block, first : first + size] for values in data))
-            mean, values = actor.run(part.inputs), critic.run(part.inputs)[..., 0]
+            mean = actor.run(part.inputs)
+            values = critic.run(part.inputs)[..., 0]
             with torch.no_grad():
                 policy.update(mean)
                 if self.schedule == "adaptive":
@@ -286,7 +299,8 @@ class PopulationPPO(PPO):
     def _value_loss(self, values: torch.Tensor, part: Samples) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the mean squared error of the values, and the gradient of the value loss by them."""
         error = values - part.returns
-        squares, slope = error.square(), error * (2 * self.value_loss_coef / error.shape[-1])
+        squares = error.square()
+        slope = error * (2 * self.value_loss_coef / error.shape[-1])
         if self.use_clipped_value_loss:
             moved = values - part.values
             clipped = (part.values + moved.clamp(-self.clip_param, self.clip_param) - part.returns).square()
@@ -297,8 +311,10 @@ class PopulationPPO(PPO):
 
     def _adapt(self, rate: torch.Tensor, kl: torch.Tensor) -> None:
         """Change the learning rates ``rate`` by rsl-rl's adaptive schedule from the divergences ``kl``."""
-        lower, higher = (rate / 1.5).clamp_(min=SLOWEST), (rate * 1.5).clamp_(max=FASTEST)
-        far, near = kl > 2 * self.desired_kl, (kl < self.desired_kl / 2) & (kl > 0)
+        lower = (rate / 1.5).clamp_(min=SLOWEST)
+        higher = (rate * 1.5).clamp_(max=FASTEST)
+        far = kl > 2 * self.desired_kl
+        near = (kl < self.desired_kl / 2) & (kl > 0)
         rate.copy_(torch.where(far, lower, torch.where(near, higher, rate)))
 
     def healthy(self) -> torch.Tensor:
@@ -308,7 +324,8 @@ class PopulationPPO(PPO):
 
     def keep(self, index: Sequence[int], obs: TensorDict) -> None:
         """Keep the designs with the indices ``index``, for observations like ``obs``; between updates only."""
-        envs, steps = self.storage.num_envs // self.num_designs, self.storage.num_transitions_per_env
+        envs = self.storage.num_envs // self.num_designs
+        steps = self.storage.num_transitions_per_env
         shapes = [parameter.shape for parameter in self.optimizer.parameters]
         self.critic.obs_normalizer = nn.Identity()  # it is the actor's
         for part in (self.actor, self.critic, self.streams):
@@ -336,9 +353,11 @@ class VectorAdam:
     def __init__(self, networks: Sequence[nn.Module], eps: float) -> None:
         self._groups = [list(network.parameters()) for network in networks]
         self.parameters = [parameter for group in self._groups for parameter in group]
-        self.steps, self.eps = 0, eps
+        self.steps = 0
+        self.eps = eps
         self._bind()
-        self._means, self._squares = torch.zeros_like(self._values), torch.zeros_like(self._values)
+        self._means = torch.zeros_like(self._values)
+        self._squares = torch.zeros_like(self._values)
         self._corrections = self._values.new_zeros((0, 2), dtype=torch.float64)
 
     def moments(self) -> tuple[dict[torch.Tensor, torch.Tensor], dict[torch.Tensor, torch.Tensor]]:

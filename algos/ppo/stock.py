@@ -66,11 +66,15 @@ class PPO(RslRlPPO):
         self.generators = generators
         if generators is not None:
             cast(Any, self.get_policy().distribution).generator = generators.on(self.device)
-        self.decays, self.adam_eps = schedule == "linear", adam_eps
-        self.initial_learning_rate, self.total_iterations, self.updates = self.learning_rate, total_iterations, 0
+        self.decays = schedule == "linear"
+        self.adam_eps = adam_eps
+        self.initial_learning_rate = self.learning_rate
+        self.total_iterations = total_iterations
+        self.updates = 0
         self._configure_adam()
         self.storage.mini_batch_generator = self._minibatches
-        self.critic.obs_normalizer, self.critic.update_normalization = self.actor.obs_normalizer, lambda obs: None
+        self.critic.obs_normalizer = self.actor.obs_normalizer
+        self.critic.update_normalization = lambda obs: None
 
     @classmethod
     def of(
@@ -81,7 +85,9 @@ class PPO(RslRlPPO):
         Args:
             processes: that learn together, as rsl-rl describes them; None: this one alone.
         """
-        obs, groups, device = env.get_observations(), config["obs_groups"], str(env.device)
+        obs = env.get_observations()
+        groups = config["obs_groups"]
+        device = str(env.device)
         settings = copy.deepcopy({name: value for name, value in config["algorithm"].items() if name != "class_name"})
         settings = resolve_symmetry_config(resolve_rnd_config(settings, obs, groups, env), env)
         with generators:
@@ -178,7 +184,8 @@ class PPO(RslRlPPO):
         networks: dict[str, Any] = {"actor": self._raw_actor, "critic": self._raw_critic}
         optimizers: dict[str, Any] = {"optimizer": self.optimizer}
         if self.rnd:
-            networks["rnd"], optimizers["rnd"] = self.rnd, self.rnd.optimizer
+            networks["rnd"] = self.rnd
+            optimizers["rnd"] = self.rnd.optimizer
         like = {f"{name}_state_dict": network.state_dict() for name, network in networks.items() if wanted.get(name)}
         check_like({"updates": 0, **loaded_dict}, like | {"updates": int})
 

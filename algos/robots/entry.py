@@ -109,7 +109,8 @@ class Robot:
     @property
     def fully_connected(self) -> bool:
         """True if all neighbouring cells are connected."""
-        pairs, full = np.sort(self.connections.T, axis=1), full_connections(self.body)
+        pairs = np.sort(self.connections.T, axis=1)
+        full = full_connections(self.body)
         return {tuple(pair) for pair in pairs.tolist()} == {tuple(pair) for pair in full.tolist()}
 
     @property
@@ -183,7 +184,8 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
         raise RunError(f"{path} is no robot that warpvox has written, or damaged: {str(error).rstrip('.')}.") from None
     if robot.sha256 != header.get("sha256"):
         raise RunError(f"{path} is damaged: its arrays do not have the checksum that it states.")
-    pairs, cells = robot.connections, robot.body.size
+    pairs = robot.connections
+    cells = robot.body.size
     if pairs.ndim != 2 or len(pairs) != 2 or (pairs < 0).any() or (pairs >= cells).any():
         raise RunError(f"{path} has connections that are no pairs [2, k] of its {cells} cells: shape {pairs.shape}.")
     return robot

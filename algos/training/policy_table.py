@@ -76,7 +76,9 @@ class PolicyTable(tuple[EvaluatedPolicy, ...]):
         percent = f"{100 * self[0].level:g} % interval"
         yield "policy", "task", "episodes", "mean return", percent, "10 % quantile", "n"
         for row in self:
-            low, high, n = row.interval.low, row.interval.high, row.interval.n
+            low = row.interval.low
+            high = row.interval.high
+            n = row.interval.n
             interval = f"{low:.3f} to {high:.3f}" if n > 1 else "-"
             yield row.name, row.task, row.disturbance, f"{row.mean:.3f}", interval, f"{row.low_tenth:.3f}", str(n)
 
@@ -142,9 +144,12 @@ def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged
 
 def tables(judged: Sequence[Judged], level: float) -> dict[str, list[dict[str, Any]]]:
     """Return the tables ``runs``, ``groups`` and ``comparisons``, each as a list of rows."""
-    runs, groups, pairs = [], [], []
+    runs = []
+    groups = []
+    pairs = []
     for entry in judged:
-        settings, episodes = {"settings": entry.group.label}, {"episodes": entry.disturbance}
+        settings = {"settings": entry.group.label}
+        episodes = {"episodes": entry.disturbance}
         for run, one in zip(entry.group.runs, entry.rows, strict=True):
             found = {"quantile_10": one.low_tenth, "returns": one.returns}
             which = {"run": str(run.folder), "seed": run.config.get("seed")}

@@ -81,7 +81,8 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
     if spec.voxels is None:
         ppo |= {"hidden": list(spec.hidden), "activation": spec.activation, "rnn": spec.rnn}
     else:
-        name, settings = spec.voxels["network"], dict(spec.voxels["settings"])
+        name = spec.voxels["network"]
+        settings = dict(spec.voxels["settings"])
         changes |= {"policy": name, "network": settings or None, "obs": observed_by(content["policy"])}
         taken = inspect.signature(NETWORKS.get(name) or load_code(name)).parameters.values()
         usual["network"] = {one.name: one.default for one in taken if one.default is not one.empty}
@@ -104,7 +105,8 @@ def _on_the_grid(config: Training, layout: dict[str, Any]) -> Any:
     """Return ``designs`` with the grid of the policy; if it has no bodies, with the one body of ``config``."""
     from warpvox.algos.training.bodies import load_bodies  # and torch with it, for which mistakes in keys do not wait
 
-    designs, grid = config.designs, [layout["rows"], layout["columns"]]
+    designs = config.designs
+    grid = [layout["rows"], layout["columns"]]
     if designs.bodies is None:
         loaded = load_bodies(config.design, config.seed)
         bodies = [body.tolist() for body in loaded if not isinstance(body, dict)]
