@@ -142,14 +142,14 @@ class Archive(AbstractContextManager["Archive"]):
         lock = _lock_for_writing(path)
         try:
             with atomic_path(path, make_folders=False) as temporary:  # a killed process leaves no empty archive
-                cls._fill(temporary, settings)
+                cls._create_tables(temporary, settings)
             return cls(path, _connect(path, "rw"), lock)
         except (sqlite3.Error, StorageError) as error:
             lock.close()
             raise _write_error(path, error) from None
 
     @staticmethod
-    def _fill(path: Path, settings: Mapping[str, Any]) -> None:
+    def _create_tables(path: Path, settings: Mapping[str, Any]) -> None:
         """Create the tables at ``path`` and store ``settings``, in one transaction."""
         with closing(_connect(path, "rwc")) as db, _transaction(db):
             for statement in _statements():

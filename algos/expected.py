@@ -108,7 +108,11 @@ def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> 
         place = f"{name}.state.{number!s:.20}"
         if type(number) is not int or not 0 <= number < len(parameters):
             raise RunError(f"Its {place!r} belongs to none of the {len(parameters)} parameters.")
-        check_like(entry, {key: _of(entry, key, value, parameters[number]) for key, value in moments.items()}, place)
+        check_like(
+            entry,
+            {key: _expected_moment(entry, key, value, parameters[number]) for key, value in moments.items()},
+            place,
+        )
 
     # Copies
     state: dict[int, dict[str, Any]] = {}
@@ -120,7 +124,7 @@ def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> 
     return {"state": state, "param_groups": groups}
 
 
-def _of(entry: Any, key: str, moment: Any, parameter: torch.Tensor) -> Any:
+def _expected_moment(entry: Any, key: str, moment: Any, parameter: torch.Tensor) -> Any:
     """Return what ``check_like`` must compare the entry ``key`` with, for this parameter."""
     if not isinstance(moment, torch.Tensor):
         return None if moment is None else type(moment)

@@ -29,15 +29,15 @@ from warpvox.io.reading import Unreadable, read_bytes
 from warpvox.io.writing import atomic_path, check_suffix
 
 CARD = "warpvox.pt"
-"""Name of the entry that holds the policy as a checkpoint does; ONNX has text alone, there it is in base64."""
+"""Name of the entry that holds the policy as a checkpoint; in ONNX, which stores text only, it is in base64."""
 OLD_CARD = "warpvox.json"
 """Name of the entry in files of warpvox 0.1."""
 LARGEST = 1 << 28
-"""Bytes that the policy in a file may have."""
+"""Maximum length of the policy in a file, in bytes."""
 ROWS = (1, 64)
-"""Random observations that a file is compared on, one batch each."""
+"""Sizes of the two batches of random observations that a file is compared on."""
 TOLERANCE = 1e-5
-"""How far actions may lie apart: runtimes sum products in other orders; ranges are 1.0 wide."""
+"""Largest allowed difference of actions, whose range is 1.0 wide: runtimes sum products in different orders."""
 
 Runner = Callable[[np.ndarray], np.ndarray]
 
@@ -61,7 +61,7 @@ def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
         else:  # networks of the user's may not be scriptable
             program = torch.jit.trace(policy, torch.zeros(2, policy.num_obs))
         torch.jit.save(program, whole, _extra_files={CARD: policy_bytes(policy)})
-        temporary.write_bytes(whole.getbuffer())  # of a full disk torch's own writer says little
+        temporary.write_bytes(whole.getbuffer())  # torch's own writer gives unclear errors for a full disk
         module = torch.jit.load(str(temporary))
         return _compare(policy, lambda obs: module(torch.from_numpy(obs)).numpy(), temporary, path)
 
@@ -92,14 +92,14 @@ def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
     with atomic_path(path, follow=True) as temporary, _quiet():
         program = torch.onnx.export(
             policy,
-            (torch.zeros(2, policy.num_obs),),  # of one row torch may take the number of rows for fixed
+            (torch.zeros(2, policy.num_obs),),  # with one row torch may treat the number of rows as fixed
             input_names=["obs"],
             output_names=["actions"],
             dynamic_shapes={"obs": {0: torch.export.Dim("batch")}},
             dynamo=True,
             verbose=False,
         )
-        assert program is not None  # as of torch's earlier exporter
+        assert program is not None  # only torch's earlier exporter returns None
         model = program.model_proto
         onnx.helper.set_model_props(model, {CARD: base64.b64encode(policy_bytes(policy)).decode()})
         onnx.checker.check_model(model)
@@ -109,7 +109,7 @@ def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
 
 
 POLICY_WRITERS = {"onnx": ("policy.onnx", write_onnx), "jit": ("policy.pt", write_script)}
-"""Format: file, and what writes it."""
+"""File name and writing function of each format."""
 
 
 def read_exported(path: Path, network: str | None = None) -> Policy | None:
@@ -184,7 +184,7 @@ def _onnx_runner(path: Path) -> tuple[str, Runner]:
 def _compare(policy: Policy, run: Runner, written: Path, path: object) -> str:
     """Raise RunError unless a written file acts like the policy and holds it; return the largest difference in words.
 
-    ``run``: the program in the file ``written``, which is to become ``path``.
+    ``run`` calls the program in the temporary file ``written``, which will be renamed to ``path``.
     """
     generator = torch.Generator().manual_seed(0)
     apart = 0.0

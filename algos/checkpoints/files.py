@@ -27,13 +27,13 @@ from warpvox.runs import BEST
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
 
 MAX_BYTES = 1 << 32
-"""Length of a checkpoint. The state of 65,536 environments takes a tenth."""
+"""Maximum length of a checkpoint; the state of 65,536 environments takes a tenth of it."""
 MAX_ENTRIES = 1 << 16
-"""Tensors of a checkpoint."""
+"""Maximum number of entries in a checkpoint."""
 MAX_PICKLE_BYTES = 1 << 26
-"""Length of what a checkpoint holds beside tensors."""
+"""Maximum length of a checkpoint's content without its tensors."""
 RNN = {"rnn_type": "lstm", "rnn_hidden_dim": 256, "rnn_num_layers": 1}
-"""Settings of rsl-rl's ``RNNModel``, with its defaults."""
+"""Settings of rsl-rl's ``RNNModel`` with their defaults."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def actions_of(outputs: torch.Tensor, scale: float) -> torch.Tensor:
 
 def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
     """Write ``content`` (tensors, numbers, texts, lists and dictionaries) to ``path``, atomically."""
-    # By way of memory: of a full disk torch's own writer says neither what has happened nor where.
+    # Write to memory first: torch's own writer gives unclear errors for a full disk.
     whole = io.BytesIO()
     torch.save(content, whole)
     write_bytes(path, whole.getbuffer(), make_folders=False)
@@ -274,6 +274,6 @@ def check_fits(ours: PolicySpec, pretrained: PolicySpec) -> None:
 def spec_dict(spec: PolicySpec) -> dict[str, Any]:
     """Return a specification as a checkpoint stores it."""
     values = {name: value for name, value in asdict(spec).items() if value is not None}
-    if spec.voxels is not None:  # of code the name alone, as a plain text
+    if spec.voxels is not None:  # code is stored by its name, as plain text
         values["voxels"] |= {"network": str(spec.voxels["network"])}
     return values

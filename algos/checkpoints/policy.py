@@ -47,7 +47,7 @@ class Layers(nn.Module):
         """Return outputs ``[..., num_actions]`` for observations ``[..., num_obs]``."""
         dtype = self.mlp[0].weight.dtype
         rows = obs.to(dtype)  # pyright: ignore[reportCallIssue, reportArgumentType]
-        scaled = self.obs_normalizer(rows).reshape(obs.shape)  # of a single observation it makes a row
+        scaled = self.obs_normalizer(rows).reshape(obs.shape)  # the normaliser turns a single observation into a row
         return self.mlp(scaled)
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
@@ -95,15 +95,15 @@ class Policy(nn.Module):
 
     Args:
         spec: sizes and kind of the network.
-        state: of the network, as the actor of a checkpoint has it; the numbers are copied.
-        metadata: what is known about the training, by name.
+        state: of the network, as the actor of a checkpoint; the values are copied.
+        metadata: facts about the training, by name.
 
     Attributes:
         num_obs, num_actions: sizes.
         metadata: for instance ``task``, ``rules``, ``obs`` and ``design`` of the run.
     """
 
-    # TorchScript would compile the ones, and read the others
+    # TorchScript would compile these properties and read their values.
     __jit_unused_properties__: ClassVar = ["actor", "design"]
     __jit_ignored_attributes__: ClassVar = ["actor", "design"]
 
@@ -120,7 +120,7 @@ class Policy(nn.Module):
         self.step = float(spec.action_step)
         self.low = ACTION_LOW
         self.high = ACTION_HIGH
-        if self.step > 0.0:  # the outermost multiples in the range
+        if self.step > 0.0:  # round the limits to multiples of the step inside the range
             self.low = math.ceil(ACTION_LOW / self.step) * self.step
             self.high = math.floor(ACTION_HIGH / self.step) * self.step
         with own_torch(), Generators(0):
@@ -174,7 +174,7 @@ class Policy(nn.Module):
         if self.spec.rnn is None:
             return copy.deepcopy(self).double()
         memory = self.actor.get_hidden_state()
-        self.reset()  # it may have a history of derivatives, which cannot be copied
+        self.reset()  # hidden states may have an autograd history, which cannot be copied
         copied = copy.deepcopy(self).double()
         self.actor.reset(None, memory)
         return copied

@@ -115,7 +115,11 @@ class _Search:
         for rank, beginning in enumerate(self.beginnings):
             for number in range(each + (rank < more)):
                 is_known = beginning.is_known and number == 0
-                added = self._plan(first, last) if is_known else self._motions(beginning.begun, number, first, last)
+                added = (
+                    self._known_motions(first, last)
+                    if is_known
+                    else self._continuation(beginning.begun, number, first, last)
+                )
                 self.sources.append(beginning.place)
                 # A motion that goes on is not begun again.
                 begun = beginning.begun
@@ -146,7 +150,7 @@ class _Search:
                 chosen.append(tried)
         self.beginnings = chosen
 
-    def _motions(self, begun: _Begun, number: int, first: int, last: int) -> _Begun:
+    def _continuation(self, begun: _Begun, number: int, first: int, last: int) -> _Begun:
         """Choose the ``number``-th continuation of a beginning: the same motion, a mutant, a known or a random one."""
         rng = self.rng
         body = self.body
@@ -156,7 +160,7 @@ class _Search:
         # A tenth follow the known gait, three tenths are mutants of the present motion, a quarter are motions
         # of known gaits or mutants of them, a tenth are mutants of an earlier motion, the others are random.
         if self.plan and kind < 0.1:
-            return self._plan(first, last)
+            return self._known_motions(first, last)
         if begun and kind < 0.4:
             motion = mutate_motion(rng, begun[-1][1], body, first)
         elif self.motions and kind < 0.65:
@@ -169,7 +173,7 @@ class _Search:
             motion = draw_motion(rng, body)
         return ((first, motion),)
 
-    def _plan(self, first: int, last: int) -> _Begun:
+    def _known_motions(self, first: int, last: int) -> _Begun:
         """Return the motions of the best known gait between control steps ``first`` and ``last``."""
         present = max(place for place, (begin, _) in enumerate(self.plan) if begin <= first)
         later = tuple((begin, motion) for begin, motion in self.plan[present + 1 :] if begin < last)

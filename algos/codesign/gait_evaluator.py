@@ -74,7 +74,7 @@ class GaitEvaluator:
         # 0x6A17 keeps the random numbers of gaits apart from those of environments and searches.
         rngs = [np.random.default_rng([0x6A17, self.seed, candidate.id]) for candidate in candidates]
         env = self._environments(candidates, settings.beam if settings.passes else settings.gaits)
-        inherited = [self._inherited(candidate, parents, env.max_episode_steps) for candidate in candidates]
+        inherited = [self._inherited_gaits(candidate, parents, env.max_episode_steps) for candidate in candidates]
         noise = None
         if self.factory.fitness != NOMINAL:  # on the actions, the same for all gaits
             noise = Draws(self.seed, SEARCHED, self.episodes, env.device)
@@ -116,7 +116,7 @@ class GaitEvaluator:
                         gait = best[place][1]
                         gaits.append([mutate_gait(rng, gait, candidate.body, steps) for _ in range(settings.gaits)])
                     else:
-                        gaits.append(self._first(rng, inherited[place], candidate, steps))
+                        gaits.append(self._first_gaits(rng, inherited[place], candidate, steps))
                 found, taken = self._play(env, bodies, gaits, noise)
 
             # The best so far
@@ -129,7 +129,7 @@ class GaitEvaluator:
 
         outcomes = []
         for place, (value, gait) in enumerate(best):
-            state, spec = _stored(gait, bodies[place], env.obs_columns[place].values())
+            state, spec = _as_policy(gait, bodies[place], env.obs_columns[place].values())
             outcomes.append(Outcome(value, curves[place], spent[place], state, spec=spec))
         return outcomes
 
@@ -139,7 +139,7 @@ class GaitEvaluator:
         seeds = [candidate_seed(self.seed, candidate.id) for candidate in candidates]
         return self.factory.make(bodies, count * self.episodes, seeds, auto_reset=False, shared=True)
 
-    def _inherited(self, candidate: Candidate, parents: Parents, steps: int) -> list[Gait]:
+    def _inherited_gaits(self, candidate: Candidate, parents: Parents, steps: int) -> list[Gait]:
         """Return the gaits that a candidate starts with: its known gait, or its parents', best parent first."""
         if candidate.origin == START:
             known = self.known.get(candidate.body.tobytes())
@@ -151,7 +151,7 @@ class GaitEvaluator:
             gaits.append(Gait(**{name: parent.policy[name].numpy() for name in Gait.__dataclass_fields__}))
         return gaits
 
-    def _first(
+    def _first_gaits(
         self, rng: np.random.Generator, inherited: Sequence[Gait], candidate: Candidate, steps: int
     ) -> list[Gait]:
         """Return the gaits of a design's first round: inherited ones, new ones, and mutants."""
@@ -189,7 +189,7 @@ class GaitEvaluator:
         return found, env.state()["length"].view(len(bodies), -1).sum(1).cpu().numpy()
 
 
-def _stored(gait: Gait, body: Design, columns: Iterable[slice]) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+def _as_policy(gait: Gait, body: Design, columns: Iterable[slice]) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Return a gait as the state of a policy and its specification; ``columns``: of the terms of the observation."""
     driven = np.flatnonzero(body >= Cell.H_ACT)
     num_obs = sum(part.stop - part.start for part in columns) + 1  # with the time

@@ -107,7 +107,7 @@ def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
         return period, np.zeros(body.shape), rng.uniform(0, 2 * np.pi, body.shape), rest
 
     # A wave that travels through the body in some direction, or round its centre
-    x, y = _places(body)
+    x, y = _cell_positions(body)
     # From a sine to nearly a square wave: values are cut at -1 and 1.
     gain = np.full(body.shape, _log_uniform(rng, (1.0, 4.5)))
     if rng.random() < 0.25:
@@ -125,14 +125,14 @@ def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) 
     stages = len(gait.begin)
     # In three mutants of ten one stage begins another motion: what happens before it stays as it was.
     if stages > 1 and rng.random() < 0.3:
-        gait = _with_motion(rng, gait, body, steps)
+        gait = _replace_motion(rng, gait, body, steps)
         if rng.random() < 0.5:
             return gait
     for _ in range(rng.integers(1, 4)):
         chosen = np.zeros(stages, bool)
         chosen[rng.integers(stages)] = True
         chosen |= rng.random() < 0.4
-        gait = replace(gait, **_change(rng, gait, body, steps, chosen))
+        gait = replace(gait, **_draw_change(rng, gait, body, steps, chosen))
     return gait
 
 
@@ -141,11 +141,11 @@ def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design, begin:
     gait = gait_of([(begin, motion)])
     everywhere = np.ones(1, bool)
     for _ in range(rng.integers(1, 4)):
-        gait = replace(gait, **_change(rng, gait, body, begin, everywhere))
+        gait = replace(gait, **_draw_change(rng, gait, body, begin, everywhere))
     return motions_of(gait)[0][1]
 
 
-def _with_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
+def _replace_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
     """Return ``gait`` with another motion, random or from another stage, in one stage or all from there on."""
     # Where, and which motion
     stages = len(gait.begin)
@@ -167,7 +167,7 @@ def _with_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int)
     return Gait(**fields)
 
 
-def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chosen: np.ndarray) -> dict:
+def _draw_change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chosen: np.ndarray) -> dict:
     """Draw one change of ``gait`` and return the changed fields; ``chosen``: stages that change, bool ``[stages]``."""
     # Mutations are as often small as large.
     size = _log_uniform(rng, (0.02, 1.0))
@@ -186,7 +186,7 @@ def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chos
         begin[1:] += rng.integers(-2, 3, len(begin) - 1)
         return {"begin": np.sort(np.clip(begin.round(), 0.0, steps))}
     if kind == 2:  # another direction or length of the wave
-        x, y = _places(body)
+        x, y = _cell_positions(body)
         turn = rng.normal() * x + rng.normal() * y + 2 * rng.normal() * (body == Cell.V_ACT)
         return {"phase": gait.phase + size * chosen[:, None, None] * turn}
     if kind == 3:
@@ -201,7 +201,7 @@ def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chos
     return {"rest": np.where(few, rng.choice([-1.0, 1.0], body.shape), gait.rest)}
 
 
-def _places(body: Design) -> tuple[np.ndarray, np.ndarray]:
+def _cell_positions(body: Design) -> tuple[np.ndarray, np.ndarray]:
     """Return x (to the right) and y (up) of each cell, relative to the mean position of the body's voxels."""
     rows, columns = np.nonzero(body)
     row, column = np.mgrid[: body.shape[0], : body.shape[1]]

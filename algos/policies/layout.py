@@ -25,7 +25,7 @@ INPUTS = {
     "type": slice(18, 22),
     "neighbours": slice(22, 26),
 }
-"""Where the features of a voxel lie in the inputs of a policy; all are 0 for a cell without a voxel.
+"""Indices of a voxel's features among the inputs of a policy; all are 0 for a cell without a voxel.
 
 ``shift``: x and y of the voxel's centre less those at rest, the mean over the body's voxels taken off; ``shape``: for x
 and for y how far the corners are spread horizontally, vertically and crosswise; ``velocity``, ``shape_velocity``: of
@@ -34,11 +34,11 @@ one of (rigid, soft, horizontal actuator, vertical actuator) is 1; ``neighbours`
 (above, right, below, left).
 """
 MOVING = 16
-"""The first so many inputs change in an episode."""
+"""Number of a voxel's inputs, the first ones, that change during an episode."""
 FEATURES = 26
-"""Inputs of a voxel."""
+"""Number of inputs of a voxel."""
 CLOCK = (7.0, 14.0, 28.0)
-"""Periods, in control steps, of the sines and cosines that a policy gets for the time; a network may have others."""
+"""Default periods, in control steps, of the sines and cosines of the time in a policy's inputs."""
 _SPREADS = ((1, 1, 1, 1), (-1, 1, 1, -1), (1, 1, -1, -1), (1, -1, 1, -1))
 """Signs of the corners (top left, top right, bottom right, bottom left) in centre and shape."""
 
@@ -48,11 +48,11 @@ class VoxelLayout:
     """Sizes of the bodies, observations and actions that a voxel policy is made for.
 
     Attributes:
-        rest: what a policy gets besides voxels: the entries of an observation after the grid, the clock in place of
-            the time.
-        actions: entries of an action; a body has so many actuators at most.
-        timed: whether an observation ends with the time (``obs="timed_voxel"``).
-        periods: of the clock, in control steps.
+        rest: number of inputs besides those of voxels: entries of an observation after the grid, with the sines and
+            cosines of the clock in place of the time.
+        actions: entries of an action, the most actuators that a body may have.
+        timed: True if an observation ends with the time (``obs="timed_voxel"``).
+        periods: of the clock's sines and cosines, in control steps.
     """
 
     rows: int
@@ -80,7 +80,7 @@ class VoxelLayout:
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
         """Draw observations ``[rows, num_obs]`` of random bodies with random motions."""
-        # features of the voxels: what says yes or no is 0 or 1, as it is in an environment
+        # features of the voxels, with flags of 0 or 1 as in an environment
         cells = 0.1 * torch.randn((rows, self.cells, NUM_FEATURES), generator=generator)
         kinds = torch.randint(0, 5, (rows, self.cells), generator=generator)
         cells[..., OBSERVED["type"]] = functional.one_hot(kinds, 5).to(cells.dtype)
@@ -150,7 +150,7 @@ class VoxelInputs(nn.Module):
         types = cells[..., OBSERVED["type"]]
         present = 1 - types[..., :1]
         features = cells @ self.transform.to(obs.dtype)
-        # not a product: what is not finite in an absent cell must not get through either
+        # masked, not multiplied: values that are not finite in an absent cell must become 0, too
         features = features.masked_fill_(present == 0, 0.0)
         count = present.sum(1, keepdim=True).clamp(min=1)
         place = self.places.to(obs.dtype) * present

@@ -12,11 +12,11 @@ from warpvox.algos.policies.network import Network, VoxelGaussian
 from warpvox.algos.policies.registry import make_network
 
 FARTHEST = 8.0
-"""Deviations from the mean beyond which scaled inputs are cut off."""
+"""Limit of scaled inputs, in standard deviations."""
 BLOCK = 1024
-"""Rows that the scaling learns from at once: so many stay in the cache of a CPU."""
+"""Rows that the moments are updated by at once: these fit into the cache of a CPU."""
 LEAST = 1e-4
-"""Added to a deviation: 1/1000 of a voxel's side, and so much a second."""
+"""Added to standard deviations: 1/1000 of a voxel's side, for velocities per second."""
 
 
 class VoxelNormalizer(nn.Module):
@@ -108,7 +108,7 @@ class VoxelModel(Network):
         if distribution_cfg is not None:
             given = {name: value for name, value in distribution_cfg.items() if name != "class_name"}
             self.distribution = VoxelGaussian(output_dim, **given)
-        self.obs_normalizer = VoxelNormalizer(self.layout)  # without `obs_normalization` it only cuts to its bounds
+        self.obs_normalizer = VoxelNormalizer(self.layout)  # without `obs_normalization` it only clips
         self.network = make_network(network, self.layout, self.distribution is None, settings)
         cells = self.layout.cells
         count = self.layout.cells * FEATURES

@@ -12,12 +12,12 @@ from torch.distributions import Normal
 from torch.nn import functional
 
 LATENT = "latent"
-"""Group of observations that holds the scaled inputs of a network, where they are known already."""
+"""Name of the observation group that holds a network's scaled inputs, once they are computed."""
 
 HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 
 KINDS = 2
-"""Types of actuators, horizontal and vertical: each has a deviation."""
+"""Number of actuator types, horizontal and vertical; each has its own deviation."""
 
 
 def observations(model: Any, obs: TensorDict) -> torch.Tensor:
@@ -38,15 +38,16 @@ class Network(MLPModel):
         is_tanh = all(type(layer) in (nn.Linear, nn.Tanh) for layer in self.mlp)
         if latent.device.type != "cpu" or latent.dtype != torch.float32 or not is_tanh:
             return self.mlp(latent)
-        # tanh x = 1 - 2 sigmoid(-2 x), of which the sigmoid takes a tenth of the time of torch's tanh; the rest of it
-        # is part of the layers around
+        # tanh x = 1 - 2 sigmoid(-2 x): the sigmoid takes a tenth of the time of torch's tanh, and the factors are
+        # merged into the weights of the layers before and after.
         values = latent
-        for place, layer in enumerate(layers):
+        for index, layer in enumerate(layers):
             weight = layer.weight
             bias = layer.bias
-            if place:
-                weight, bias = -2 * weight, bias + weight.sum(1)
-            if place < len(layers) - 1:
+            if index:
+                bias = bias + weight.sum(1)
+                weight = -2 * weight
+            if index < len(layers) - 1:
                 values = functional.linear(values, -2 * weight, -2 * bias).sigmoid_()
         return functional.linear(values, weight, bias)
 

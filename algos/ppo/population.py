@@ -18,7 +18,7 @@ from warpvox.algos.ppo.networks import Normalizer, PopulationActor, PopulationMo
 from warpvox.algos.ppo.stock import PPO
 
 BLOCK = 16
-"""Most designs that learn in one go on the CPU; fewer cost more overhead, more leave threads without work."""
+"""Most designs in one block of learning on the CPU: smaller blocks add overhead, larger ones leave threads idle."""
 SLOWEST, FASTEST = 1e-5, 1e-2
 """Bounds of the learning rate in rsl-rl's adaptive schedule."""
 
@@ -70,7 +70,7 @@ class PopulationPPO(PPO):
         self.rates = torch.full((self.num_designs,), self.learning_rate, dtype=torch.float64, device=self.device)
         self.streams = streams
         self._pool = None
-        self._fill(storage)
+        self._use_storage(storage)
         if threads > 1:  # torch's own number of threads is a setting of every thread
             own = {"initializer": torch.set_num_threads, "initargs": (torch.get_num_threads(),)}
             self._pool = ThreadPoolExecutor(threads, **own)
@@ -122,7 +122,7 @@ class PopulationPPO(PPO):
             for name, parameter in theirs.named_parameters():
                 yield parameter, values[name], firsts[name], seconds[name]
 
-    def _fill(self, storage: RolloutStorage) -> None:
+    def _use_storage(self, storage: RolloutStorage) -> None:
         """Use ``storage`` for rollouts from now on, and allocate scaled inputs and action means beside it."""
         self.storage = storage
         self._means = torch.zeros_like(storage.actions)
@@ -166,7 +166,7 @@ class PopulationPPO(PPO):
         self, rewards: torch.Tensor, time_outs: torch.Tensor, final_obs: TensorDict
     ) -> torch.Tensor:
         """Return the rewards plus the discounted values of final states where a time limit struck."""
-        # looking first saves the forward pass of nearly all steps; on CUDA looking would wait for the device
+        # Checking first saves the forward pass of nearly all steps; on CUDA the check would wait for the device.
         if time_outs.device.type == "cpu" and not bool(time_outs.any()):
             return rewards
         return rewards + self.gamma * self.critic(final_obs)[:, 0] * time_outs
@@ -236,7 +236,7 @@ class PopulationPPO(PPO):
     def _shuffled(self) -> Samples:
         """Return each design's rollout in a random order of its own, with normalised advantages.
 
-        Its advantages get a mean of 0 and a deviation of 1.
+        Advantages are normalised to mean 0 and deviation 1. All epochs use the same order.
         """
         st = self.storage
         rows = Samples(
@@ -290,7 +290,7 @@ class PopulationPPO(PPO):
         ratio = policy.log_prob_of(squares).sub_(part.log_prob).exp_()
         free = -part.advantages * ratio
         bounded = -part.advantages * ratio.clamp(1 - self.clip_param, 1 + self.clip_param)
-        # of the larger of the two losses; where they are equal, within the bounds, both have the same gradient
+        # gradient of the larger of both losses; where they are equal, within the bounds, both gradients are equal
         of_log_prob = free.mul(free >= bounded).div_(free.shape[-1])
         of_mean = noise.mul_(of_log_prob[..., None]).div_(policy.std)
         of_log_std = policy.gradient(squares.sub_(1).mul_(of_log_prob[..., None]), self.entropy_coef)
@@ -327,17 +327,17 @@ class PopulationPPO(PPO):
         envs = self.storage.num_envs // self.num_designs
         steps = self.storage.num_transitions_per_env
         shapes = [parameter.shape for parameter in self.optimizer.parameters]
-        self.critic.obs_normalizer = nn.Identity()  # it is the actor's
+        self.critic.obs_normalizer = nn.Identity()  # the actor owns it, and cuts it once
         for part in (self.actor, self.critic, self.streams):
             part.keep(index)
         self.critic.obs_normalizer = self.actor.obs_normalizer
         self.optimizer.keep(index, shapes)
         self.rates = self.rates[list(index)]
-        self._fill(RolloutStorage("rl", envs * len(index), steps, obs, [max(self.actor.outputs)], self.device))
+        self._use_storage(RolloutStorage("rl", envs * len(index), steps, obs, [max(self.actor.outputs)], self.device))
 
 
 FIRST, SECOND = 0.9, 0.999
-"""How much of the moments stays in a step: torch's defaults."""
+"""Decay rates of Adam's first and second moments per step: torch's defaults."""
 
 
 class VectorAdam:

@@ -31,7 +31,7 @@ from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import converted
 
 SYMMETRY = "data_augmentation_func"
-"""The setting of ``symmetry_cfg`` that names code."""
+"""Key of ``symmetry_cfg`` whose value names a function."""
 MLP_SETTINGS = inspect.signature(MLPModel.__init__).parameters
 SETTINGS = {
     "num_learning_epochs": "epochs", "num_mini_batches": "minibatches", "clip_param": "clip",
@@ -39,16 +39,16 @@ SETTINGS = {
 } | {name: name for name in (
     "schedule", "gamma", "lam", "entropy_coef", "max_grad_norm", "learning_rate", "desired_kl",
 )}  # fmt: skip
-"""Settings of rsl-rl's PPO, and our names of them."""
+"""Settings of rsl-rl's PPO by its names, with our names as values."""
 GIVEN = ("self", "actor", "critic", "storage", "device", "multi_gpu_cfg")
-"""Arguments of rsl-rl's PPO that are no settings."""
+"""Arguments of rsl-rl's PPO that are not settings."""
 
 
 class PPO(RslRlPPO):
     """rsl-rl's PPO with further settings: schedule ``linear``, Adam's epsilon, generators of random numbers.
 
     Args:
-        generators: where its random numbers come from; None: it draws none.
+        generators: of the random numbers; None: no random numbers are drawn.
         schedule: ``fixed``, ``adaptive`` (rsl-rl's) or ``linear``: the learning rate of update k of n is
             ``learning_rate * (1 - k / n)`` with k = 0, 1, ..., n - 1.
     """
@@ -142,7 +142,9 @@ class PPO(RslRlPPO):
         self, rewards: torch.Tensor, time_outs: torch.Tensor, final_obs: TensorDict
     ) -> torch.Tensor:
         """Return the rewards plus the discounted values of final states where a time limit struck."""
-        if time_outs.device.type == "cpu" and not self.critic.is_recurrent:  # on CUDA looking would wait for the device
+        if (
+            time_outs.device.type == "cpu" and not self.critic.is_recurrent
+        ):  # on CUDA this check would wait for the device
             rows = time_outs.nonzero()[:, 0]
             if not len(rows):
                 return rewards
@@ -163,7 +165,7 @@ class PPO(RslRlPPO):
         """Yield rsl-rl's minibatches, shuffled and scaled once and the same in every epoch."""
         with nullcontext() if self.generators is None else self.generators:
             batches = list(RolloutStorage.mini_batch_generator(self.storage, num_mini_batches, 1))
-        if not self.symmetry:  # which makes further observations of a batch
+        if not self.symmetry:  # symmetry adds observations to a batch, which must be scaled later
             for batch in batches:
                 with torch.no_grad():
                     batch.observations = self._scaled(batch.observations)
@@ -189,7 +191,7 @@ class PPO(RslRlPPO):
         like = {f"{name}_state_dict": network.state_dict() for name, network in networks.items() if wanted.get(name)}
         check_like({"updates": 0, **loaded_dict}, like | {"updates": int})
 
-        # torch's Adam goes on in the very tensors that it is given
+        # Copies: torch's Adam would update the given tensors in place.
         own: dict[str, Any] = {}
         for name, optimizer in optimizers.items():
             if wanted.get(name):

@@ -31,9 +31,9 @@ FORMAT, VERSION = "warpvox robot", 1
 DIGITS = 9
 """Decimals of recorded returns. Rewards are sums over points, which round differently (about 1e-15) on other CPUs."""
 GAIT = {"kind": "gait"}
-"""The header of a file with an open-loop policy, whose numbers are in the arrays."""
+"""Entry ``network`` in the header of a file with an open-loop policy."""
 LARGEST, LARGEST_HEADER = 1 << 26, 1 << 20
-"""Bytes of a file's arrays, and of its header."""
+"""Maximum length of a file's arrays, and of its header, in bytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +206,7 @@ def _check_header(header: Any) -> None:
         if name in ("return", "control_steps", "wall_s") and not (value is None or is_number(value)):
             raise Unreadable(f"the {name} in its header is {value!r:.40}, not a number")
         fits = (lambda one: isinstance(one, dict)) if name == "start" else is_number
-        # These entries are lists: of numbers, and of what is known of other robots.
+        # These entries are lists: ``start`` of facts about other robots, the others of numbers.
         is_list = name in ("returns", "lengths", "seeds", "start")
         if is_list and not (isinstance(value, list) and all(map(fits, value))):
             raise Unreadable(f"the {name} in its header is {value!r:.40}, not a list")

@@ -13,7 +13,7 @@ from warpvox.errors import RunError, first_line
 from warpvox.types import ACTION_CENTER, ACTION_SCALE, Cell
 
 STEP = 2.0**-16
-"""Actions of fully connected layers are multiples of it.
+"""Actions of stored networks are multiples of this step.
 
 How a matrix product or a tanh is rounded depends on the CPU and the libraries. Such differences are about 1e-15 and are
 gone after rounding to a step that is 1e10 times as large, unless an action lies within 1e-15 of the middle between two

@@ -41,7 +41,7 @@ class BayesianSearch(BaseSearch):
         """Return random bodies in the first generation, then maximisers of the acquisition."""
         if self.generation == 0:
             return [self.random_proposal(rng) for _ in range(count)]
-        propose = self._summits if self.settings.acquisition == "pathwise" else self._improved
+        propose = self._by_posterior if self.settings.acquisition == "pathwise" else self._by_improvement
         # The model takes squares, which overflow for a fitness beyond 1e9.
         scale = max(1.0, *(abs(value) / 1e9 for value in self.fitness))
         with seeded_torch(int(rng.integers(2**63))):
@@ -53,7 +53,7 @@ class BayesianSearch(BaseSearch):
         """Take ``candidates`` as given: fitting the process again would cost minutes and change nothing."""
         self.adopt(candidates)
 
-    def _improved(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
+    def _by_improvement(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
         """Return bodies by expected improvement, climbed from the starts that Thompson sampling picks."""
         pool, _ = self.pool(rng, self.settings.candidates, 0)
         if not len(pool):
@@ -89,7 +89,7 @@ class BayesianSearch(BaseSearch):
             if summit is not None and self.claim(summit):
                 yield summit, not np.array_equal(summit, start)
 
-    def _summits(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
+    def _by_posterior(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
         """Return the maximiser of each of ``count`` functions drawn from the posterior."""
         # A quarter of the pool is random; the rest are mutants of the best.
         random = max(1, round(self.settings.candidates * 0.25))
@@ -102,13 +102,13 @@ class BayesianSearch(BaseSearch):
         for path, start in enumerate(climb.start):
             # the summit, or the best new body beside it, or in the pool
             near = np.concatenate([climb.summit[path : path + 1], climb.around[path]])
-            if (place := self._best_new(near, np.append(np.inf, climb.at_around[path]))) is not None:
+            if (place := self._claim_best(near, np.append(np.inf, climb.at_around[path]))) is not None:
                 proposals.append(Proposal(near[place], parents[int(start)], "posterior"))
-            elif (place := self._best_new(pool, climb.at_pool[path])) is not None:
+            elif (place := self._claim_best(pool, climb.at_pool[path])) is not None:
                 proposals.append(Proposal(pool[place], parents[place], "posterior"))
         return proposals
 
-    def _best_new(self, bodies: np.ndarray, values: np.ndarray) -> int | None:
+    def _claim_best(self, bodies: np.ndarray, values: np.ndarray) -> int | None:
         """Claim the new body of highest value and return its index; None if there is no new one."""
         places = (place for place in np.argsort(-values, kind="stable") if values[place] > -np.inf)
         return next((int(place) for place in places if self.claim(bodies[place])), None)

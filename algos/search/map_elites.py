@@ -61,10 +61,10 @@ def describe(bodies: np.ndarray, names: Sequence[str]) -> np.ndarray:
     ``height`` and ``width`` what the body spans of the grid; ``symmetry`` is the share of cells that equal their
     mirror image from left to right.
     """
-    return np.stack([_describe(bodies, name) for name in names], 1)
+    return np.stack([_descriptor(bodies, name) for name in names], 1)
 
 
-def _describe(bodies: np.ndarray, name: str) -> np.ndarray:
+def _descriptor(bodies: np.ndarray, name: str) -> np.ndarray:
     """Return one descriptor of bodies, float64 ``[n]``."""
     # of all cells of the grid
     shares = {

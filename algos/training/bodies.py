@@ -73,7 +73,7 @@ def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) 
             raise ConfigError(f"{key}: random bodies are random:64 or random:64:5x7, got {spec!r:.80}.")
         folder = Path(spec).expanduser()
         if folder.is_dir():
-            return _of_folder(folder, key)
+            return _bodies_in(folder, key)
     loaded = load_bodies(spec, seed)
     bodies = [body for body in loaded if not isinstance(body, dict)]
     if len(bodies) < len(loaded):
@@ -81,7 +81,7 @@ def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) 
     return bodies
 
 
-def _of_folder(folder: Path, key: str) -> list[Design]:
+def _bodies_in(folder: Path, key: str) -> list[Design]:
     """Load the bodies in ``folder``: those of a design search (best first), the one of a run, or all design files."""
     from warpvox.algos.archive import FILE, Archive
 
@@ -173,13 +173,15 @@ def draw_bodies(
         ConfigError: fewer than ``count`` were found.
     """
     found: list[Design] = []
-    _draw(found, count, shape, rng, {_digest(body) for body in without})
+    _append_random(found, count, shape, rng, {_digest(body) for body in without})
     if len(found) < count:
         raise ConfigError(f"There are no {count} different bodies of {shape[0]}x{shape[1]} to be found; ask for fewer.")
     return found
 
 
-def _draw(found: list[Design], count: int, shape: tuple[int, int], rng: np.random.Generator, seen: set[int]) -> None:
+def _append_random(
+    found: list[Design], count: int, shape: tuple[int, int], rng: np.random.Generator, seen: set[int]
+) -> None:
     """Append random bodies whose digest is not in ``seen`` to ``found``, until it has ``count`` or draws run out."""
     for _ in range(100 * count + 1000):
         if len(found) == count:
@@ -264,28 +266,28 @@ class Bodies:
         if self.refresh == "none" or not count:
             return
         if self.refresh == "new":
-            bodies = self._new(count)
+            bodies = self._draw_new(count)
             which = np.full(count, -1)
         else:
-            which = self._rng.choice(len(self.bodies), count, p=self._shares())
+            which = self._rng.choice(len(self.bodies), count, p=self._probabilities())
             bodies = [self.bodies[body] for body in which]
         self._which[ended.cpu().numpy()] = which
         self.seen += count
         env.set_designs(bodies, ended)
 
-    def _new(self, count: int) -> list[Design]:
+    def _draw_new(self, count: int) -> list[Design]:
         """Draw ``count`` random bodies that were not used yet; once there are no more, used ones may come again."""
         found: list[Design] = []
-        _draw(found, count, self.shape, self._rng, self._digests)
+        _append_random(found, count, self.shape, self._rng, self._digests)
         while len(found) < count:
             before = len(found)
             self._digests = {_digest(body) for body in self.without}
-            _draw(found, count, self.shape, self._rng, self._digests)
+            _append_random(found, count, self.shape, self._rng, self._digests)
             if len(found) == before:
                 raise ConfigError("designs.refresh=new: there are no bodies of this shape beside those held out.")
         return found
 
-    def _shares(self) -> np.ndarray | None:
+    def _probabilities(self) -> np.ndarray | None:
         """Return the probability with which each body is drawn, ``[bodies]``; None: all are equally likely."""
         if self.refresh != "performance":
             return None

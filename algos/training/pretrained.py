@@ -88,7 +88,7 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
         usual["network"] = {one.name: one.default for one in taken if one.default is not one.empty}
         layout = spec.voxels["layout"]
         if is_on_grid(layout):
-            changes["designs"] = _on_the_grid(config, layout)
+            changes["designs"] = _designs_on_grid(config, layout)
     known = changes | {f"ppo.{key}": value for key, value in ppo.items()}
     known["network"] = usual["network"] | (known["network"] or {})
     for key in [key for key in known if key in named and key != "designs"]:
@@ -101,7 +101,7 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
     return dataclasses.replace(config, **changes), content
 
 
-def _on_the_grid(config: Training, layout: dict[str, Any]) -> Any:
+def _designs_on_grid(config: Training, layout: dict[str, Any]) -> Any:
     """Return ``designs`` with the grid of the policy; if it has no bodies, with the one body of ``config``."""
     from warpvox.algos.training.bodies import load_bodies  # and torch with it, for which mistakes in keys do not wait
 

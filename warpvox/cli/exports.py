@@ -152,7 +152,7 @@ def print_returns(rollout: Rollout, console: Console) -> None:
     most = 20  # environments that the table shows
     for env in range(min(rollout.num_envs, most)):
         design = [str(rollout.design_index[env])] if several else []
-        row = f"{returns[env]:.3f}", str(lengths[env]), _end(rollout, env)
+        row = f"{returns[env]:.3f}", str(lengths[env]), _reason_of_end(rollout, env)
         table.add_row(literal(rollout.names[env]), *design, *row)
     if rollout.num_envs > most:
         table.add_row("...", *([""] if several else []), "", "", f"{rollout.num_envs - most} more")
@@ -175,7 +175,7 @@ def print_returns(rollout: Rollout, console: Console) -> None:
         )
 
 
-def _end(rollout: Rollout, env: int) -> str:
+def _reason_of_end(rollout: Rollout, env: int) -> str:
     """Return in words why the episode of an environment ended."""
     if not rollout.num_steps or not rollout.done[-1, env]:
         return "still going"

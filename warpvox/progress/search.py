@@ -81,7 +81,7 @@ class SearchProgress(Listener):
         self._first: tuple[float, int] | None = None  # time and control steps of the first news of a stage
         self._last = False  # the finalists are being evaluated
         self._generation = 0
-        self._say_where()
+        self._print_start()
         columns = TextColumn("{task.description}"), BarColumn(bar_width=24), TextColumn("{task.fields[figures]}")
         self._progress = Progress(*columns, console=self.console)
         self._line = self._progress.add_task("", total=run.total, completed=self._start, figures="")
@@ -90,7 +90,7 @@ class SearchProgress(Listener):
             self._live.start()
             self._show()
 
-    def _say_where(self) -> None:
+    def _print_start(self) -> None:
         """Print algorithm, task, device and folder, and what a resumed search lacks."""
         run = self.run
         settings = self.run.settings
@@ -153,7 +153,7 @@ class SearchProgress(Listener):
         self._first = self._first or (now, self._steps)
         if self._live is None and now - self._printed >= QUIET_SECONDS:
             self._printed = now
-            echo(self.console, f"  {self._inside()}  {self._figures()}")
+            echo(self.console, f"  {self._training_text()}  {self._figures()}")
         self._show()
 
     def finished(self, records: Sequence[Record]) -> None:
@@ -196,9 +196,9 @@ class SearchProgress(Listener):
 
     def _figures(self) -> str:
         rate = self._steps / max(time.monotonic() - self._began, 1e-9)
-        return f"{rate:,.0f} steps/s  left {self._left()}"
+        return f"{rate:,.0f} steps/s  left {self._time_left()}"
 
-    def _left(self) -> str:
+    def _time_left(self) -> str:
         """Return in words the time until the search, or its part before the finalists, is done."""
         if self._first is None or self._steps <= self._first[1]:
             return "-"
@@ -214,7 +214,7 @@ class SearchProgress(Listener):
         left = duration((time.monotonic() - began) / (self._steps - before) * max(steps, 0.0))
         return left if self._last or not self.run.finalists else f"{left}, then {self.run.finalists} finalists"
 
-    def _inside(self) -> str:
+    def _training_text(self) -> str:
         """Return in words the progress of the trainings in the present generation."""
         events = [training.event for training in self._work.values()]
         if not events:
@@ -239,7 +239,7 @@ class SearchProgress(Listener):
         figures += f"mean {figure(rows[-1]['mean'] if rows else math.nan)}  {self._figures()}"
         description = f"generation {self._generation}"
         self._progress.update(self._line, completed=self.done, description=description, figures=figures)
-        parts = [self._progress, Text(f"  {self._inside()}", "dim")]
+        parts = [self._progress, Text(f"  {self._training_text()}", "dim")]
         self._live.update(Group(*parts, *([Text(), self._bodies()] if best else [])))
 
     def _bodies(self) -> Text:

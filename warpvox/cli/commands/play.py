@@ -96,10 +96,10 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
     given = [name for name in _OF_AGENTS if getattr(config, name, None) is not None]
     if "task" in given and isinstance(config.task, Code):
         given.remove("task")  # who names a task's code, trusts it
-    _refuse(name for name in given if name != "design")
+    _check_not_given(name for name in given if name != "design")
     source = find_run(config.run if config.zoo is None else f"{ZOO}{config.zoo}", config.output_dir)
     if not source.is_many:
-        _refuse(given)
+        _check_not_given(given)
     with console.status("loading"):
         from warpvox.algos.training.loading import load_run
         from warpvox.devices.startup import prepare
@@ -113,7 +113,7 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
     return rollout, str(source.checkpoint or source.folder)
 
 
-def _refuse(names: Iterable[str]) -> None:
+def _check_not_given(names: Iterable[str]) -> None:
     """Raise ConfigError for keys whose values a trained run has itself."""
     for name in names:
         raise ConfigError(f"{name} goes with agent=random|sine|zero; a trained run has its own {name}.")
