@@ -15,17 +15,18 @@ from warpvox.simulation import checked_actions
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 JUDGED, SEARCHED = 0xFA1F, 0x5EED
-"""Streams of random numbers: no seed makes the disturbances of a search those of a judgement."""
+"""Streams of random numbers: with no seed do evaluations draw the same disturbances as searches."""
 NOISE, STICKY, START, SENSORS, LENGTH = range(5)
-"""Purposes of random numbers, a stream each."""
+"""Purposes of random numbers, each with numbers of its own."""
 
 
 class Draws:
     """Random numbers of disturbed episodes, which depend only on seed, stream, copy, control step and purpose.
 
     Args:
-        seed: with the stream, :data:`JUDGED` or :data:`SEARCHED`.
-        copies: episodes with numbers of their own; whatever is compared meets the same ones.
+        seed: of the numbers.
+        stream: :data:`JUDGED` or :data:`SEARCHED`, which have different numbers for the same seed.
+        copies: number of episodes with different numbers; all policies that are compared get the same numbers.
         device: of the numbers.
     """
 
@@ -87,7 +88,7 @@ class Disturbed:
         self.noise = strength("noise").double()
         self.sticky = strength("sticky").double()
 
-        # Noise on observations, but for padding and what is known: which cells a body has
+        # Noise on observations, except padding and the types and neighbours of cells
         sensed = env.obs_mask[env.design_index].double()
         for grid in env.voxels.values():
             grid.cells(sensed)[..., FEATURES["type"].start :] = 0.0
@@ -98,9 +99,9 @@ class Disturbed:
         lengths = self._each(self.draws.uniform(LENGTH, 0, 1))
         self.random_steps = torch.where(most > 0, 1 + (lengths * most).long(), 0)
 
-        # The highest action of policies is that of float32, which lies above 1.6: it is disturbed as it is.
+        # Upper limit 1.6 in float32, which lies above 1.6: the highest actions of policies are not clamped.
         self.highest = float(np.float32(ACTION_HIGH))
-        # Known beforehand: a step does not wait for the device.
+        # Computed once, so that a step does not wait for the device
         self.most = {}
         for name in vars(self.kinds[0]):
             self.most[name] = max(getattr(kind, name) for kind in self.kinds)
@@ -128,7 +129,7 @@ class Disturbed:
 
         # The policy's actions
         actions = checked_actions(self.policy(obs), self.shape, str(obs.device))
-        actions = actions.clamp(ACTION_LOW, self.highest)  # beyond the range noise would be lost
+        actions = actions.clamp(ACTION_LOW, self.highest)  # outside the range noise would be cut off
 
         # Random actions, those of the step before, and noise
         if step < self.most["start"]:

@@ -93,7 +93,7 @@ def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> 
             raise _misfit(f"{name}.lr", "a number from 0", rate)
         group["lr"] = rate
 
-    # The state of a parameter with two numbers after a step of such an optimiser
+    # Example: the optimiser's state after a step of a parameter with two numbers
     tried = nn.Parameter(torch.zeros(2))
     tried.grad = torch.zeros(2)
     known = inspect.signature(type(optimizer)).parameters.keys() - {"params"}
@@ -130,7 +130,7 @@ def _expected_moment(entry: Any, key: str, moment: Any, parameter: torch.Tensor)
         return None if moment is None else type(moment)
     if moment.shape == (2,):
         return AnyTensor(parameter.dtype, tuple(parameter.shape))
-    # torch counts steps in its default precision, which may have been another one
+    # torch counts steps in its default precision, which may have been different when the file was written.
     given = entry.get(key) if isinstance(entry, Mapping) else None
     dtype = moment.dtype
     if isinstance(given, torch.Tensor) and given.dtype in (torch.float32, torch.float64):
@@ -151,7 +151,9 @@ def check_plain(content: Any) -> None:
             plain = type(one) in (torch.Tensor, nn.Parameter) and one.layout == torch.strided
             if not plain or one.is_meta or one.is_quantized or one.is_conj() or one.is_neg():
                 raise ValueError("a tensor is not a plain one")
-            if one.numel() * one.element_size() > one.untyped_storage().nbytes():  # one number can pose as a million
+            if (
+                one.numel() * one.element_size() > one.untyped_storage().nbytes()
+            ):  # a view can repeat one number a million times
                 raise ValueError("a tensor is a view that repeats its numbers")
         elif isinstance(one, Mapping):
             waiting.extend(one.values())

@@ -16,7 +16,7 @@ NEEDED = {
     "train": ("a training", {"task", "design", "ppo"}),
     CODESIGN: ("a design search", {"task", "search", "training"}),
 }
-"""Kind of run that a command makes, and keys of its configuration."""
+"""Kind of run that each command makes, and keys that its configuration must have."""
 
 
 def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, CODESIGN), resume: bool = False) -> Run:
@@ -63,7 +63,7 @@ def _folder_of(path: Path) -> Path:
 def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
     """Return the runs that ``texts`` name as for :func:`find_run` or by patterns, each once.
 
-    What a pattern (``outputs/train/*/*``) matches and is neither is left out.
+    Other files and folders that a pattern such as ``outputs/train/*/*`` matches are ignored.
     """
     found: dict[tuple[Path, Path | None], Run] = {}
     for text in texts:
@@ -142,7 +142,7 @@ def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
     """Return the folder of the newest run of these commands in ``root``."""
     folders = []
     for command in commands:
-        # What shows that a run has begun
+        # Files that show that a run has begun
         signs = ["model_*.pt", *[STATE] * resume]
         if command == CODESIGN:
             signs = [ARCHIVE, BACKUP]
@@ -151,5 +151,5 @@ def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
                 folders.append(file.parent)
     if not folders:
         raise RunError(f"There is no run in {root / commands[0]} yet.")
-    # names begin with the date and time of the start; what started within one second differs by its first file
+    # Names begin with date and time of the start; runs of the same second are sorted by the time of their first file.
     return max(folders, key=lambda folder: (folder.name[:STAMP_LENGTH], (folder / CONFIG).stat().st_mtime_ns))

@@ -21,8 +21,8 @@ _DRAWING = frozenset({
 class Generators(TorchFunctionMode):
     """Random generators of a training, one per kind of device; they give the same numbers as torch's after a seed.
 
-    As a context, what this thread draws by torch comes from them; other threads neither notice nor change it. That
-    makes each call of torch slower: it is for the making of networks, not for every step.
+    As a context manager, it makes all random numbers that this thread draws by torch come from these generators; other
+    threads are not affected. It slows down each call of torch: use it to make networks, not in every step.
 
     Args:
         seed: of the generators; None: they go on from where torch's own are.
@@ -48,7 +48,7 @@ class Generators(TorchFunctionMode):
             # torch 2.7 cannot be asked for its default device once that was set to None.
             device = kwargs.get("device") or torch.empty(0).device
             device = torch.device(first.device if isinstance(first, torch.Tensor) else device)
-            if device.type != "meta":  # where tensors have no numbers
+            if device.type != "meta":  # meta tensors have no values
                 kwargs = {**kwargs, "generator": self.on(device)}
         return func(*args, **kwargs)
 
@@ -70,8 +70,8 @@ class Generators(TorchFunctionMode):
         like = {kind: AnyTensor(torch.uint8, (None,)) for kind in {"cpu", *state}}
         check_like(state, like, "random")
 
-        # Byte 8 is the start of how many numbers are left, int32, byte 16 of the next one's place, uint64. Torch checks
-        # each alone, and together they can lead beyond the end of the numbers.
+        # Byte 8 starts the count of numbers left, int32; byte 16 the index of the next one, uint64. torch checks each
+        # alone, but together they can point beyond the end of the numbers.
         if len(state["cpu"]) >= 24:
             left = int(state["cpu"][8:12].cpu().view(torch.int32))
             place = int(state["cpu"][16:24].cpu().view(torch.int64))

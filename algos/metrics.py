@@ -32,7 +32,7 @@ COLUMNS = {
     "steps_per_second": "Perf/steps_per_second",  # of this iteration, learning included, evaluation not
     "elapsed": "",  # seconds of all iterations and evaluations so far
 }
-"""Columns, and their tags for loggers."""
+"""Columns of ``metrics.csv``, and their logger tags (empty: not logged)."""
 FILE = "metrics.csv"
 SERVICES = ("wandb", "neptune")
 """Loggers that are packages of their own; TensorBoard's events are written besides."""
@@ -65,7 +65,7 @@ class Metrics:
     def write(self, row: Mapping[str, float], log: Mapping[str, float] | None = None) -> None:
         """Append a row (keys of :data:`COLUMNS`); ``log`` goes to the logger only, under its own tags."""
         with writing(self.path), self.path.open("a", encoding="utf-8", newline="") as file:
-            if not file.tell():  # somebody has moved it away
+            if not file.tell():  # the file was moved away: begin a new one
                 file.write(self._header)
             file.write(_row_line(row))
         if self._writer is not None:
@@ -78,7 +78,7 @@ class Metrics:
         if self._writer is not None:
             with writing(self.path.parent):
                 self._writer.close()
-            if hasattr(self._writer, "stop"):  # of the logger's service
+            if hasattr(self._writer, "stop"):  # the logger's service has to be stopped as well
                 self._writer.stop()
 
 
@@ -110,7 +110,7 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
         raise RunError(
             f"{path} is damaged ({error}); move it away, and a run that is resumed will begin a new one."
         ) from None
-    # columns that something is made of; a file of an earlier version may lack others
+    # Columns that are used; files of earlier versions may lack others.
     needed = ("iteration", "steps", "eval_return", "elapsed")
     if rows and not set(needed) <= rows[0].keys():
         missing = listing([name for name in needed if name not in rows[0]])

@@ -64,7 +64,7 @@ def difference(first: Sequence[float], second: Sequence[float], level: float = L
     if a.std() == b.std() == 0:
         return Interval(mean, mean, mean, n)
     with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
-        # About the test of nearly equal values, whose p value is not used.
+        # SciPy warns about the p value of nearly equal values, which is not used.
         warnings.simplefilter("ignore", RuntimeWarning)
         test: Any = stats.ttest_ind(a, b, equal_var=False)
         low, high = test.confidence_interval(level)

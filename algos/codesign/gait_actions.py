@@ -37,7 +37,7 @@ def play(
     """Step the environments through the control steps ``first`` to ``last`` of ``gaits``; return the mean returns.
 
     Args:
-        noise: on the actions, of as many copies as ``episodes``: the same for all gaits; None: there is none.
+        noise: random numbers of noise on the actions, for ``episodes`` copies, equal for all gaits; None: no noise.
 
     Returns:
         The mean return of each gait so far, float64 ``[designs, gaits]`` on the CPU.
@@ -85,7 +85,7 @@ def actions_of_gaits(
             cells = np.stack([gait.amplitude, gait.phase, gait.rest])[:, :, driven]
             values[:, :own, place, k, :, : cells.shape[-1]] = cells[:, :, None]
     parts = [torch.as_tensor(one.reshape(stages, env.num_envs, -1), device=env.device) for one in (*timing, *values)]
-    # Those of many control steps are computed at once, if environments are few.
+    # With few environments, compute the actions of many control steps at once.
     together = max(1, 2**20 // (env.num_envs * env.num_actions))
     for begin in itertools.count(first, together):
         end = min(begin + together, last)

@@ -95,7 +95,7 @@ class _Search:
         self.rng = rng
         self.plan = motions_of(known[0]) if known else ()
         self.motions = [motion for gait in known for _, motion in motions_of(gait)]
-        # One beginning of an episode in eight is continued after each stage.
+        # After each stage, one in eight beginnings of episodes is kept.
         self.kept = max(1, round(0.125 * count))
         self.beginnings = [_Beginning(is_known=bool(known))]
         self.sources: list[int] = []
@@ -105,7 +105,7 @@ class _Search:
 
     def continued(self, first: int, last: int) -> list[Gait]:
         """Return the gaits to try from control step ``first`` up to but excluding ``last``; sets ``sources``."""
-        if not self.beginnings:  # environments that have ended stay as they are
+        if not self.beginnings:  # all episodes have ended: the environments stay as they are
             self.sources = list(range(self.count))
             return self._gaits
         each, more = divmod(self.count, len(self.beginnings))
@@ -121,7 +121,7 @@ class _Search:
                     else self._continuation(beginning.begun, number, first, last)
                 )
                 self.sources.append(beginning.place)
-                # A motion that goes on is not begun again.
+                # A motion that continues unchanged gets no new entry.
                 begun = beginning.begun
                 goes_on = bool(begun) and begun[-1][1] is added[0][1]
                 begun += added[1:] if goes_on else added
@@ -137,13 +137,13 @@ class _Search:
             value = values[tried.place]
             if ended[tried.place] and (self.best is None or value > self.best[0]):
                 self.best = value, gait_of(tried.begun)
-        going = [tried for tried in self._tried if not ended[tried.place]]
-        going.sort(key=lambda tried: (not tried.is_known, -values[tried.place]))
-        # A quarter of these at most continue the same beginning, or all would descend from one.
+        active = [tried for tried in self._tried if not ended[tried.place]]
+        active.sort(key=lambda tried: (not tried.is_known, -values[tried.place]))
+        # At most a quarter of them may continue the same beginning, so that not all descend from one.
         most = max(2, round(0.25 * self.kept))
         chosen: list[_Beginning] = []
         children = dict.fromkeys(self.sources, 0)
-        for tried in going:
+        for tried in active:
             parent = self.sources[tried.place]
             if len(chosen) < self.kept and children[parent] < most:
                 children[parent] += 1

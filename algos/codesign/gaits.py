@@ -9,9 +9,9 @@ from warpvox.design import Design
 from warpvox.types import Cell
 
 _PERIODS = (5.0, 40.0)
-"""Control steps of a travelling wave."""
+"""Shortest and longest period of a travelling wave, in control steps."""
 SHORTEST, LONGEST = 3.0, 400.0
-"""Control steps; limits of mutated periods."""
+"""Limits of mutated periods, in control steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Gait:
 
 
 Motion = tuple[float, np.ndarray, np.ndarray, np.ndarray]
-"""Of one stage: period, amplitude, phase and rest."""
+"""Motion of one stage: period, amplitude, phase and rest."""
 
 
 def motions_of(gait: Gait) -> tuple[tuple[int, Motion], ...]:
@@ -50,7 +50,7 @@ def motions_of(gait: Gait) -> tuple[tuple[int, Motion], ...]:
     found = []
     for stage, begin in enumerate(map(int, gait.begin)):
         is_last = stage == len(gait.begin) - 1
-        # A stage that the next one begins with has no control step of its own.
+        # Skip a stage that has no control step, because the next one begins at the same one.
         if is_last or int(gait.begin[stage + 1]) > begin:
             motion = (gait.period.tolist()[stage], gait.amplitude[stage], gait.phase[stage], gait.rest[stage])
             found.append((begin, motion))
@@ -123,7 +123,7 @@ def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
 def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
     """Return a mutant of ``gait`` with one to three changes, each to one stage or to all."""
     stages = len(gait.begin)
-    # In three mutants of ten one stage begins another motion: what happens before it stays as it was.
+    # Three mutants of ten get another motion in one stage, which leaves earlier stages as they were.
     if stages > 1 and rng.random() < 0.3:
         gait = _replace_motion(rng, gait, body, steps)
         if rng.random() < 0.5:
@@ -147,7 +147,7 @@ def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design, begin:
 
 def _replace_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
     """Return ``gait`` with another motion, random or from another stage, in one stage or all from there on."""
-    # Where, and which motion
+    # Stage to change, and its new motion
     stages = len(gait.begin)
     first, source = rng.integers(stages, size=2)
     chosen = slice(first, None if rng.random() < 0.5 else first + 1)
@@ -158,7 +158,7 @@ def _replace_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: i
     for name, values in zip(("period", "amplitude", "phase", "rest"), motion, strict=True):
         fields[name][chosen] = values
 
-    # When it begins
+    # Sometimes another beginning
     if first and rng.random() < 0.5:
         limits = (*gait.begin, steps)
         low = limits[first - 1]
@@ -169,7 +169,7 @@ def _replace_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: i
 
 def _draw_change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chosen: np.ndarray) -> dict:
     """Draw one change of ``gait`` and return the changed fields; ``chosen``: stages that change, bool ``[stages]``."""
-    # Mutations are as often small as large.
+    # Small and large mutations are equally likely.
     size = _log_uniform(rng, (0.02, 1.0))
     cells = chosen[:, None, None] * (rng.random(body.shape) < rng.choice([0.08, 0.3, 1.0]))
     noise = size * cells * rng.normal(size=body.shape)
@@ -178,7 +178,7 @@ def _draw_change(rng: np.random.Generator, gait: Gait, body: Design, steps: int,
         factor = np.exp(0.5 * size * rng.normal() * chosen)
         period = np.clip(gait.period * factor, SHORTEST, LONGEST)
         turns = gait.begin / gait.period - gait.begin / period
-        turns -= turns.round()  # the wave begins its stage as before: a long time would magnify a small change
+        turns -= turns.round()  # keep the phase at the stage's beginning: long times would magnify a small change
         return {"period": period, "phase": gait.phase + 2 * np.pi * turns[:, None, None]}
     if kind == 1:
         begin = gait.begin.copy()

@@ -34,11 +34,11 @@ class BodyLayout:
         mesh = env.sim.designs[int(env.sim.design_index[first_env])].body(ROBOT)
         assert mesh is not None  # every world of a task has its robot
 
-        # The mesh has the grid that its world holds; bodies are compared by their own.
+        # The mesh is placed in the world's grid: shift its cells to the body's own grid.
         row_shift = int(np.flatnonzero(np.any(body != Cell.EMPTY, 1))[0]) - min(row for row, _ in mesh.cells)
         column_shift = int(np.flatnonzero(np.any(body != Cell.EMPTY, 0))[0]) - min(column for _, column in mesh.cells)
 
-        # Where the points are: row and column of a corner
+        # Row and column of the corner that each point lies at
         corners = {}
         for (row, column), points in mesh.corners.items():
             around = ((row, column), (row, column + 1), (row + 1, column + 1), (row + 1, column))
@@ -99,7 +99,7 @@ def copy_weights(
         if key in state:
             _copy(state[key].T, policy[key].T, inputs, None, key)
     if "obs_normalizer.count" in state:
-        # A child still adapts its normaliser to its own observations.
+        # Limit the count, so that the child's normaliser still adapts to its own observations.
         state["obs_normalizer.count"].copy_(policy["obs_normalizer.count"].clamp(max=4096))
 
     actor.load_state_dict(state)

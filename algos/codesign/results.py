@@ -38,7 +38,7 @@ from warpvox.view.render import Film
 from warpvox.view.rollout import record
 
 FRESH = 64
-"""Episodes of a winner that its search never met, in tasks that draw at random."""
+"""Number of episodes with fresh seeds that a winner is evaluated in, where episodes differ."""
 
 
 class Results(Listener):
@@ -50,7 +50,7 @@ class Results(Listener):
         self.settings = settings
         summary = read_summary(folder)
         self.fresh = summary.get("fresh_seeds")
-        self._began = time.monotonic() - summary.get("elapsed_seconds", 0.0)  # as if it had not been interrupted
+        self._began = time.monotonic() - summary.get("elapsed_seconds", 0.0)  # continue the time of a resumed search
 
     def told(self, generation: int, fresh: bool) -> None:
         """Draw the best designs; for a newly finished generation also write report and summary."""
@@ -133,8 +133,8 @@ class Results(Listener):
             file = policy.with_name(FILM)
             if file.is_file() or not policy.is_file():
                 continue
-            with suppress(WarpvoxError):  # of this design alone
-                # At most 300 control steps, of which every fifth is shown for 0.1 s
+            with suppress(WarpvoxError):  # skip this design only
+                # At most 300 control steps; every fifth is shown for 0.1 s
                 rollout = record(*load_result(find_run(str(file.parent), ""), settings), 300)
                 film = Film(rollout, 0, (320, 150), hud=False, voxels=13.0)
                 first, *more = film.frames(range(0, rollout.num_frames, 5))
@@ -156,7 +156,7 @@ def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
         return {}
     if not any(best.policy for best in results.archive.best()):
         return {}
-    seed = 1000 + (settings.seed == 1000)  # which the search has compared its designs by
+    seed = 1000 + (settings.seed == 1000)  # not the seed that the search compared its designs with
     device = settings.device if settings.executor == "local" else "cpu"
     how: dict[str, Any] = {"protocol": NOMINAL if settings.fitness == NOMINAL else "noise"} | own_code(settings)
     play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **how)

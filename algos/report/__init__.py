@@ -23,7 +23,7 @@ from warpvox.runs import CONFIG
 from warpvox.view.player import asset, fill_template
 
 FILE, FILM = "report.html", "film.webp"
-"""The report in the folder of a search, and an episode of a robot in that of its design."""
+"""Names of the report in the folder of a search, and of the film in that of a design."""
 
 
 def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str:
@@ -33,7 +33,7 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
         facts: what stands under the title, by name: status, search, version, ...
         folder: of the search, with policies and films of designs.
     """
-    # What is shown
+    # Data
     records = archive.records()
     done = [record for record in records if record.fitness is not None]
     best = archive.best(10)
@@ -46,7 +46,7 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
     facts = _figures(done, best) | dict(facts)
     title = " · ".join(facts[name] for name in ("task", "search") if name in facts) or "design search"
 
-    # Its parts
+    # Parts of the page
     named = []
     for name, value in facts.items():
         named.append(f"<div><dt>{in_html(name)}</dt><dd>{in_html(str(value))}</dd></div>")
@@ -125,7 +125,7 @@ def _card(record: Record, folder: Path) -> str:
         try:
             keys = words_of_code(find_run(str(place), "").config)
             text += f"<code>warpvox play {in_html(shell_argument('run', place) + keys)}</code>"
-        except RunError as error:  # of this design alone
+        except RunError as error:  # shown in this design's card, so that the others appear
             text += f'<p class="faint">{in_html(str(error))}</p>'
         if (place / FILM).is_file():
             data = base64.b64encode((place / FILM).read_bytes()).decode()
@@ -151,7 +151,7 @@ def _row(record: Record) -> str:
         state = "waiting"
     fitness = "" if record.fitness is None else record.fitness
 
-    # By what a column is sorted (None: it is not), and HTML
+    # Cells as (sort key or None, HTML)
     cells = (
         (record.id, f"{record.id}"),
         (None, body_svg(candidate.body, 5)),
@@ -172,7 +172,7 @@ def _row(record: Record) -> str:
 
 def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
     """Return column and row of each design in the tree: generations left to right, parents near their children."""
-    # Columns. A parent may, in a search that evaluates one design at a time, be of the same generation as its child.
+    # Columns. In a search that evaluates one design at a time, parent and child may be of the same generation.
     order = sorted({record.candidate.generation for record in line})
     column = {record.id: order.index(record.candidate.generation) for record in line}
 
@@ -198,7 +198,7 @@ def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
 
 def family_tree(line: Sequence[Record]) -> str:
     """Return the family tree as an ``<svg>`` element, with a note if ancestors were left out."""
-    # The nearest ancestors, and where they stand in pixels
+    # The nearest ancestors, and their positions in pixels
     shown = list(line)[-60:]
     cell = 8
     margin = 12

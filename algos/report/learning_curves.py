@@ -34,8 +34,8 @@ class Group:
 class Curve:
     """Learning curve of runs that differ only in their seed.
 
-    ``places`` float64 ``[k]``; ``mean``, ``low``, ``high`` ``[k]``: the return there over the runs, with its interval
-    (NaN for a single run); ``runs``: where and what of each, ``[2, evaluations]``.
+    ``places``: values on the x axis, float64 ``[k]``; ``mean``, ``low``, ``high`` ``[k]``: mean return of the runs with
+    its interval (NaN for a single run); ``runs``: x values and returns of each run, ``[2, evaluations]``.
     """
 
     label: str
@@ -67,7 +67,7 @@ def curves_of(groups: Sequence[Group], x: str = "steps") -> list[Curve]:
     """
     curves = []
     for group in groups:
-        # The evaluations of each run, float64 [2, k]: where and what
+        # Evaluations of each run, float64 [2, k]: values of x, and returns
         runs = []
         for each_run in group.runs:
             rows = evaluations_of(each_run)
@@ -133,7 +133,7 @@ def write_curves(
     inches = (columns * size[0] / 100, rows * (size[1] + 22 * more) / 100)
     figure = Figure(figsize=inches, dpi=100, layout="constrained")
     for number, (title, several) in enumerate(panels.items()):
-        # The title says nothing more where the legend has it.
+        # No title where the legend already says it
         said = [curve.label for curve in several] == [title]
         axes = figure.add_subplot(rows, columns, number + 1, title="" if said else _plain(title))
 

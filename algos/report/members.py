@@ -15,7 +15,7 @@ from warpvox.keys import flat
 from warpvox.runs import read_summary
 
 SHOWN = 3
-"""Settings that a name tells at most."""
+"""Most settings in the name of a search."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class SearchResult:
     designs were only compared by a common policy, it begins with the finalists, once there are some.
 
     Attributes:
-        search: its name among others: that of the algorithm, with the settings that differ, or of its folder.
-        settings: those that its results follow from, as its archive has them.
+        search: name of the search: its algorithm and the settings that differ from other searches, or its folder.
+        settings: settings in its archive, which determine the results.
         records: all designs, by id.
         winner: the best of them, None before there is one.
         summary: what ``summary.json`` beside the archive says.
@@ -106,14 +106,14 @@ def _names(found: Sequence[tuple[Path, Mapping[str, Any]]]) -> list[str]:
     settings = [flat(own) for _, own in found]
     kinds = [(own.get("task"), str(own.get("search.algorithm", "search"))) for own in settings]
 
-    # The settings that tell searches of one task and algorithm apart
+    # Settings that distinguish searches with the same task and algorithm
     may_differ = ("task", "seed", "shape", "search.algorithm", "search.max_evaluations")
     keys = {}
     for kind in dict.fromkeys(kinds):
         alike = [own for own, other in zip(settings, kinds, strict=True) if other == kind]
         keys[kind] = telling(alike, [key for key in differing(alike) if key not in may_differ])
 
-    # Names: the first of these settings, and a number where those that are shown are another search's
+    # Names: the first few of these settings, and a number where these are equal but others differ
     names = []
     known: dict[str, list[dict[str, Any]]] = {}
     for (folder, _), own, kind in zip(found, settings, kinds, strict=True):
@@ -166,13 +166,13 @@ def progress(members: Sequence[SearchResult], x: str) -> tuple[np.ndarray, np.nd
         raise ValueError("A search has not evaluated any design yet.")
     spent = [getattr(one, x) for one in members]
 
-    # Where a search has changed, or 200 places
+    # All points where some search has a new design, or 200 evenly spaced ones
     first = max(each[0] for each in spent)
     last = max(each[-1] for each in spent)
     every = np.unique(np.concatenate(spent))
     places = every[every >= first] if len(every) <= 200 else np.linspace(first, last, 200)
 
-    # The best return by then
+    # Best return of each search at these points
     values = []
     for one, each in zip(members, spent, strict=True):
         design = np.searchsorted(each, places, "right") - 1

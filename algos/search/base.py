@@ -48,7 +48,7 @@ class BaseSearch(ABC):
     """
 
     takes_start: ClassVar[bool] = True
-    """Whether the first generation may contain bodies that :meth:`propose` has not made."""
+    """True if the first generation may contain given bodies, see :meth:`start_with`."""
 
     def __init__(self, settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
         self.settings = settings
@@ -56,8 +56,7 @@ class BaseSearch(ABC):
         self.seed = check_integer("seed", seed, 0)
         rows, columns = self.shape
         most = settings.max_evaluations
-        # a search that has to find nearly every body there is would spend its time on drawing known ones
-        # Up to six voxels all bodies can be counted to see whether there are enough.
+        # With too few bodies a search would spend its time on drawing known ones. Up to six voxels they are counted.
         if rows * columns <= 6 and (bodies := count_valid(self.shape)) < 2 * most:
             raise ConfigError(
                 f"There are only {bodies} valid bodies of {rows}x{columns}: a search with max_evaluations={most} needs"
@@ -141,8 +140,7 @@ class BaseSearch(ABC):
     def mutant(self, rng: np.random.Generator, parents: Sequence[int], rate: float) -> Proposal:
         """Return a new mutant of a random parent; a random body if all mutants are known."""
         for parent in rng.permutation(parents):
-            # Sixteen mutants of a parent are drawn at a time, of which the first that will do counts. After 100,000
-            # voxels all mutants of the parent count as known.
+            # Draw sixteen mutants at a time and take the first valid new one. After 100,000 voxels try another parent.
             copies = np.repeat(self.bodies[int(parent)][None], 16, axis=0)
             body = self.new_body(partial(mutate, rng, copies, rate), 100_000)
             if body is not None:
@@ -177,7 +175,7 @@ class BaseSearch(ABC):
             Candidate(first + place, proposal.body, proposal.parents, proposal.origin, self.generation)
             for place, proposal in enumerate(proposals)
         ]
-        # copies: what happens to them outside must not reach the record
+        # Return copies: changes made by the caller must not reach our record.
         return [replace(candidate, body=candidate.body.copy()) for candidate in self._asked]
 
     def tell(self, fitness: Sequence[float]) -> None:

@@ -46,7 +46,7 @@ class BayesianSearch(BaseSearch):
         scale = max(1.0, *(abs(value) / 1e9 for value in self.fitness))
         with seeded_torch(int(rng.integers(2**63))):
             proposals = propose(rng, count, [value / scale for value in self.fitness])
-        # a tiny shape may have no more to offer
+        # Fill up with random bodies: small shapes may give too few proposals.
         return proposals + [self.random_proposal(rng) for _ in range(count - len(proposals))]
 
     def recall(self, candidates: Sequence[Candidate]) -> None:
@@ -73,7 +73,7 @@ class BayesianSearch(BaseSearch):
         for start, end, good in zip(starts, ends, are_valid(ends), strict=True):
             if good and self.claim(end):
                 yield end, not np.array_equal(end, start)
-            elif self.claim(start):  # False where an earlier climb has ended at this start
+            elif self.claim(start):  # False if an earlier climb ended at this start
                 yield start, False
 
     def _climbed(
@@ -100,7 +100,7 @@ class BayesianSearch(BaseSearch):
         climb = climb_posterior(model, pool, count)
         proposals: list[Proposal] = []
         for path, start in enumerate(climb.start):
-            # the summit, or the best new body beside it, or in the pool
+            # Take the summit if it is new, else the best new neighbour of it, else the best new body of the pool.
             near = np.concatenate([climb.summit[path : path + 1], climb.around[path]])
             if (place := self._claim_best(near, np.append(np.inf, climb.at_around[path]))) is not None:
                 proposals.append(Proposal(near[place], parents[int(start)], "posterior"))
@@ -119,7 +119,7 @@ class BayesianSearch(BaseSearch):
         Returns:
             New valid bodies int8 ``[m, rows, columns]``, all different, and the parents of each: none, or the one.
         """
-        # The best 25 designs have mutants in the pool.
+        # Mutants in the pool come from the best 25 designs.
         best = np.array(sorted(range(len(self.bodies)), key=lambda number: (-self.fitness[number], number))[:25])
         stack = np.stack(self.bodies)
 
@@ -130,7 +130,7 @@ class BayesianSearch(BaseSearch):
 
         def draw_mutants() -> tuple[np.ndarray, list[tuple[int, ...]]]:
             parents = rng.choice(best, drawn)
-            # Of 25 voxels about one mutates in two mutants of three, and two to three in the others.
+            # With 25 voxels, two thirds of the mutants have about one change, the others two to three.
             rates = rng.choice((0.04, 0.1), drawn, p=(2 / 3, 1 / 3))
             return mutate(rng, stack[parents], rates[:, None, None]), [(parent,) for parent in parents.tolist()]
 

@@ -32,7 +32,7 @@ from warpvox.devices.startup import own_torch
 from warpvox.errors import SearchError
 
 _NOTHING = 1e-9
-"""Gains below this are rounding."""
+"""Gains below this are rounding errors: a climb ends."""
 
 
 @dataclass
@@ -59,7 +59,7 @@ def thompson_starts(model: SingleTaskGP, pool: np.ndarray, count: int) -> np.nda
     points = one_hot(pool)
     with torch.no_grad():
         chosen = MaxPosteriorSampling(model, replacement=False)(points, num_samples=count)
-    # a body's one-hot point is unlike all others, so that the point tells its place
+    # Different bodies have different one-hot points: the largest product is with the body itself.
     return (chosen @ points.T).argmax(-1).numpy()
 
 
@@ -176,7 +176,7 @@ def seeded_torch(seed: int) -> Generator[None]:
     Sums of several threads depend on their number, and a search must not depend on the machine's load.
     """
     with own_torch(1), warnings.catch_warnings():
-        # a fit that stops at its limit of iterations is what is asked for, and nothing to be warned of
+        # no warnings about fits that stop at their limit of iterations, which is intended
         warnings.simplefilter("ignore")
         torch.manual_seed(seed)
         yield

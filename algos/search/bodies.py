@@ -6,7 +6,7 @@ from warpvox.design import are_valid
 from warpvox.types import ROBOT_CELLS
 
 CELL_TYPES = len(ROBOT_CELLS)
-"""A robot's voxel is one of these many types; they count from 0."""
+"""Number of types of a robot's voxel, counted from 0."""
 
 
 def body_key(body: np.ndarray) -> bytes:
@@ -17,7 +17,7 @@ def body_key(body: np.ndarray) -> bytes:
 def mutate(rng: np.random.Generator, bodies: np.ndarray, rate: float | np.ndarray) -> np.ndarray:
     """Return copies in which each voxel changes its type with probability ``rate`` (a number or ``[n, 1, 1]``)."""
     changes = rng.random(bodies.shape) < rate
-    # adding 1..4 modulo 5 reaches every other type alike and never the same
+    # Adding 1 to 4 modulo 5 gives every other type with equal probability, and never the same type.
     steps = rng.integers(1, CELL_TYPES, bodies.shape, dtype=np.int8)
     return np.where(changes, (bodies + steps) % CELL_TYPES, bodies).astype(np.int8)
 

@@ -83,7 +83,7 @@ class CppnNeatSearch(BaseSearch):
     """
 
     settings: CppnNeat
-    takes_start = False  # it breeds networks, and knows none that paints a given body
+    takes_start = False  # no network is known that paints a given body
 
     def __init__(self, settings: CppnNeat, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
         super().__init__(settings, shape, seed)
@@ -117,7 +117,9 @@ class CppnNeatSearch(BaseSearch):
         self.ids |= {key: candidate.id for key, candidate in zip(fresh, candidates, strict=True)}
         for key, genome in self.population.items():
             genome.fitness = self.fitness[self.ids[key]]
-        if len(self.bodies) < self.settings.max_evaluations:  # the last generation may be too small for its species
+        if (
+            len(self.bodies) < self.settings.max_evaluations
+        ):  # not needed after the last generation, which may be too small
             self.species.speciate(self.config, self.population, self.generation)
 
     def _breed(self) -> dict[int, neat.DefaultGenome]:
@@ -133,7 +135,7 @@ class CppnNeatSearch(BaseSearch):
                 ) from error
             if bred:
                 return bred
-            # all species have stagnated (reset_on_extinction): a new beginning
+            # All species have stagnated (reset_on_extinction): start again with new networks.
             self.species = neat.DefaultSpeciesSet(self.config.species_set_config, self.reporters)
         return self._create(self.settings.population)
 
@@ -146,7 +148,7 @@ class CppnNeatSearch(BaseSearch):
     ) -> dict[int, tuple[neat.DefaultGenome, np.ndarray]]:
         """Return ``count`` networks, with keys and bodies, whose bodies are valid and new."""
         chosen: dict[int, tuple[neat.DefaultGenome, np.ndarray]] = {}
-        # Fresh networks take the place of those that paint nothing new, before there is nothing new to paint.
+        # Try new networks this many times before giving up.
         for _ in range(2000):
             bodies = np.stack([paint(genome, self.config, self.shape) for genome in genomes.values()])
             for (key, genome), body, good in zip(genomes.items(), bodies, are_valid(bodies), strict=True):

@@ -20,7 +20,7 @@ def survivors_of(settings: GA, generation: int, last: int) -> int:
     start = settings.survivor_rate
     end = settings.final_survivor_rate
     share = start + (end - start) * generation / last
-    # 25 * 0.6 * (1 - 1 / 3) must be 10, whatever rounding makes of it
+    # Round before ceil: 25 * 0.6 * (1 - 1 / 3) must be 10, not 11 through a rounding error.
     count = math.ceil(round(settings.population * share, 9))
     return min(max(settings.min_survivors, count), settings.population - 1)
 
@@ -35,7 +35,7 @@ def last_generation(settings: GA) -> int:
     def evaluations(last: int) -> int:
         return sum(settings.population - survivors_of(settings, n, last) for n in range(1, last + 1))
 
-    # more generations never need fewer evaluations, and each needs one at least
+    # Bisect: evaluations never fall with the number of generations, and each generation needs at least one.
     return 1 + bisect_left(range(1, max(left, 1)), left, key=evaluations)
 
 

@@ -66,7 +66,7 @@ def describe(bodies: np.ndarray, names: Sequence[str]) -> np.ndarray:
 
 def _descriptor(bodies: np.ndarray, name: str) -> np.ndarray:
     """Return one descriptor of bodies, float64 ``[n]``."""
-    # of all cells of the grid
+    # Descriptors that are fractions of the grid's cells
     shares = {
         "actuators": ACTUATORS,
         "empty": (Cell.EMPTY,),
@@ -79,6 +79,6 @@ def _descriptor(bodies: np.ndarray, name: str) -> np.ndarray:
         return np.isin(bodies, shares[name]).mean((1, 2))
     if name == "symmetry":
         return (bodies == bodies[:, :, ::-1]).mean((1, 2))
-    # a body is in one piece, so that it touches every row and column between its ends
+    # A body is connected, so that it touches every row and column between its ends.
     touched = (bodies != Cell.EMPTY).any(axis={"height": 2, "width": 1}[name])
     return touched.mean(1)

@@ -14,7 +14,7 @@ from warpvox.errors import ConfigError, listing
 from warpvox.keys import Settings, key
 
 DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", "height", "width", "symmetry")
-"""What MAP-Elites can sort bodies by, each a number from 0 to 1 (see ``describe`` in ``map_elites.py``)."""
+"""Descriptors of bodies for MAP-Elites, numbers from 0 to 1 (see ``describe`` in ``map_elites.py``)."""
 
 
 Kind = TypeVar("Kind", bound="SearchSettings")
@@ -87,7 +87,7 @@ class BO(SearchSettings):
         " improvement by L-BFGS alone)",
         choices=("pathwise", "paper", "lbfgs"),
     )
-    # not at the bounds of the fit (see ``make_model``), from which it cannot begin
+    # Limits: the fit cannot start from its own bounds (see ``_make_model`` in ``bo_acquire.py``).
     kernel_variance: float = key(1.0, "initial variance of the Matern 5/2 kernel", low=1e-3, high=1e6)
     kernel_length_scale: float = key(1.0, "initial length scale of the kernel", low=0.05, high=1e6)
     optimizer_iterations: int = key(100, "iterations of L-BFGS, for the kernel and for the acquisition", low=1)
@@ -130,7 +130,7 @@ class MapElites(SearchSettings):
             raise ConfigError(
                 f"search.descriptors must name one or more different ones, got {listing(self.descriptors)}."
             )
-        # The archive holds all cells from the beginning.
+        # The archive allocates all cells at once.
         if self.bins ** len(self.descriptors) > 10_000_000:
             cells = f"search.bins={self.bins} for {len(self.descriptors)} descriptors make over 10,000,000 cells"
             raise ConfigError(f"{cells}, more than memory holds: take fewer bins or descriptors.")

@@ -96,7 +96,7 @@ class Gaits(Specialist):
         """Return the number of episodes of each gait."""
         from warpvox.envs.registry import get_task
 
-        # Where they differ, four episodes: in tasks that draw at random, and with noise on the actions.
+        # Four episodes where they differ: in random tasks, and with noise on the actions.
         return self.episodes or (4 if search.fitness == ROBUST or get_task(search.task).is_random else 1)
 
     def _final_episodes(self, search: Codesign) -> int:

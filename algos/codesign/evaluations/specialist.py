@@ -32,7 +32,7 @@ class Specialist(Evaluation):
             raise ConfigError(
                 "training.ppo.rnn and training.ppo.extra are for one policy: a search trains its designs side by side."
             )
-        rsl_rl_config(training.ppo, 1)  # whose settings it knows
+        rsl_rl_config(training.ppo, 1)  # raises for settings that do not fit together
 
     def inherits(self, search: Codesign) -> bool:
         return search.training.inherit
