@@ -30,6 +30,7 @@ class Interrupt:
         self.number: int | None = None
 
     def __bool__(self) -> bool:
+        """Return True once an interrupt has arrived."""
         return self.number is not None
 
     def raise_interrupt(self) -> NoReturn:

@@ -69,6 +69,7 @@ class Ppo(Settings):
     extra: Any = key(None, "further settings of rsl-rl's PPO by name, such as rnd_cfg")
 
     def __post_init__(self) -> None:
+        """Check the values, and convert ``rnn`` and ``extra`` to plain ones."""
         super().__post_init__()
         self.rnn = plain(self.rnn, "ppo.rnn")
         self.extra = plain(self.extra, "ppo.extra")

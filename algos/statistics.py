@@ -25,6 +25,7 @@ class Interval:
     n: int
 
     def __str__(self) -> str:
+        """Return the mean and, if it is known, the interval, with three decimals."""
         known = math.isfinite(self.low)
         return f"{self.mean:.3f}" + (f" [{self.low:.3f}, {self.high:.3f}]" if known else "")
 

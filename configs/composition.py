@@ -61,7 +61,7 @@ def hydras_errors(beginning: str = "") -> Iterator[None]:
         yield
     except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as found:
         error = cast(Any, found)
-        # Some lines are for those who know the classes.
+        # Leave out lines about OmegaConf's classes.
         inner = ("full_key", "object_type", "reference_type")
         lines = [line.strip() for line in str(error).splitlines()]
         lines = [line for line in lines if line and not line.startswith(inner)]
@@ -93,8 +93,8 @@ def register(command: str) -> None:
         for name, node in nodes.items():
             store.store(group=group, name=name, node=node)
 
-    # The paper's bodies are 5 x 5 (Table 2); one task has a larger grid, for a body designed by hand. The examples
-    # have these shapes. YAML files have them as ${paper_shape:${task}} and ${paper_design:${task}}.
+    # The paper's bodies are 5 x 5 (Table 2), except in one task with a larger grid, for a body designed by hand. YAML
+    # files refer to shape and example body as ${paper_shape:${task}} and ${paper_design:${task}}.
     is_larger = lambda task: task == "Lifter-v0"  # noqa: E731
     shape = lambda task: [5, 7] if is_larger(task) else [5, 5]  # noqa: E731
     design = lambda task: "lifter" if is_larger(task) else "walker"  # noqa: E731

@@ -25,10 +25,10 @@ COMMANDS = {
     "tasks": "tools",
     "info": "tools",
 }
-"""The module of this package that has the dataclass of a command, ``<Command>Config``."""
+"""Module of this package with the dataclass ``<Command>Config`` of each command."""
 
 PRESET = "preset"
-"""The key that takes the name of a preset, a file of ``configs/preset/COMMAND``."""
+"""Name of the key that takes the name of a preset, a file of ``configs/preset/COMMAND``."""
 
 EXPORTS = ("usd", "gif", "mp4", "html", "png", "strip")
 SHOW = ("auto", "on", "off")

@@ -14,7 +14,7 @@ from warpvox.view.rollout import AGENTS
 
 POLICY_EXPORTS = ("onnx", "jit")
 _OWN_TASK = "For a run of a task of your own: its code, file.py:NAME"
-"""Meaning of ``task`` beside ``run``."""
+"""Help of the key ``task`` in commands that show a run."""
 
 
 @dataclass

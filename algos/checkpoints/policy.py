@@ -37,6 +37,7 @@ class Layers(nn.Module):
     """
 
     def __init__(self, spec: PolicySpec) -> None:
+        """Make the layers that ``spec`` describes, with weights to be replaced."""
         super().__init__()
         self.obs_normalizer = nn.Identity()
         if spec.normalize_obs:
@@ -64,6 +65,7 @@ class Actor(nn.Module):
     """Model of a checkpoint that is not an MLP: a network for voxels, an open-loop gait or recurrent layers."""
 
     def __init__(self, spec: PolicySpec) -> None:
+        """Make the model that ``spec`` describes, with weights to be replaced."""
         super().__init__()
         self.num_obs = spec.num_obs
         self.num_actions = spec.num_actions

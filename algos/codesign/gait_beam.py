@@ -90,6 +90,7 @@ class _Search:
     """
 
     def __init__(self, body: np.ndarray, count: int, known: Sequence[Gait], rng: np.random.Generator) -> None:
+        """Start the search for gaits of ``body`` with ``count`` gaits at a time and the ``known`` ones, best first."""
         self.body = body
         self.count = count
         self.rng = rng

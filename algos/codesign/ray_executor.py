@@ -31,6 +31,7 @@ class _Worker:
     """Ray actor that evaluates batches in one thread and reports progress in another, in the folder ``here``."""
 
     def __init__(self, make: Callable[[], DesignEvaluator], here: Path) -> None:
+        """Change to the folder ``here`` if it exists; ``make`` builds the evaluator at the first evaluation."""
         # Relative paths mean what they mean in the program; other machines may lack its folder.
         with suppress(OSError):
             os.chdir(here)

@@ -45,6 +45,7 @@ class Results(Listener):
     """Keeps ``generations/<n>.png``, ``report.html`` and ``summary.json`` of a running search up to date."""
 
     def __init__(self, folder: Path, archive: Archive, settings: Codesign) -> None:
+        """Continue the time and the results of a ``summary.json`` in ``folder``, if there is one."""
         self.folder = folder
         self.archive = archive
         self.settings = settings

@@ -181,6 +181,7 @@ class Codesign(Settings):
     output_dir: str = key("outputs", "folder that runs are written to")
 
     def __post_init__(self) -> None:
+        """Convert names and mappings to settings, robots to their names, and check all values."""
         if isinstance(self.search, str | Mapping):
             self.search = _chosen("search", "algorithm", self.search, ALGORITHMS)
         if isinstance(self.evaluation, str | Mapping):

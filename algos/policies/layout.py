@@ -63,6 +63,7 @@ class VoxelLayout:
     periods: tuple[float, ...] = CLOCK
 
     def __post_init__(self) -> None:
+        """Convert ``periods`` to a tuple of floats."""
         object.__setattr__(self, "periods", tuple(map(float, self.periods)))
 
     @property

@@ -62,6 +62,7 @@ class GA(SearchSettings):
     min_survivors: int = key(2, "smallest number of survivors of a generation", low=1)
 
     def __post_init__(self) -> None:
+        """Check the values, and that a generation has room for new designs."""
         super().__post_init__()
         if self.min_survivors >= self.population:
             raise ConfigError(
@@ -125,6 +126,7 @@ class MapElites(SearchSettings):
     bins: int = key(5, "bins of each descriptor", low=1)
 
     def __post_init__(self) -> None:
+        """Check the values, and that the grid of descriptors fits into memory."""
         super().__post_init__()
         if not self.descriptors or len(set(self.descriptors)) < len(self.descriptors):
             raise ConfigError(

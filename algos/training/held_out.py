@@ -39,6 +39,13 @@ class HeldOut:
     """
 
     def __init__(self, judge: Evaluator, bodies: Sequence[Design], name: str = "held_out", task: str = "") -> None:
+        """Set up the evaluation; ``folder`` is set once the run has one.
+
+        Args:
+            judge: evaluates a policy in environments with the ``bodies``.
+            name: of both files, without suffix.
+            task: by which returns are scaled for the picture.
+        """
         self.judge = judge
         self.bodies = list(bodies)
         self.name = name

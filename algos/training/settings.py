@@ -130,6 +130,7 @@ class Training(Settings):
     )
 
     def __post_init__(self) -> None:
+        """Convert short forms to settings, NumPy values to plain ones, and check all values."""
         if isinstance(self.designs, str | list | tuple):
             self.designs = Designs(self.designs)
         self.physics = PhysicsConfig.of(self.physics)

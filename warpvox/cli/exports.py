@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 ROLLOUT = "rollout.npz"
 _TILES = 16
-"""Environments that a picture shows at most; of a run over many bodies."""
+"""Most environments in a picture; of a run over many bodies there may be more."""
 LARGE = (960, 540)
-"""Size of pictures of more than :data:`_TILES`, and of a window, in pixels."""
+"""Size of a window, and of pictures with more than :data:`_TILES` environments, in pixels."""
 
 
 def record_run(
@@ -95,7 +95,7 @@ def write_exports(
     """
     written = [folder / ROLLOUT] if (folder / ROLLOUT).is_file() else []
     for name in dict.fromkeys(formats):
-        # format -> file, module, function
+        # File name, module and function by format
         writers = {
             "usd": ("rollout.usd", "warpvox.view.usd", "write_usd"),
             "gif": ("rollout.gif", "warpvox.view.render", "write_gif"),
@@ -114,11 +114,11 @@ def write_exports(
                 options["envs"] = tiles_of(rollout)
                 if len(options["envs"]) > _TILES:
                     options = {"size": LARGE} | options
-            # parameter of a writer for the key every
+            # Name of the writer's parameter for the key `every`
             thinned = {"usd": "stride", "gif": "every", "mp4": "every", "html": "every"}
             if name in thinned:
                 options[thinned[name]] = every
-            # Films take long enough to say how far they are.
+            # Films take long: show progress.
             if name in ("gif", "mp4"):
 
                 def tell(done: int, total: int, status: Status = status, file: str = file) -> None:
@@ -162,7 +162,7 @@ def print_returns(rollout: Rollout, console: Console) -> None:
         table.add_row("mean", *([""] if several else []), *mean)
     console.print(table)
     if agent == "policy" and rollout.num_envs > len(rollout.scenes) and rollout.metadata.get("drawn") is False:
-        # A deterministic policy in a task without chance shows one episode a design, however many are asked for.
+        # A deterministic policy in a deterministic task has one distinct episode for each design.
         designs = len(rollout.scenes)
         alike = "are identical"
         for design in range(designs):

@@ -28,8 +28,8 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
     keys = differing(groups)
     if keys:
         groups = [_with_presets(values, keys) for values in groups]
-        told = telling(groups, differing(groups))
-        labels = [_label(values, told) for values in groups]
+        shown = telling(groups, differing(groups))
+        labels = [_label(values, shown) for values in groups]
     else:
         labels = [str(values.get("task", "run")) for values in groups]
     if len(set(labels)) < len(labels):  # the first few settings do not distinguish them
@@ -40,12 +40,12 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
 def settings(run: Run) -> dict[str, Any]:
     """Return a run's settings by dotted key, without those that only say where and how it was computed.
 
-    Among them the checkpoint that was named, as several of one run are no repetitions.
+    They include the named checkpoint, because several checkpoints of one run are not repetitions.
     """
     flat: dict[str, Any] = flat_values("train", run.config) | {"checkpoint": run.checkpoint and run.checkpoint.name}
     if isinstance(flat.get("device"), str):
         flat["device"] = flat["device"].partition(":")[0]  # which of several GPUs makes no difference
-    # These keys do not make a run another experiment; what a preset has set stands in the other keys.
+    # Keys that do not distinguish experiments; the settings of a preset are in the other keys.
     left_out = (
         "seed", "name", "output_dir", "resume", "config", "export", "threads", "torch_threads", "lanes",
         "save_interval", "nan_guard", "logger", "memory_check", "preset",
@@ -57,13 +57,13 @@ def _with_presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
     """Replace the settings that a preset sets by the name of the preset."""
     result = dict(values)
 
-    # The constants of physics follow from their preset.
+    # Name the physics preset instead of its constants.
     if "physics.preset" in keys:
         result = {key: value for key, value in result.items() if not key.startswith("physics.")}
         if values.get("physics.preset") != values.get("rules"):
             result["physics"] = values.get("physics.preset")
 
-    # Settings of PPO are those of a file of configs/ppo, or they are named one by one.
+    # Name the file of configs/ppo that has these settings; otherwise keep the single settings.
     if sum(key.startswith("ppo.") for key in keys) > SHOWN:
         own = {key.removeprefix("ppo."): value for key, value in values.items() if key.startswith("ppo.")}
         for name in ("parallel", "evogym"):
@@ -76,7 +76,7 @@ def _with_presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
 def _label(values: dict[str, Any], keys: list[str]) -> str:
     """Return a label with the first few settings that distinguish a group from others."""
     parts = []
-    for key in [key for key in keys if key in values][:SHOWN]:  # a robot of the zoo has but a few
+    for key in [key for key in keys if key in values][:SHOWN]:  # a robot of the zoo has only some of the keys
         value = values[key]
         if key == "task":
             parts.append(str(value))

@@ -19,7 +19,7 @@ class _Lasting:
         self._message = message
         self._gone = GONE
         if stream.isatty():
-            # A terminal that was closed has these errors; from a file they mean that the disk has failed.
+            # A closed terminal gives these errors; with a file they mean that the disk has failed.
             self._gone = GONE | {errno.EIO, errno.ENXIO, errno.EBADF}
 
     def __getattr__(self, name: str) -> Any:
@@ -56,7 +56,7 @@ def lasting_output(message: str | None = None) -> Iterator[None]:
         message: a line that is written to standard error when the reader of standard output has gone.
     """
     while (number := os.open(os.devnull, os.O_RDWR)) < 3:
-        pass  # it takes the place of a standard stream that was closed
+        pass  # the null device replaces a standard stream that is closed
     os.close(number)
     before = sys.stdout, sys.stderr
     for stream in before:
@@ -68,7 +68,7 @@ def lasting_output(message: str | None = None) -> Iterator[None]:
     try:
         yield
     finally:
-        # somebody else may have put another stream there meanwhile
+        # restore only our own streams: others may have been set meanwhile
         sys.stdout = before[0] if sys.stdout is ours[0] else sys.stdout
         sys.stderr = before[1] if sys.stderr is ours[1] else sys.stderr
 

@@ -24,9 +24,9 @@ from warpvox.runs import STAMP, as_name, check_output, label, read_summary
 from warpvox.system import safe_start
 
 LONGEST_LABEL = 80
-"""Characters of a folder's name that say what its run differs by."""
+"""Maximum length of the part of a folder's name that says what its run differs by."""
 _OWN = "++words."
-"""Beginning of our words for Hydra, which adds them to an empty configuration: it is to expand them, not to compose."""
+"""Prefix of our words for Hydra, which adds them to an empty configuration: it only expands their values."""
 
 
 def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
@@ -38,12 +38,12 @@ def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
     Raises:
         WarpvoxError: a value is not valid, or a run has failed; the others are made all the same.
     """
-    # Words that are Hydra's own: which launcher and sweeper, and their settings
+    # Hydra's own words: launcher, sweeper and their settings
     plugins = [word for word in words if word.startswith(("hydra/", "hydra."))]
     overrides = read_words(command, [word for word in words if word not in plugins])
     fixed = {key: str(one.input_line) for key, one in overrides.items() if not one.is_sweep_override()}
 
-    # The values that each word lists; a sweeper that optimises may choose others
+    # Values that each word lists (sweepers that optimise may choose others)
     listed = {}
     for key, one in overrides.items():
         if not (one.is_discrete_sweep() or one.is_range_sweep()):
@@ -55,7 +55,7 @@ def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
         if not listed[key]:
             raise ConfigError(f"'{one.input_line}' makes no runs.")
 
-    # A mistake in the last run should not show after a day.
+    # Check every listed value now, so that a mistake in the last run does not show after a day.
     first = fixed | {key: values[0] for key, values in listed.items()}
     runs = [first]
     for key, values in listed.items():

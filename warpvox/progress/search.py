@@ -27,7 +27,7 @@ from warpvox.io.text import duration, figure, shell_argument, shown
 from warpvox.view.cell_text import body_rows
 
 QUIET_SECONDS = 30.0
-"""Without a terminal, seconds between lines."""
+"""Seconds between lines without a terminal."""
 
 
 def with_tracker(settings: Codesign, listeners: Sequence[Listener]) -> list[Listener]:
@@ -77,9 +77,9 @@ class SearchProgress(Listener):
         self.archive = run.archive
         self._began = self._printed = time.monotonic()
         self._start = self.archive.trained()
-        self._spent = 0  # control steps of trainings that have ended since the beginning
-        self._first: tuple[float, int] | None = None  # time and control steps of the first news of a stage
-        self._last = False  # the finalists are being evaluated
+        self._spent = 0  # control steps of the trainings that this process has completed
+        self._first: tuple[float, int] | None = None  # time and control steps at the first report of a stage
+        self._last = False  # whether the finalists are being evaluated
         self._generation = 0
         self._print_start()
         columns = TextColumn("{task.description}"), BarColumn(bar_width=24), TextColumn("{task.fields[figures]}")
@@ -127,7 +127,7 @@ class SearchProgress(Listener):
             echo(self.console, f"the best on fresh seeds: {fresh_text(summary['fresh_seeds'])}")
         if best is not None:
             echo(self.console, f"report: {(folder / REPORT).resolve().as_uri()}")
-            with suppress(RunError):  # an evaluator of the user's own may leave no policy
+            with suppress(RunError):  # a user's own evaluator may give no policy
                 keys = words_of_code(find_run(str(folder), "").config)
                 echo(self.console, f"look at the best: warpvox play {shell_argument('run', folder)}{keys}")
         if status != "done":
@@ -169,7 +169,7 @@ class SearchProgress(Listener):
         row = self.archive.generations()[generation]
         count = sum(r.diverged for r in self.archive.records(generation))
         text = f"generation {generation} done: {self._counts()}  best {row['best']:.3f}  mean {row['mean']:.3f}"
-        if not self._last:  # finalists may be compared in another way than all before them
+        if not self._last:  # finalists may be evaluated in another way than designs before
             text += f"  best so far {self.archive.best()[0].fitness:.3f}"
         echo(self.console, f"{text}{f'  {count} diverged' if count else ''}  {self._figures()}")
         if self._live is None:
@@ -207,7 +207,7 @@ class SearchProgress(Listener):
             return "-"
         trained = self.archive.trained()
         cost = self.run.costs[self._last]
-        if trained and not self._last:  # fewer than at most, where episodes end early
+        if trained and not self._last:  # the mean so far, because episodes may end early
             cost = sum(row["steps"] or 0 for row in self.archive.generations()) / trained
         designs = self.run.total - trained - (0 if self._last else self.run.finalists)
         steps = cost * designs - sum(training.steps for training in self._work.values())
@@ -219,14 +219,14 @@ class SearchProgress(Listener):
         events = [training.event for training in self._work.values()]
         if not events:
             return "starting"
-        going = sum(sum(event["training"]) for event in events)
+        active = sum(sum(event["training"]) for event in events)
         designs = [one for event in events for one in zip(event["best"], event["training"], strict=True)]
         best = max((value for value, _ in designs if math.isfinite(value)), default=math.nan)
         lost = sum(math.isnan(value) and not training for value, training in designs)
         diverged = f", {lost} diverged" if lost else ""
         done = min(event["iteration"] for event in events)
         total = min(event["iterations"] for event in events)
-        return f"iteration {done}/{total}, {going} in training{diverged}, best of them {figure(best)}"
+        return f"iteration {done}/{total}, {active} in training{diverged}, best of them {figure(best)}"
 
     def _show(self) -> None:
         """Update the live display, if there is one."""

@@ -25,7 +25,7 @@ class Tracker:
 
     def __init__(self, folder: Path, *tags: str) -> None:
         self._wandb: Any = import_module("wandb")
-        # The id of the run there, for a run that is resumed
+        # Keep the id of the run, to continue the same one when it is resumed.
         self._folder = folder
         file = folder / "wandb_id.txt"
         config: Any = parse_yaml((folder / CONFIG).read_text(encoding="utf-8"))
@@ -36,7 +36,7 @@ class Tracker:
             "tags": [config["task"], *tags],
             "dir": str(folder),
         }
-        # of the environment by which the user sets arguments of wandb.init, without WANDB_
+        # Leave out options that the user has set by environment variables, WANDB_PROJECT for instance.
         variables = {"project": "PROJECT", "group": "RUN_GROUP", "name": "NAME", "tags": "TAGS", "dir": "DIR"}
         options = {key: value for key, value in options.items() if not os.environ.get(f"WANDB_{variables[key]}")}
         known = file.read_text(encoding="utf-8") if file.is_file() else None
@@ -56,7 +56,7 @@ class Tracker:
         try:
             self._run.summary.update(dict(summary))
             if status == "done":
-                with suppress(RunError):  # an evaluator of the user's own may leave no policy
+                with suppress(RunError):  # a user's own evaluator may give no policy
                     env, policy = load_result(find_run(str(self._folder), ""), settings)
                     film = write_gif(record(env, policy), self._folder / "film.gif")
                     self._run.log({"film": self._wandb.Video(str(film), format="gif")})

@@ -21,7 +21,7 @@ from warpvox.io.text import duration, figure, shell_argument, shown
 from warpvox.runs import STATE
 
 QUIET_SECONDS = 10.0
-"""Without a terminal, seconds between lines (an evaluation prints one in any case)."""
+"""Seconds between lines without a terminal; an evaluation always prints one."""
 
 
 def with_tracker(logger: str, listeners: Sequence[Listener]) -> list[Listener]:
@@ -114,7 +114,7 @@ class Notebook(Listener):
 
     def begun(self, run: Job) -> None:
         """Create the notebook element that shows the progress."""
-        # what has started the notebook; no dependency of ours
+        # IPython runs the notebook; it is not a dependency of ours.
         from IPython.display import HTML, display  # pyright: ignore[reportMissingImports]
 
         self._html = HTML

@@ -31,7 +31,7 @@ def check(config: CodesignConfig, given: Collection[str]) -> None:
 def run(config: CodesignConfig, given: Collection[str], console: Console) -> Path:
     """Run or resume a search, or only make its report; return its folder."""
     if config.report is not None:
-        keys = ("report", "export", "top", "output_dir")  # that a report follows from
+        keys = ("report", "export", "top", "output_dir")  # keys that a report depends on
         others = [key for key in given if key not in keys]
         if others:
             raise ConfigError(f"{listing(others)} cannot change a report: {listing(keys[1:])} may go with it.")
@@ -87,11 +87,11 @@ def _report(config: CodesignConfig, console: Console) -> Path:
         for row in archive.generations():
             if row["evaluated"] == row["designs"]:
                 results.draw(row["generation"], keep=False)
-        if not code_of(stored):  # code of the user's own, which a file does not bring
+        if not code_of(stored):  # a stored search does not bring the user's own code
             results.film(stored)
-        told = None
-        while told != summary["status"]:  # once more if the search ends meanwhile, with a page of its own
-            told = summary["status"]
+        written = None
+        while written != summary["status"]:  # again if the search ends meanwhile and writes its own page
+            written = summary["status"]
             results.report(summary)
             summary |= read_summary(source.folder)
         echo(console, shown(source.folder / REPORT))

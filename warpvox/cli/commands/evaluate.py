@@ -70,7 +70,7 @@ def run(config: EvaluateConfig, given: Collection[str], console: Console) -> Pat
     with new_folder(config.output_dir, "evaluate", place, config.name, to_yaml(config)) as folder:
         _print(judged, config, console)
 
-        # Where all episodes with a body are the same, more of them add no information.
+        # Equal episodes with a body add no information: say so.
         policies = [row for several in rows.values() for row in several]
         alike = [row for row in policies if not row.drawn and len(row.independent) < len(row.returns)]
         if alike and config.protocol == NOMINAL:
@@ -143,7 +143,7 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
 
 def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]], console: Console) -> None:
     """Print sections of rows; on a narrow console leave out label columns whose cells are all equal."""
-    # The columns that are shown
+    # Columns to show
     columns = list(zip(*(row for rows in sections for row in rows), strict=True))
     width = 0
     kept = []

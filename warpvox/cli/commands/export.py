@@ -29,7 +29,7 @@ def run(config: Any, given: Collection[str], console: Console) -> Path:
     pictures = [name for name in config.format if name in EXPORTS]
     programs = [name for name in config.format if name in POLICY_EXPORTS]
 
-    # What was recorded before
+    # A recorded rollout
     if config.rollout is not None:
         if config.zoo is not None:
             raise ConfigError("rollout exports what was recorded: zoo cannot be given with it.")
@@ -39,12 +39,12 @@ def run(config: Any, given: Collection[str], console: Console) -> Path:
 
         rollout = Rollout.load(config.rollout)
         source = config.rollout
-        config = dataclasses.replace(config, run="")  # the run that is named by default has no part in it
+        config = dataclasses.replace(config, run="")  # no run takes part
         return write_results(rollout, config, source, "export", pictures, console, keep=False)
 
-    # What a policy does
+    # A policy
     policy: Any = None
-    if programs:  # first: what is wrong with the policy should show before anything is simulated
+    if programs:  # first, so that errors of the policy show before anything is simulated
         with console.status("loading"):
             from warpvox.algos.training.loading import load_policy
 
@@ -58,7 +58,7 @@ def run(config: Any, given: Collection[str], console: Console) -> Path:
 
     # The task's name comes from a file that somebody else may have written: it must stay a name.
     place = as_name(str(policy.metadata.get("task", ""))) or "policy"
-    if config.run == "latest" and config.zoo is None:  # which is another one later
+    if config.run == "latest" and config.zoo is None:  # store the run's name, because `latest` changes
         config = dataclasses.replace(config, run=str(Path(policy.metadata["source"]).parent))
     with new_folder(config.output_dir, "export", place, config.name, to_yaml(config)) as folder:
         checks = _write_policy(policy, folder, programs, console)

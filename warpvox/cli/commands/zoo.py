@@ -82,19 +82,21 @@ def _print_one(path: Path, console: Console) -> None:
     about = robot.about
     limit = f" of at most {get_task(robot.task).max_episode_steps}" if robot.task in task_ids() else ""
 
-    # What acts
+    # Policy
     if robot.policy is None:
         policy = "none"
     elif robot.policy.spec.gait is not None:
         arrays = arrays_of(robot.policy)
-        parameters = sum(array.size for array in arrays.values()) - 1  # the first stage begins with the episode
+        parameters = (
+            sum(array.size for array in arrays.values()) - 1
+        )  # without the beginning of the first stage, which is always 0
         policy = f"gait, open loop: {parameters} parameters, {counted(len(arrays['begin']), 'stages')}"
     else:
         spec = robot.policy.spec
         sizes = [spec.num_obs, *spec.hidden, spec.num_actions]
         policy = f"{'-'.join(map(str, sizes))}, {spec.activation}"
 
-    # What it took
+    # Cost of training
     steps = about.get("control_steps")
     seconds = about.get("wall_s")
     training = "unknown" if steps is None else f"{steps:,} control steps"
