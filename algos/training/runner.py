@@ -315,19 +315,31 @@ class Runner(OnPolicyRunner):
                 deferred_interrupts() as interrupt,
             ):
                 while self.current_learning_iteration < end and not self._reached_goal():
-                    self._learn_once(end)
+                    # Run one iteration; if it diverges, report the rows before it.
+                    try:
+                        with self._own_torch():
+                            row = self._iterate(end)
+                    except DivergenceError:
+                        self._await_evaluation()
+                        self._report()
+                        if not self._reached_goal():
+                            raise
+                        continue
+                    self._rows.append((row, self.logger.means))
 
                     # Report, unless a thread still evaluates and may go on with that
                     done = self.current_learning_iteration
                     is_saved = done % self.schedule.save == 0 and done != end
-                    is_stopped = self.group.any(bool(interrupt))
-                    is_wanted = is_saved or is_stopped or done == end or self._is_due(done + 1, end)
+                    is_wanted = is_saved or done == end or self._is_due(done + 1, end)
                     if self._evaluation is None or is_wanted or self._evaluation.result.done():
                         self._await_evaluation()
                         self._report()
 
                     # Save as scheduled, or because somebody has asked to stop
+                    is_stopped = self.group.any(bool(interrupt))
                     if is_saved or is_stopped:
+                        self._await_evaluation()
+                        self._report()
                         self.save_all()
                     if is_stopped:
                         interrupt.raise_interrupt()
@@ -336,19 +348,6 @@ class Runner(OnPolicyRunner):
         finally:
             if self._metrics is not None:
                 self._metrics.close()
-
-    def _learn_once(self, end: int) -> None:
-        """Run one iteration and append its row to ``_rows``; if it diverges, report the earlier rows and raise."""
-        try:
-            with self._own_torch():
-                row = self._iterate(end)
-        except DivergenceError:
-            self._await_evaluation()
-            self._report()
-            if not self._reached_goal():
-                raise
-        else:
-            self._rows.append((row, self.logger.means))
 
     def _report(self) -> None:
         """Write the rows in ``_rows`` to the metrics, pass them to ``report``, and empty ``_rows``."""
@@ -422,7 +421,14 @@ class Runner(OnPolicyRunner):
         started = time.perf_counter()
 
         # Collect and learn; tensors and means that do not go into the row are in `logger`.
-        figures = self._learn_by_rsl_rl() if self._iteration is None else self._learn_on_device(self._iteration)
+        if self._iteration is None:
+            try:
+                super().learn(1)
+            except ActionError as error:
+                raise self._diverged(str(error)) from error
+            figures = self._figures_of_rsl_rl()
+        else:
+            figures = self._learn_on_device(self._iteration)
 
         # Exchange bodies
         if self.bodies is not None and self.bodies.refresh != "none":
@@ -445,12 +451,8 @@ class Runner(OnPolicyRunner):
         self.elapsed += time.perf_counter() - started
         return self._row(figures, seconds, evaluated)
 
-    def _learn_by_rsl_rl(self) -> dict[str, float]:
-        """Collect and learn with rsl-rl's runner; returns figures as :meth:`Iteration.read` does."""
-        try:
-            super().learn(1)
-        except ActionError as error:
-            raise self._diverged(str(error)) from error
+    def _figures_of_rsl_rl(self) -> dict[str, float]:
+        """Return the figures of the iteration that rsl-rl has made, under the names of :meth:`Iteration.read`."""
         learned = [value for group in self.alg.optimizer.param_groups for value in group["params"]]
         learned += self.alg.get_policy().buffers()
         deviations: Any = self.alg.get_policy().distribution
