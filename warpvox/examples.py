@@ -39,6 +39,6 @@ def bare_id(task: Any) -> Any:
 
 
 def design_for(task: Any, design: Any) -> Any:
-    """``design``; where that is ``auto``, the name of the example made for the task, ``walker`` if there is none."""
+    """Return ``design``; for ``auto``, the name of the task's example, or ``walker`` if it has none."""
     made = next((name for name, tasks in MADE_FOR.items() if task in tasks), "walker")
     return made if isinstance(design, str) and design == "auto" else design

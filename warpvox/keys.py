@@ -69,7 +69,7 @@ def key(
     form: str | None = None,
     nodes: Mapping[str, Any] | None = None,
 ) -> Any:
-    """A field that knows its meaning and valid values: ``low <= value <= high`` and ``value > above``.
+    """Return a dataclass field with a description and valid values: ``low <= value <= high`` and ``value > above``.
 
     Args:
         form: how a list of fixed length is written, such as ``[width,height]``.
@@ -85,7 +85,7 @@ def key(
 
 
 def renamed(given: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
-    """Arguments by the names that there are, in place of their :data:`SYNONYMS`. ConfigError: one is given twice."""
+    """Return arguments with :data:`SYNONYMS` replaced by the names in use. ConfigError: one is given twice."""
     found = {}
     for name, value in given.items():
         others = () if name in names else SYNONYMS.get(name, ())
@@ -99,7 +99,7 @@ def renamed(given: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
 def check_known(
     given: Mapping[str, Any], *functions: Callable[..., Any], without: Collection[str] = ()
 ) -> dict[str, Any]:
-    """Arguments by the names that one of ``functions`` has for them, see :func:`renamed`.
+    """Return arguments by the names that one of ``functions`` has for them, see :func:`renamed`.
 
     Args:
         functions: the one that was called, and those (or dataclasses) that get what it does not know; the last may
@@ -130,14 +130,14 @@ def check_known(
 
 @functools.lru_cache
 def _arguments(function: Callable[..., Any]) -> tuple[tuple[str, ...], bool]:
-    """The names of the arguments of a function, and whether it takes any others by name."""
+    """Return the names of a function's arguments, and whether it takes others by name."""
     found = inspect.signature(function).parameters.values()
     named = tuple(one.name for one in found if one.kind not in (one.VAR_KEYWORD, one.VAR_POSITIONAL))
     return named, any(one.kind is one.VAR_KEYWORD for one in found)
 
 
 def _hint(name: str, names: Collection[str]) -> str:
-    """A sentence about an unknown argument, a blank before it: the nearest of ``names``, or settings that have it."""
+    """Return `` `` and a sentence about an unknown argument: the nearest of ``names``, or settings that have it."""
     if name == "resume" and "folder" in names:
         return " A search goes on when it is called again with folder='...', its folder."
     if ELSEWHERE.get(name) in names:
@@ -150,7 +150,7 @@ def _hint(name: str, names: Collection[str]) -> str:
 
 
 def _places(name: str, whole: Any) -> Iterator[str]:
-    """How a setting of a part of the settings ``whole`` is given, for instance ``ppo=wv.Ppo(steps=...)``."""
+    """Yield how to give a setting of a part of the settings ``whole``, for instance ``ppo=wv.Ppo(steps=...)``."""
     for item in dataclasses.fields(whole) if dataclasses.is_dataclass(whole) else ():
         usual = type(item.default_factory()) if callable(item.default_factory) else None
         if usual is None or not issubclass(usual, Settings):
@@ -167,7 +167,7 @@ def _places(name: str, whole: Any) -> Iterator[str]:
 
 
 def _kinds(kind: type) -> list[type]:
-    """All classes that extend ``kind``."""
+    """Return all classes that extend ``kind``."""
     return [one for child in kind.__subclasses__() for one in (child, *_kinds(child))]
 
 
@@ -186,7 +186,7 @@ def in_words(function: _Function) -> _Function:
 
 
 class _OfInit:
-    """The signature of a class, in place of that of ``__call__`` of its class."""
+    """The signature of a class as that of ``__init__``, not that of ``__call__``."""
 
     def __get__(self, _: object, kind: type) -> inspect.Signature:
         return inspect.signature(functools.partial(kind.__init__, None))
@@ -203,7 +203,7 @@ class _Checked(ABCMeta):  # so that evaluations of a user's own may be abstract
 
 
 class Settings(metaclass=_Checked):
-    """A base of dataclasses whose arguments and values are checked when one is made.
+    """Base of dataclasses that check their arguments and values when an object is made.
 
     Raises:
         ConfigError: an unknown argument, or a value of the wrong type or out of range.
@@ -228,7 +228,7 @@ class Settings(metaclass=_Checked):
 
     @classmethod
     def of(cls, values: Mapping[str, Any], origin: object = "The stored configuration") -> Self:
-        """The settings that a stored configuration holds; other keys are left out.
+        """Return the settings from a stored configuration; keys that are no fields are ignored.
 
         Raises:
             ConfigError: values that are not valid; ``origin``, such as the file that they are from, is named.
@@ -245,13 +245,13 @@ class Settings(metaclass=_Checked):
 
 
 def check_values(config: Any, prefix: str = "") -> None:
-    """Check choices and ranges of a dataclass, but for its parts. ConfigError: the first value that is not valid."""
+    """Raise ConfigError unless all values of a dataclass are valid choices in range; nested parts are not checked."""
     for item in dataclasses.fields(config):
         _check_value(prefix + item.name, getattr(config, item.name), item.metadata)
 
 
 def _check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
-    """Check choices and range of a value, and of all entries of a list; None is valid."""
+    """Raise ConfigError unless a value, or each entry of a list, is a valid choice in range; None is valid."""
     form = limits.get("form")
     if form and value is not None and len(value) != form.count(",") + 1:
         raise ConfigError(f"{name} must be {form}, got {value}.")
@@ -274,7 +274,9 @@ def _check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
 
 
 def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> None:
-    """Give the values of a dataclass the types of its fields, but for ``without``: numpy's numbers, tuples, mappings.
+    """Convert the values of a dataclass to the types of its fields, except the fields ``without``.
+
+    Numpy's numbers, tuples and mappings are converted.
 
     ConfigError: a value of another type, or a part that has no field of a name.
     """
@@ -291,12 +293,12 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
 
 @functools.lru_cache
 def _hints(kind: type) -> dict[str, Any]:
-    """The types of the fields of a dataclass."""
+    """Return the types of the fields of a dataclass."""
     return get_type_hints(kind)
 
 
 def flat(values: Mapping[str, Any], whole: Collection[str] = (), prefix: str = "") -> dict[str, Any]:
-    """Nested values by their dotted keys; the value of a key in ``whole`` is one, also if it is a dictionary."""
+    """Return nested values by dotted keys; the values of keys in ``whole`` are kept even if they are dictionaries."""
     found = {}
     for name, value in values.items():
         key = prefix + name
@@ -305,7 +307,7 @@ def flat(values: Mapping[str, Any], whole: Collection[str] = (), prefix: str = "
 
 
 def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
-    """The part of a configuration that ``usual`` is with some of its values changed."""
+    """Return the settings ``usual`` with some of their ``values`` replaced; errors begin with ``name``."""
     for wrong in values:
         if not isinstance(wrong, str):
             raise ConfigError(f"{name} takes settings by name, got {wrong!r:.80}.")
@@ -319,7 +321,7 @@ def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
 
 
 def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
-    """``value`` in the type of a field: a number of numpy's as one of Python's, a tuple as a list.
+    """Return ``value`` in the type of a field: numpy's numbers as Python's, tuples as lists.
 
     ConfigError: it is of another type; ``name``: of the field, ``none``: how the user writes None.
     """
@@ -356,7 +358,9 @@ def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
 
 
 def plain(value: Any, name: str) -> Any:
-    """``value`` as lists, mappings, texts and numbers, in place of arrays, tuples, paths and what has a body.
+    """Return ``value`` as lists, mappings, strings and numbers, converted from arrays, tuples, paths and the like.
+
+    An object with a body is replaced by the body.
 
     ConfigError: it is or holds anything else.
     """

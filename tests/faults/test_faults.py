@@ -406,7 +406,7 @@ def test_a_search_that_could_not_make_its_archive_is_made_when_it_is_repeated(tm
         return wv.codesign(search=ToySearch(), evaluation=Judge(), **options).summary
 
     with monkeypatch.context() as patch:
-        patch.setattr(Archive, "_fill", refuse)
+        patch.setattr(Archive, "_create_tables", refuse)
         with pytest.raises(StorageError):
             search()
     assert search()["status"] == "done"
@@ -422,7 +422,7 @@ def test_a_search_that_could_not_begin_leaves_the_next_one_nothing_to_begin_with
     for name, corner in {"a": 1, "b": 2, "c": 4}.items():
         wv.save_design(tmp_path / f"{name}.json", np.array([[corner, 3, 3], [3, 0, 3], [3, 0, 3]]))
     with monkeypatch.context() as patch:
-        patch.setattr(Archive, "_fill", Mock(side_effect=sqlite3.OperationalError("database or disk is full")))
+        patch.setattr(Archive, "_create_tables", Mock(side_effect=sqlite3.OperationalError("database or disk is full")))
         with pytest.raises(StorageError):
             search(f"{tmp_path}/a.json", f"{tmp_path}/b.json")
     assert search(f"{tmp_path}/c.json")["status"] == "done"
