@@ -36,7 +36,7 @@ from warpvox.io.writing import atomic_path
 FILE = "archive.sqlite"
 """Name of the archive in a run's folder."""
 BACKUP = "archive.backup.sqlite"
-"""Name of what it was after the last whole generation."""
+"""Name of the copy that is made after each complete generation."""
 
 APPLICATION = 0x77766F78
 """SQLite's application id of our files: "wvox"."""
@@ -47,20 +47,20 @@ _KINDS = {
     "id": int, "generation": int, "body": str, "origin": str, "seed": int, "fitness": float, "steps": int,
     "stopped": int, "reused": int, "policy": str, "policy_sha256": str, "seconds": float,
 }  # fmt: skip
-"""Columns of a candidate that are read, and what they hold; those from ``fitness`` on may be missing."""
+"""Columns of a candidate that are read, and their types; from ``fitness`` on they may be NULL."""
 DIVERGED = 2
-"""In the column ``stopped``: there was no evaluation, and the fitness is the worst of all others until then."""
+"""Value of the column ``stopped`` if learning diverged before any evaluation; see :meth:`Archive.rank_diverged`."""
 
 
 @dataclass(frozen=True)
 class Record:
     """A row of the archive: a candidate and, once it is evaluated, its result.
 
-    ``fitness`` and what follows are None until then; ``reused`` is the id of the candidate with an equal body whose
-    evaluation this is; ``policy`` is a path relative to the archive's folder; ``seconds`` the wall time
-    since the batch that ended before its own: that of its batch, unless several are evaluated at a time.
-    ``diverged``: its learning gave no evaluation; when its generation is whole, its fitness is set to the worst of all
-    others so far (:meth:`Archive.rank_diverged`). ``folder`` is that of the archive.
+    ``fitness`` and the fields after it are None until then. ``reused`` is the id of the earlier candidate with an equal
+    body whose result was copied; ``policy`` is a path relative to the archive's folder; ``seconds`` the wall time since
+    the previous batch ended, which is that of its own batch unless several are evaluated at a time. ``diverged``:
+    learning gave no evaluation; once its generation is complete, ``fitness`` is set to the worst of all others so far
+    (:meth:`Archive.rank_diverged`). ``folder`` is that of the archive.
     """
 
     candidate: Candidate
@@ -78,12 +78,12 @@ class Record:
 
     @property
     def design(self) -> Design:
-        """The body."""
+        """Body of the candidate."""
         return self.candidate.body
 
     @property
     def policy_source(self) -> Path:
-        """The folder of its policy, a small run.
+        """The folder that holds this design's policy, laid out like a training run.
 
         Raises:
             RunError: none was kept.
@@ -94,18 +94,18 @@ class Record:
 
     @property
     def finished(self) -> bool:
-        """It has a result."""
+        """True once the candidate has a result."""
         return self.stopped is not None
 
     @property
     def id(self) -> int:
-        """Number of the candidate."""
+        """Number of the candidate in its experiment."""
         return self.candidate.id
 
 
 @dataclass(frozen=True)
 class Finished:
-    """A result to be stored; ``policy`` and ``policy_sha256`` as in :class:`Record`."""
+    """A result to store for the candidate ``id``; ``policy`` and ``policy_sha256`` as in :class:`Record`."""
 
     id: int
     outcome: Outcome
@@ -115,9 +115,9 @@ class Finished:
 
 
 class Archive(AbstractContextManager["Archive"]):
-    """Reads and writes the file of one experiment; a context manager that closes it.
+    """The SQLite file of one experiment, for reading and writing; a context manager that closes it.
 
-    Make one with :meth:`create`, :meth:`open` or :meth:`read`. Only one process at a time may write.
+    Open it with :meth:`create`, :meth:`open` or :meth:`read`. Only one process at a time may write.
     """
 
     def __init__(self, path: Path, db: sqlite3.Connection, lock: sqlite3.Connection | None) -> None:
@@ -127,7 +127,7 @@ class Archive(AbstractContextManager["Archive"]):
 
     @classmethod
     def create(cls, path: Path, settings: Mapping[str, Any]) -> Archive:
-        """A new archive at ``path`` for writing.
+        """Create an archive at ``path`` and open it for writing.
 
         Args:
             settings: all that the results follow from, as JSON can hold it.
@@ -142,14 +142,15 @@ class Archive(AbstractContextManager["Archive"]):
         lock = _lock_for_writing(path)
         try:
             with atomic_path(path, make_folders=False) as temporary:  # a killed process leaves no empty archive
-                cls._fill(temporary, settings)
+                cls._create_tables(temporary, settings)
             return cls(path, _connect(path, "rw"), lock)
         except (sqlite3.Error, StorageError) as error:
             lock.close()
             raise _write_error(path, error) from None
 
     @staticmethod
-    def _fill(path: Path, settings: Mapping[str, Any]) -> None:
+    def _create_tables(path: Path, settings: Mapping[str, Any]) -> None:
+        """Create the tables at ``path`` and store ``settings``, in one transaction."""
         with closing(_connect(path, "rwc")) as db, _transaction(db):
             for statement in _statements():
                 db.execute(statement)
@@ -161,7 +162,7 @@ class Archive(AbstractContextManager["Archive"]):
 
     @classmethod
     def open(cls, path: Path) -> Archive:
-        """The archive at ``path`` for writing.
+        """Open the archive at ``path`` for writing.
 
         Raises:
             RunError: no archive, a damaged or foreign one, or another process is writing it.
@@ -176,7 +177,7 @@ class Archive(AbstractContextManager["Archive"]):
 
     @classmethod
     def read(cls, path: Path) -> Archive:
-        """The archive at ``path`` for reading, also while another process is writing it.
+        """Open the archive at ``path`` for reading, also while another process is writing it.
 
         Raises:
             RunError: no archive, or a damaged or foreign one.
@@ -187,7 +188,7 @@ class Archive(AbstractContextManager["Archive"]):
         return cls(path, db, None)
 
     def close(self) -> None:
-        """Close the file; the object is of no use afterwards."""
+        """Close the file and release the lock for writing."""
         self._db.close()
         if self._lock is not None:
             self._lock.close()
@@ -265,6 +266,7 @@ class Archive(AbstractContextManager["Archive"]):
 
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
+        """Within the block, run a transaction for writing and convert SQLite's errors to ours."""
         if self._lock is None:
             raise RunError(f"The archive {self.path} was opened for reading.")
         try:
@@ -277,7 +279,7 @@ class Archive(AbstractContextManager["Archive"]):
             raise _write_error(self.path, error) from None
 
     def rank_diverged(self, generation: int) -> None:
-        """Set the fitness of a generation's diverged designs to the worst of all others until then.
+        """Set the fitness of a generation's diverged designs to the worst of all other designs so far.
 
         Searches need a finite number (a Gaussian process cannot learn from -inf), and one that follows from the
         archive alone, in whatever order the designs were trained.
@@ -294,7 +296,7 @@ class Archive(AbstractContextManager["Archive"]):
                 raise RunError(f"No design has a fitness yet that those of generation {generation} could be given.")
 
     def back_up(self) -> Path:
-        """Write a copy beside the archive, whole or not at all; returns its path.
+        """Write a copy beside the archive, whole or not at all; return its path.
 
         Raises:
             StorageError: it cannot be written.
@@ -309,7 +311,7 @@ class Archive(AbstractContextManager["Archive"]):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The settings that :meth:`create` was given."""
+        """Settings that :meth:`create` was given."""
         with self._reading():
             (text,) = self._db.execute("SELECT value FROM experiment WHERE key='settings'").fetchone()
             settings = json.loads(text)
@@ -318,12 +320,13 @@ class Archive(AbstractContextManager["Archive"]):
         return settings
 
     def _number(self, query: str) -> int:
+        """Return the single number that an SQL query gives."""
         with self._reading():
             return self._db.execute(query).fetchone()[0]
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Report values that we never write as damage, which SQLite's own check does not see."""
+        """Within the block, report values of a kind that we never write as damage: SQLite's own check accepts them."""
         try:
             yield
         except (sqlite3.Error, ValueError, TypeError) as error:
@@ -331,29 +334,29 @@ class Archive(AbstractContextManager["Archive"]):
             raise _unreadable(self.path, _access_problem(error) or f"is damaged ({error})") from None
 
     def count(self) -> int:
-        """Candidates so far, evaluated or not."""
+        """Return the number of candidates so far, evaluated or not."""
         return self._number("SELECT COUNT(*) FROM candidates")
 
     def trained(self) -> int:
-        """Designs that were trained: evaluations that are not those of an equal body."""
+        """Return the number of designs that were evaluated, without those that took the result of an equal body."""
         return self._number("SELECT COUNT(*) FROM candidates WHERE stopped IS NOT NULL AND reused IS NULL")
 
     def finalists(self) -> int:
-        """Finalists that were evaluated; :meth:`trained` counts them, too."""
+        """Return the number of finalists that were evaluated; :meth:`trained` counts them, too."""
         query = f"SELECT COUNT(*) FROM candidates WHERE stopped IS NOT NULL AND origin = '{FINALIST}'"
         return self._number(query)
 
     def generations(self) -> list[dict[str, Any]]:
-        """A row a generation: generation, designs, evaluated, best, mean, worst, steps."""
+        """Return a row for each generation: generation, designs, evaluated, best, mean, worst, steps."""
         with self._reading():
             return [dict(row) for row in self._db.execute("SELECT * FROM generations ORDER BY generation")]
 
     def records(self, generation: int | None = None) -> list[Record]:
-        """All candidates, or those of a generation, by id."""
+        """Return all candidates, or those of one generation, ordered by id."""
         return self._records("") if generation is None else self._records("WHERE generation = ?", generation)
 
     def record(self, number: int) -> Record:
-        """One candidate.
+        """Return the candidate with the id ``number``.
 
         Raises:
             RunError: there is none with this id.
@@ -364,7 +367,7 @@ class Archive(AbstractContextManager["Archive"]):
         return found[0]
 
     def best(self, count: int = 1, until: int | None = None, *, with_parents: bool = False) -> list[Record]:
-        """The designs of highest fitness (up to and including a generation), equal bodies once, ties to finalists.
+        """Return the ``count`` designs of highest fitness, each body once; among equals finalists come first.
 
         Those whose learning diverged before there was an evaluation are not among them.
 
@@ -388,7 +391,7 @@ class Archive(AbstractContextManager["Archive"]):
         return sorted(found, key=lambda one: (-(one.fitness or 0.0), one.candidate.origin != FINALIST, one.id))
 
     def lineage(self, number: int) -> list[Record]:
-        """A candidate and all that it descends from, by id."""
+        """Return a candidate and all its ancestors, ordered by id."""
         query = """WHERE id IN (
             WITH RECURSIVE line(id) AS (
                 VALUES (?) UNION SELECT parent FROM parents JOIN line ON parents.child = line.id)
@@ -396,7 +399,7 @@ class Archive(AbstractContextManager["Archive"]):
         return self._records(query, number)
 
     def _records(self, where: str, *values: object) -> list[Record]:
-        """The candidates that a condition of SQL chooses, by id."""
+        """Return the candidates that an SQL condition selects, ordered by id."""
         parents = defaultdict(list)
         curves = defaultdict(list)
         # One transaction, so that a writer cannot change the tables between the queries
@@ -418,7 +421,7 @@ class Archive(AbstractContextManager["Archive"]):
         return records
 
     def digest(self) -> str:
-        """SHA-256 of everything but dates and durations: equal for equal experiments."""
+        """Return the SHA-256 of everything but dates and durations: equal for equal experiments."""
         total = hashlib.sha256(json.dumps(self.settings, sort_keys=True).encode())
         for record in self.records():
             item = record.candidate
@@ -430,7 +433,7 @@ class Archive(AbstractContextManager["Archive"]):
 
 
 def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, float]]) -> Record:
-    """The record of a row of :data:`_KINDS`; ValueError where values are not of the kinds that are written.
+    """Make a record from a row of :data:`_KINDS`; ValueError if a value is not of a kind that we write.
 
     SQLite's columns take values of any kind, whatever their declaration says.
     """
@@ -465,7 +468,7 @@ def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, 
 
 
 def repair_hint(path: Path) -> str:
-    """How to restore an archive that is damaged or gone from its backup, as a sentence; empty if there is none."""
+    """Return a sentence on how to restore an archive from its backup; empty if there is no backup."""
     backup = path.with_name(BACKUP)
     if path == backup or not backup.is_file():
         return ""
@@ -476,12 +479,12 @@ def repair_hint(path: Path) -> str:
 
 
 def archives_in(folder: Path) -> list[Path]:
-    """The folders of all design searches in a folder, itself included, in order of their paths."""
+    """Return the folders of all design searches in ``folder``, itself included, ordered by path."""
     return sorted(path.parent for path in folder.rglob(FILE))
 
 
 def body_text(body: np.ndarray) -> str:
-    """A body as the archive stores it: JSON without blanks."""
+    """Return a body as the archive stores it: JSON without blanks."""
     return json.dumps(np.asarray(body).tolist(), separators=(",", ":"))
 
 
@@ -491,6 +494,7 @@ def _now() -> str:
 
 @contextmanager
 def _transaction(db: sqlite3.Connection, kind: str = "IMMEDIATE") -> Iterator[None]:
+    """Within the block, run a transaction, which is undone if the block raises."""
     db.execute(f"BEGIN {kind}")
     try:
         yield
@@ -502,7 +506,7 @@ def _transaction(db: sqlite3.Connection, kind: str = "IMMEDIATE") -> Iterator[No
 
 
 def _connect(path: Path, mode: str, wait: float = 30.0) -> sqlite3.Connection:
-    """Open a file.
+    """Open an SQLite file.
 
     Raises:
         sqlite3.Error: it cannot be opened, or a journal beside it says that it belongs to another one, as ours never
@@ -529,13 +533,13 @@ def _connect(path: Path, mode: str, wait: float = 30.0) -> sqlite3.Connection:
 
 
 def _check_interrupt(error: Exception) -> None:
-    """Raise KeyboardInterrupt if that is why a query has failed."""
+    """Raise KeyboardInterrupt if a query failed because of one."""
     if isinstance(error, sqlite3.OperationalError) and str(error) == "interrupted":
         raise KeyboardInterrupt from None
 
 
 def _lock_for_writing(path: Path) -> sqlite3.Connection:
-    """Write lock: an exclusive transaction on a separate file, which ends with the process that holds it.
+    """Take the lock for writing: an exclusive transaction on a separate file, which ends with this process.
 
     The folder's own lock does not hold on Windows, nor on NFS, which locks only what is open for writing (flock(2)).
     """
@@ -555,7 +559,7 @@ def _lock_for_writing(path: Path) -> sqlite3.Connection:
 
 
 def _write_error(path: Path, error: Exception) -> StorageError:
-    """Error for an archive, or its lock, that cannot be written; its content is unchanged."""
+    """Return the error for an archive, or its lock, that cannot be written; its content is unchanged."""
     reason = str(error).rstrip(".")
     cause = error if isinstance(error, OSError) else None
     if not path.parent.is_dir():
@@ -574,7 +578,7 @@ def _check_exists(path: Path) -> None:
 
 
 def _checked(path: Path) -> sqlite3.Connection:
-    """A connection to a file that is an archive and not damaged. RunError: it is not."""
+    """Open a file and check that it is an undamaged archive. RunError: it is not."""
     db = None
     try:
         # Writable also for reading: SQLite then undoes what a killed process has left half written.
@@ -600,7 +604,7 @@ def _unreadable(path: Path, reason: str) -> RunError:
 
 
 def _access_problem(error: Exception) -> str | None:
-    """Why an intact archive cannot be read: an unfinished transaction cannot be rolled back at present."""
+    """Return why an intact archive cannot be read at present (disk full, locked, read-only); None: not that."""
     text = str(error)
     unfinished = any(word in text for word in ("full", "I/O", "locked", "readonly"))
     if isinstance(error, sqlite3.OperationalError) and unfinished:
@@ -609,18 +613,18 @@ def _access_problem(error: Exception) -> str | None:
 
 
 def _without_comments(statement: str) -> str:
-    """A statement of SQL in one line."""
+    """Return an SQL statement in one line, without comments."""
     return " ".join(re.sub("--[^\n]*", "", statement).split())
 
 
 def _statements() -> list[str]:
-    """The statements that make the tables."""
+    """Return the SQL statements that create the tables."""
     text = Path(__file__).with_suffix(".sql").read_text(encoding="utf-8")
     return [statement for statement in text.split(";\n") if statement.strip()]
 
 
 def _format_problem(db: sqlite3.Connection, application: int, version: int) -> str | None:
-    """Why a file that can be opened is no whole archive, in words; None: it is one."""
+    """Return in words why a file that can be opened is not a complete archive; None: it is one."""
     # Whose it is
     if application != APPLICATION:
         return "is no archive of warpvox: an empty file, another program's, or a damaged one"

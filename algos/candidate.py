@@ -1,4 +1,4 @@
-"""Data types and protocols that design search, evaluation and archive share."""
+"""Data types and protocols that design searches, evaluations and the archive share."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from warpvox.design import Design
 from warpvox.errors import RunError
 
 FINALIST = "finalist"
-"""Origin of a candidate whose body is among the best of the search, and now is evaluated once more."""
+"""Origin of a candidate that evaluates one of the best bodies of a search once more, at its end."""
 START = "start"
-"""The origin of a candidate whose body was known before the search."""
+"""Origin of a candidate whose body was given to the search to start with."""
 Report = Callable[[dict[str, Any]], None] | None
 """Called with progress: ``iteration`` of ``iterations`` of training, control ``steps`` so far over all candidates, and
 lists by candidate: ``best`` deterministic return so far (NaN: none yet), whether it is still in ``training``."""
 
 
 def best_so_far(curve: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
-    """The best return by each point (control steps, return) of a candidate's curve: it never falls."""
+    """Return a candidate's curve (control steps, return) with each return replaced by the best one so far."""
     best = -math.inf
     points = []
     for steps, value in curve:
@@ -32,7 +32,7 @@ def best_so_far(curve: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
 
 
 def candidate_seed(seed: int, number: int) -> int:
-    """The seed of the training of candidate ``number`` in an experiment with ``seed``.
+    """Return the seed for training candidate ``number`` of an experiment with ``seed``.
 
     An integer of 63 bits, which torch, numpy and SQLite can all represent.
     """
@@ -43,9 +43,9 @@ def candidate_seed(seed: int, number: int) -> int:
 class Candidate:
     """A design to be evaluated.
 
-    ``id`` counts the candidates of an experiment from 0 in the order of their proposal; ``body`` is int8
-    ``[rows, columns]``; ``parents`` are the ids it descends from; ``origin`` says how it was made
-    (``random``, ``mutation``, ``crossover``, ``posterior``, ...).
+    ``id`` numbers the candidates of an experiment from 0 in the order of their proposal; ``body`` is int8
+    ``[rows, columns]``; ``parents`` are the ids of the candidates that it descends from; ``origin`` says how it was
+    made (``random``, ``mutation``, ``crossover``, ``posterior``, ...).
     """
 
     id: int
@@ -55,7 +55,8 @@ class Candidate:
     generation: int = 0
 
     def __post_init__(self) -> None:
-        # a search may draw them by numpy, whose integers SQLite takes for bytes
+        """Convert the ids and the generation to Python ints."""
+        # A search may draw ids with NumPy, and SQLite would store NumPy integers as bytes.
         plain = {"id": int(self.id), "parents": tuple(map(int, self.parents)), "generation": int(self.generation)}
         for name, value in plain.items():
             object.__setattr__(self, name, value)
@@ -82,12 +83,12 @@ class Outcome:
 
     @property
     def diverged(self) -> bool:
-        """Learning diverged before there was any evaluation: there is no fitness."""
+        """True if learning diverged before the first evaluation, so that there is no fitness."""
         return self.fitness == -math.inf
 
 
 def checked_outcomes(found: Any, count: int) -> list[Outcome]:
-    """The outcomes that an evaluator has returned for ``count`` candidates, as plain numbers.
+    """Return the outcomes that an evaluator gave for ``count`` candidates, with plain Python numbers.
 
     Raises:
         RunError: it is no list of so many outcomes, or one holds what cannot be stored.
@@ -97,8 +98,8 @@ def checked_outcomes(found: Any, count: int) -> list[Outcome]:
     if len(found) != count:
         raise RunError(f"The evaluator gave {len(found)} outcomes for {count} candidates.")
     checked = []
-    for place, one in enumerate(found):
-        where = f"Outcome {place} of the evaluator has"
+    for index, one in enumerate(found):
+        where = f"Outcome {index} of the evaluator has"
         fitness = _number(one.fitness)
         if fitness is None or math.isnan(fitness) or fitness == math.inf:
             raise RunError(f"{where} a fitness that is no finite number, nor -inf: {one.fitness!r:.60}.")
@@ -123,7 +124,7 @@ def checked_outcomes(found: Any, count: int) -> list[Outcome]:
 
 
 def _number(value: Any) -> float | None:
-    """A number, such as one of numpy's, as a float; None: it is none."""
+    """Convert a number, such as one of NumPy's, to float; None: it is not a number."""
     try:
         return float(value) if hasattr(value, "__float__") else None
     except (TypeError, ValueError, OverflowError, RuntimeError):  # of several numbers
@@ -131,7 +132,7 @@ def _number(value: Any) -> float | None:
 
 
 def _steps(value: Any) -> int | None:
-    """A count of steps that SQLite can hold; None: it is none."""
+    """Convert a count of control steps to an int that SQLite can hold; None: it is not a valid count."""
     number = _number(value)
     return int(value) if number is not None and 0 <= number < 2**63 and number.is_integer() else None
 
@@ -146,18 +147,18 @@ class Parent:
 
 
 Parents = Mapping[int, Parent]
-"""By their ids."""
+"""Evaluated parents by their ids."""
 
 
 class Search(Protocol):
-    """Proposes designs and learns from their fitness; never simulates. Same seed and same fitness: same proposals."""
+    """Proposes designs and learns from their fitness; never simulates. Proposals depend on seed and fitness alone."""
 
     def ask(self) -> list[Candidate]:
-        """The next generation; empty when the search has spent its evaluations. To be followed by :meth:`tell`."""
+        """Return the next generation, empty when the evaluations are spent; :meth:`tell` must follow."""
         ...
 
     def tell(self, fitness: Sequence[float]) -> None:
-        """The fitness of the candidates asked for last, in their order."""
+        """Learn from the fitness of the candidates asked for last, in the same order."""
 
     def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
         """Restore the state after these generations, in order.
@@ -170,7 +171,7 @@ class DesignEvaluator(Protocol):
     """Finds the fitness of designs, by training a policy for each of them or in another way."""
 
     def evaluate(self, candidates: Sequence[Candidate], parents: Parents, report: Report = None) -> list[Outcome]:
-        """Outcomes in the order of the candidates.
+        """Evaluate ``candidates`` and return their outcomes in the same order.
 
         The same candidates with the same seed of the experiment give the same bits on the same machine. Among other
         candidates an outcome is the same up to rounding, unless successive halving makes them compete.

@@ -1,4 +1,4 @@
-"""Disturbed episodes: what a policy is worth when actions, beginnings and sensors are not quite as it expects."""
+"""Disturbed episodes: noise on actions and sensors, repeated actions, random starts."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -15,17 +15,18 @@ from warpvox.simulation import checked_actions
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 JUDGED, SEARCHED = 0xFA1F, 0x5EED
-"""Streams of random numbers: no seed makes the disturbances of a search those of a judgement."""
+"""Streams of random numbers: with no seed do evaluations draw the same disturbances as searches."""
 NOISE, STICKY, START, SENSORS, LENGTH = range(5)
-"""Purposes of random numbers, a stream each."""
+"""Purposes of random numbers, each with numbers of its own."""
 
 
 class Draws:
-    """Random numbers of disturbed episodes, functions of the seed, the copy, the control step and the purpose.
+    """Random numbers of disturbed episodes, which depend only on seed, stream, copy, control step and purpose.
 
     Args:
-        seed: with the stream, :data:`JUDGED` or :data:`SEARCHED`.
-        copies: episodes with numbers of their own; whatever is compared meets the same ones.
+        seed: of the numbers.
+        stream: :data:`JUDGED` or :data:`SEARCHED`, which have different numbers for the same seed.
+        copies: number of episodes with different numbers; all policies that are compared get the same numbers.
         device: of the numbers.
     """
 
@@ -33,13 +34,13 @@ class Draws:
         self.stream = RandomStream(cast(Any, [(stream, seed)]), copies, device)
 
     def uniform(self, purpose: int, step: int, count: int) -> torch.Tensor:
-        """float64 ``[copies, count]`` in [0, 1)."""
+        """Return uniform numbers in [0, 1), float64 ``[copies, count]``."""
         # An episode has fewer than 2**20 control steps.
         self.stream.episode.fill_(purpose * 2**20 + step)
         return self.stream.rewind().integers(0, 2**53, count).double() / 2**53
 
     def normal(self, purpose: int, step: int, count: int) -> torch.Tensor:
-        """float64 ``[copies, count]``, standard normal (Box and Muller)."""
+        """Return standard normal numbers, float64 ``[copies, count]`` (Box and Muller)."""
         first, second = self.uniform(purpose, step, 2 * count).unflatten(1, (count, 2)).unbind(2)
         values = torch.sqrt(-2.0 * torch.log(1.0 - first)) * torch.cos(2.0 * math.pi * second)
         # Multiples of 2**-20: machines whose logarithms differ in the last bit agree.
@@ -47,7 +48,7 @@ class Draws:
 
 
 def with_noise(actions: torch.Tensor, draws: Draws, step: int, deviation: Any) -> torch.Tensor:
-    """Actions ``[n * copies, num_actions]`` with noise: row r has that of copy ``r % copies``.
+    """Return ``actions`` ``[n * copies, num_actions]`` with noise; row r gets that of copy ``r % copies``.
 
     ``deviation``: a number or ``[n * copies, 1]``.
     """
@@ -57,7 +58,7 @@ def with_noise(actions: torch.Tensor, draws: Draws, step: int, deviation: Any) -
 
 
 class Disturbed:
-    """A policy in disturbed environments: for every design a block of episodes of each disturbance in turn.
+    """Policy in disturbed environments; each design has a block of episodes for each disturbance.
 
     Args:
         policy: observations to actions, as :func:`warpvox.algos.evaluate.evaluate` takes it.
@@ -87,7 +88,7 @@ class Disturbed:
         self.noise = strength("noise").double()
         self.sticky = strength("sticky").double()
 
-        # Noise on observations, but for padding and what is known: which cells a body has
+        # Noise on observations, except padding and the types and neighbours of cells
         sensed = env.obs_mask[env.design_index].double()
         for grid in env.voxels.values():
             grid.cells(sensed)[..., FEATURES["type"].start :] = 0.0
@@ -98,9 +99,9 @@ class Disturbed:
         lengths = self._each(self.draws.uniform(LENGTH, 0, 1))
         self.random_steps = torch.where(most > 0, 1 + (lengths * most).long(), 0)
 
-        # The highest action of policies is that of float32, which lies above 1.6: it is disturbed as it is.
+        # Upper limit 1.6 in float32, which lies above 1.6: the highest actions of policies are not clamped.
         self.highest = float(np.float32(ACTION_HIGH))
-        # Known beforehand: a step does not wait for the device.
+        # Computed once, so that a step does not wait for the device
         self.most = {}
         for name in vars(self.kinds[0]):
             self.most[name] = max(getattr(kind, name) for kind in self.kinds)
@@ -113,11 +114,11 @@ class Disturbed:
             self.policy.reset()
 
     def _each(self, numbers: torch.Tensor) -> torch.Tensor:
-        """The numbers of the copies, by environment."""
+        """Repeat the numbers of the copies for all environments."""
         return numbers.repeat(len(self.kinds) // len(numbers), 1)
 
     def __call__(self, obs: torch.Tensor) -> torch.Tensor:
-        """Actions ``[num_envs, num_actions]`` for observations ``[num_envs, num_obs]``."""
+        """Return disturbed actions ``[num_envs, num_actions]`` for observations ``[num_envs, num_obs]``."""
         draws = self.draws
         step = self.step
 
@@ -128,7 +129,7 @@ class Disturbed:
 
         # The policy's actions
         actions = checked_actions(self.policy(obs), self.shape, str(obs.device))
-        actions = actions.clamp(ACTION_LOW, self.highest)  # beyond the range noise would be lost
+        actions = actions.clamp(ACTION_LOW, self.highest)  # outside the range noise would be cut off
 
         # Random actions, those of the step before, and noise
         if step < self.most["start"]:
@@ -146,7 +147,7 @@ class Disturbed:
 
 
 def as_judged(policy: Any, env: VoxelVecEnv, seed: int | Sequence[int] | None, fitness: str) -> Any:
-    """A policy as a search or a training with this ``fitness`` judges it; ``seed``: of its episodes."""
+    """Return ``policy`` as ``fitness`` evaluates it: unchanged, or with noise on the actions drawn from ``seed``."""
     if fitness == NOMINAL:
         return policy
     first = seed[0] if isinstance(seed, Sequence) else seed

@@ -1,4 +1,4 @@
-"""Makes the environments of a design search: a task and how it is simulated."""
+"""Factory of the environments of a design search: a task and simulation options."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CPU = SimOptions(device="cpu")
 
 @dataclass(frozen=True)
 class EnvFactory:
-    """A task and how it is simulated; the arguments are those of :func:`warpvox.envs.vec_env.make_vec`.
+    """Makes environments for a task; the arguments are those of :func:`warpvox.envs.vec_env.make_vec`.
 
     ``device="auto"`` is a GPU where there is one: all environments of a training are on one device, however many.
     ``fitness``: of the episodes that designs are judged by, see :mod:`warpvox.algos.protocols`.
@@ -31,21 +31,22 @@ class EnvFactory:
     fitness: str = NOMINAL
 
     def __post_init__(self) -> None:
+        """Replace the device ``auto`` by a GPU if there is one, else by the CPU."""
         if self.sim.device == "auto":
             object.__setattr__(self, "sim", replace(self.sim, device=resolve_device(self.sim.device)))
 
     def computed(self, **changes: Any) -> EnvFactory:
-        """A copy that simulates in another way: ``changes`` of ``sim``."""
+        """Return a copy with other simulation options: ``changes`` of ``sim``."""
         return replace(self, sim=replace(self.sim, **changes))
 
     def episodes(self, given: int | None) -> int:
-        """Episodes that a design is judged by, if ``given`` are asked for."""
+        """Return the number of evaluation episodes of a design: ``given``, or the default of ``fitness``."""
         return episodes_of(given, self.fitness)
 
     def make(
         self, bodies: Sequence[Design], envs: int, seeds: Sequence[int], auto_reset: bool, shared: bool = False
     ) -> VoxelVecEnv:
-        """``envs`` environments of each body; random tasks draw as if each body were alone with its seed.
+        """Make ``envs`` environments of each body; random tasks draw as if each body were alone with its seed.
 
         With ``shared`` different bodies share packs, which few environments of one body would not fill.
         """
@@ -65,7 +66,7 @@ class EnvFactory:
         )
 
     def shared_lanes(self, envs: int) -> int:
-        """Lanes of a pack with ``envs`` environments of a design, whatever designs are simulated with it.
+        """Return the lanes of a pack with ``envs`` environments per design, whatever the designs are.
 
         In fast arithmetic different bodies share packs, in exact arithmetic they do not.
         """

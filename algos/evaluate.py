@@ -1,4 +1,4 @@
-"""Deterministic evaluation: whole episodes without exploration, for training, play and design search."""
+"""Deterministic evaluation of policies in whole episodes without exploration."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ Policy = Callable[[torch.Tensor], torch.Tensor]
 
 @dataclass(frozen=True)
 class EpisodeReturns:
-    """One episode of every environment, on the CPU.
+    """Results of one episode in every environment, on the CPU.
 
     ``returns`` float64, ``lengths`` (control steps) and ``design_index`` long: all ``[num_envs]``.
     """
@@ -27,12 +27,12 @@ class EpisodeReturns:
 
     @property
     def mean_return(self) -> float:
-        """Over all episodes."""
+        """Mean return over all episodes."""
         return float(self.returns.mean())
 
     @property
     def fitness(self) -> torch.Tensor:
-        """float64 ``[num_designs]``: the mean return of each design, what a design search maximises."""
+        """Mean return of each design, float64 ``[num_designs]``, which a design search maximises."""
         return torch.bincount(self.design_index, self.returns) / torch.bincount(self.design_index)
 
 
@@ -41,7 +41,7 @@ Evaluator = Callable[[Policy], EpisodeReturns]
 
 
 def evaluate(env: VoxelVecEnv, policy: Policy, seed: int | Sequence[int] | None = None) -> EpisodeReturns:
-    """Run one episode in every environment of ``env`` from its beginning.
+    """Run one episode in every environment of ``env`` and return the returns.
 
     Args:
         env: made with ``auto_reset=False``: an environment that has ended waits for the others.
@@ -69,7 +69,7 @@ def evaluate(env: VoxelVecEnv, policy: Policy, seed: int | Sequence[int] | None 
 
 
 def evaluator(env: VoxelVecEnv, seed: int | Sequence[int] | None = None, fitness: str = NOMINAL) -> Evaluator:
-    """An :class:`Evaluator` that uses ``env`` over and over; with ``seed`` for the same episodes.
+    """Return an :class:`Evaluator` that uses ``env`` repeatedly; with ``seed``, always in the same episodes.
 
     ``fitness``: nominal, or robust: the episodes of each design are disturbed copies.
     """

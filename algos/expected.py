@@ -1,4 +1,4 @@
-"""Comparison of what a file holds with what is to go on from it: names, types, shapes, finite numbers."""
+"""Checks of a file's content before it is used: names, types, shapes, finite numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from warpvox.errors import RunError
 
 @dataclass(frozen=True)
 class AnyTensor:
-    """Stands for tensors of a type; ``shape`` has None where any length will do."""
+    """Stands for any tensor of this type and shape; None in ``shape`` allows any length."""
 
     dtype: torch.dtype
     shape: tuple[int | None, ...]
@@ -23,7 +23,7 @@ class AnyTensor:
 
 
 def check_like(found: Any, like: Any, name: str = "") -> None:
-    """Raise RunError unless ``found``, from a file, can take the place of ``like``.
+    """Raise RunError unless ``found``, read from a file, has the types and shapes of ``like``.
 
     Args:
         like: a tensor, for one of its type and shape with finite numbers; an :class:`AnyTensor`; a type, for a value
@@ -65,6 +65,7 @@ def check_like(found: Any, like: Any, name: str = "") -> None:
 
 
 def _misfit(name: str, wanted: object, found: object) -> RunError:
+    """Return the error for an entry that has another type or shape than wanted."""
     got = f"{found!r:.60}"
     if isinstance(found, torch.Tensor):
         got = f"{str(found.dtype).removeprefix('torch.')} {list(found.shape)}"
@@ -72,7 +73,7 @@ def _misfit(name: str, wanted: object, found: object) -> RunError:
 
 
 def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> dict[str, Any]:
-    """The argument of ``optimizer.load_state_dict``: moments and learning rates of a file, all else as configured.
+    """Return an argument for ``optimizer.load_state_dict`` with a file's moments and learning rates, checked.
 
     torch neither compares moments with the parameters nor looks at their strides, and goes on in them beyond their
     ends: what is returned are copies with all numbers in order.
@@ -92,7 +93,7 @@ def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> 
             raise _misfit(f"{name}.lr", "a number from 0", rate)
         group["lr"] = rate
 
-    # The state of a parameter with two numbers after a step of such an optimiser
+    # Example: the optimiser's state after a step of a parameter with two numbers
     tried = nn.Parameter(torch.zeros(2))
     tried.grad = torch.zeros(2)
     known = inspect.signature(type(optimizer)).parameters.keys() - {"params"}
@@ -107,7 +108,11 @@ def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> 
         place = f"{name}.state.{number!s:.20}"
         if type(number) is not int or not 0 <= number < len(parameters):
             raise RunError(f"Its {place!r} belongs to none of the {len(parameters)} parameters.")
-        check_like(entry, {key: _of(entry, key, value, parameters[number]) for key, value in moments.items()}, place)
+        check_like(
+            entry,
+            {key: _expected_moment(entry, key, value, parameters[number]) for key, value in moments.items()},
+            place,
+        )
 
     # Copies
     state: dict[int, dict[str, Any]] = {}
@@ -119,13 +124,13 @@ def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> 
     return {"state": state, "param_groups": groups}
 
 
-def _of(entry: Any, key: str, moment: Any, parameter: torch.Tensor) -> Any:
-    """Stand-in for the moment ``key`` in the ``entry`` of a parameter, from that of a parameter of two numbers."""
+def _expected_moment(entry: Any, key: str, moment: Any, parameter: torch.Tensor) -> Any:
+    """Return what ``check_like`` must compare the entry ``key`` with, for this parameter."""
     if not isinstance(moment, torch.Tensor):
         return None if moment is None else type(moment)
     if moment.shape == (2,):
         return AnyTensor(parameter.dtype, tuple(parameter.shape))
-    # torch counts steps in its default precision, which may have been another one
+    # torch counts steps in its default precision, which may have been different when the file was written.
     given = entry.get(key) if isinstance(entry, Mapping) else None
     dtype = moment.dtype
     if isinstance(given, torch.Tensor) and given.dtype in (torch.float32, torch.float64):
@@ -134,7 +139,7 @@ def _of(entry: Any, key: str, moment: Any, parameter: torch.Tensor) -> Any:
 
 
 def check_plain(content: Any) -> None:
-    """Raise ValueError unless all tensors in dictionaries and lists are plain ones that have all their numbers."""
+    """Raise ValueError unless all tensors in nested dictionaries and lists are plain, with all numbers stored."""
     waiting: list[Any] = [content]
     seen: set[int] = set()  # a file may have lists that contain themselves
     while waiting:
@@ -146,7 +151,9 @@ def check_plain(content: Any) -> None:
             plain = type(one) in (torch.Tensor, nn.Parameter) and one.layout == torch.strided
             if not plain or one.is_meta or one.is_quantized or one.is_conj() or one.is_neg():
                 raise ValueError("a tensor is not a plain one")
-            if one.numel() * one.element_size() > one.untyped_storage().nbytes():  # one number can pose as a million
+            if (
+                one.numel() * one.element_size() > one.untyped_storage().nbytes()
+            ):  # a view can repeat one number a million times
                 raise ValueError("a tensor is a view that repeats its numbers")
         elif isinstance(one, Mapping):
             waiting.extend(one.values())

@@ -1,4 +1,4 @@
-"""Runs and design searches by what people call them: ``latest``, a folder, a checkpoint, a pattern, ``zoo:TASK``."""
+"""Finding of runs and design searches by name: ``latest``, a folder, a checkpoint, a pattern, ``zoo:TASK``."""
 
 import glob
 import os
@@ -16,11 +16,11 @@ NEEDED = {
     "train": ("a training", {"task", "design", "ppo"}),
     CODESIGN: ("a design search", {"task", "search", "training"}),
 }
-"""Kind of run that a command makes, and keys of its configuration."""
+"""Kind of run that each command makes, and keys that its configuration must have."""
 
 
 def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, CODESIGN), resume: bool = False) -> Run:
-    """The run that ``text`` names: ``latest``, a folder, a checkpoint file in one, or a robot, ``zoo:Walker-v0``.
+    """Return the run that ``text`` names: ``latest``, a folder, a checkpoint file in it, or ``zoo:TASK``.
 
     A design search stands for its best design; the folders ``designs/<id>`` in it are runs of their own.
 
@@ -45,14 +45,14 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
 
 
 def run_of_robot(robot: Robot) -> Run:
-    """The run that stands for a stored robot."""
+    """Return a run that stands for a stored robot."""
     policy = "mlp" if robot.has_feedback else "gait"
     known = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "obs": robot.obs}
     return Run(Path(robot.source or f"{ZOO}{robot.task}"), known | {"policy": policy}, robot=robot)
 
 
 def _folder_of(path: Path) -> Path:
-    """The folder of a run that is named by itself or by a file in it."""
+    """Return the run's folder that ``path`` is or lies in."""
     if path.is_dir():
         return path
     if not (path.parent / CONFIG).is_file():
@@ -61,9 +61,9 @@ def _folder_of(path: Path) -> Path:
 
 
 def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
-    """The runs that ``texts`` name, each once: as for :func:`find_run`, or patterns of folders or checkpoints.
+    """Return the runs that ``texts`` name as for :func:`find_run` or by patterns, each once.
 
-    What a pattern (``outputs/train/*/*``) matches and is neither is left out.
+    Other files and folders that a pattern such as ``outputs/train/*/*`` matches are ignored.
     """
     found: dict[tuple[Path, Path | None], Run] = {}
     for text in texts:
@@ -86,7 +86,7 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
 
 
 def matches(text: str) -> list[Path] | None:
-    """Paths that match a pattern; None: ``text`` is the name of one."""
+    """Return the paths that match a pattern; None: ``text`` is not a pattern."""
     pattern = os.path.expanduser(text)
     if not any(mark in text for mark in "*?[") or Path(pattern).exists():
         return None
@@ -94,7 +94,7 @@ def matches(text: str) -> list[Path] | None:
 
 
 def find_codesign(text: str, output_dir: str) -> Run:
-    """The design search that ``text`` names: ``latest`` or a folder."""
+    """Return the design search that ``text`` names: ``latest`` or a folder."""
     path = _latest(Path(output_dir), (CODESIGN,)) if text == "latest" else Path(text).expanduser()
     if not path.exists():
         raise RunError(f"There is no design search at {path}: expected latest or the folder of one.")
@@ -108,7 +108,7 @@ def find_codesign(text: str, output_dir: str) -> Run:
 
 
 def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
-    """The folders of the design searches that ``texts`` name, each once; none if they name anything else.
+    """Return the folders of the design searches that ``texts`` name, each once; empty if they name other runs.
 
     A text is ``latest``, the folder of a search, one that searches lie in, or a pattern of such.
     """
@@ -126,6 +126,7 @@ def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
 
 
 def _config_of(folder: Path, command: str) -> dict[str, Any]:
+    """Read a run's configuration, and raise RunError unless it is one of ``command``."""
     if not (folder / CONFIG).is_file():
         raise RunError(f"{folder} is not a run: it has no {CONFIG}.")
     content = read_config(folder)
@@ -138,9 +139,10 @@ def _config_of(folder: Path, command: str) -> dict[str, Any]:
 
 
 def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
+    """Return the folder of the newest run of these commands in ``root``."""
     folders = []
     for command in commands:
-        # What shows that a run has begun
+        # Files that show that a run has begun
         signs = ["model_*.pt", *[STATE] * resume]
         if command == CODESIGN:
             signs = [ARCHIVE, BACKUP]
@@ -149,5 +151,5 @@ def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
                 folders.append(file.parent)
     if not folders:
         raise RunError(f"There is no run in {root / commands[0]} yet.")
-    # names begin with the date and time of the start; what started within one second differs by its first file
+    # Names begin with date and time of the start; runs of the same second are sorted by the time of their first file.
     return max(folders, key=lambda folder: (folder.name[:STAMP_LENGTH], (folder / CONFIG).stat().st_mtime_ns))

@@ -1,4 +1,4 @@
-"""Random numbers of one training, which nothing else in the process draws from."""
+"""Random number generators of one training, separate from all others in the process."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _DRAWING = frozenset({
 
 
 class Generators(TorchFunctionMode):
-    """Generators of a training, one for each kind of device, which give what torch's own would give after a seed.
+    """Random generators of a training, one per kind of device; they give the same numbers as torch's after a seed.
 
-    As a context, what this thread draws by torch comes from them; other threads neither notice nor change it. That
-    makes each call of torch slower: it is for the making of networks, not for every step.
+    As a context manager, it makes all random numbers that this thread draws by torch come from these generators; other
+    threads are not affected. It slows down each call of torch: use it to make networks, not in every step.
 
     Args:
         seed: of the generators; None: they go on from where torch's own are.
@@ -41,36 +41,37 @@ class Generators(TorchFunctionMode):
                 generator.set_state(torch.get_rng_state() if kind == "cpu" else torch.cuda.get_rng_state(device))
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        """Call a function of torch; if it draws random numbers, pass it one of these generators."""
         kwargs = kwargs or {}
         if getattr(func, "__name__", "") in _DRAWING and kwargs.get("generator") is None:
             first = args[0] if args else None
             # torch 2.7 cannot be asked for its default device once that was set to None.
             device = kwargs.get("device") or torch.empty(0).device
             device = torch.device(first.device if isinstance(first, torch.Tensor) else device)
-            if device.type != "meta":  # where tensors have no numbers
+            if device.type != "meta":  # meta tensors have no values
                 kwargs = {**kwargs, "generator": self.on(device)}
         return func(*args, **kwargs)
 
     def on(self, device: str | torch.device) -> torch.Generator:
-        """The generator of a device."""
+        """Return the generator of a device."""
         return self._generators[torch.device(device).type]
 
     @property
     def seed(self) -> int:
-        """The seed that the generators began with."""
+        """Seed that the generators started with."""
         return self.on("cpu").initial_seed()
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Where the generators are, by kind of device, for :meth:`set_state`."""
+        """Return the state of each generator by kind of device, for :meth:`set_state`."""
         return {kind: generator.get_state() for kind, generator in self._generators.items()}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Go on from :meth:`state`; a kind of device that it lacks stays as it is. RunError: it is none."""
+        """Restore what :meth:`state` returned; missing kinds of devices are left unchanged. RunError: not valid."""
         like = {kind: AnyTensor(torch.uint8, (None,)) for kind in {"cpu", *state}}
         check_like(state, like, "random")
 
-        # Byte 8 is the start of how many numbers are left, int32, byte 16 of the next one's place, uint64. Torch checks
-        # each alone, and together they can lead beyond the end of the numbers.
+        # Byte 8 starts the count of numbers left, int32; byte 16 the index of the next one, uint64. torch checks each
+        # alone, but together they can point beyond the end of the numbers.
         if len(state["cpu"]) >= 24:
             left = int(state["cpu"][8:12].cpu().view(torch.int32))
             place = int(state["cpu"][16:24].cpu().view(torch.int64))

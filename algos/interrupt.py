@@ -1,4 +1,4 @@
-"""Interrupts that wait until a good moment."""
+"""Interrupts that are deferred to a good moment."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from warpvox.system import HANGUP, stop_signals
 
 
 class Terminated(KeyboardInterrupt):
-    """A request to end: treated as Ctrl-C is.
+    """KeyboardInterrupt for a signal that asks the process to end; it is handled like Ctrl-C.
 
     SIGTERM, as schedulers of clusters send it before they kill; SIGHUP, when the window or connection is closed.
     ``number`` is the signal's.
@@ -24,22 +24,23 @@ class Terminated(KeyboardInterrupt):
 
 
 class Interrupt:
-    """True once Ctrl-C or a request to end has arrived; ``number`` is the signal."""
+    """Flag that is true once Ctrl-C or a request to end has arrived; ``number`` is the signal."""
 
     def __init__(self) -> None:
         self.number: int | None = None
 
     def __bool__(self) -> bool:
+        """Return True once an interrupt has arrived."""
         return self.number is not None
 
-    def stop(self) -> NoReturn:
-        """Raise KeyboardInterrupt, or Terminated where it was a request to end."""
+    def raise_interrupt(self) -> NoReturn:
+        """Raise KeyboardInterrupt, or Terminated if the signal was a request to end."""
         raise KeyboardInterrupt if self.number in (None, signal.SIGINT) else Terminated(self.number)
 
 
 @contextmanager
 def deferred_interrupts() -> Iterator[Interrupt]:
-    """Within the block the first interrupt only sets the flag; the second raises KeyboardInterrupt at once.
+    """Within the block, let the first interrupt only set the yielded flag; the second raises KeyboardInterrupt.
 
     SIGHUP is never the first or second of two: a terminal that closes sends it more than once, from the shell and from
     the kernel, and nobody is there who could mean by it that things should be left as they are.
@@ -54,7 +55,7 @@ def deferred_interrupts() -> Iterator[Interrupt]:
         if interrupt.number in (None, HANGUP) or again:
             interrupt.number = number
         if again:
-            interrupt.stop()
+            interrupt.raise_interrupt()
 
     with _handling((signal.SIGINT, *stop_signals()), on_signal):
         yield interrupt
@@ -62,7 +63,7 @@ def deferred_interrupts() -> Iterator[Interrupt]:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Within the block, or the decorated function, interrupts wait; the first is raised at its end.
+    """Within the block or the decorated function, defer interrupts; the first one is raised at its end.
 
     For code of libraries whose own clean-up fails when it is interrupted, and which is done within a second.
     """
@@ -71,12 +72,12 @@ def uninterrupted() -> Iterator[None]:
             yield
         finally:
             if interrupt:
-                interrupt.stop()
+                interrupt.raise_interrupt()
 
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """Within the block a request to end raises Terminated, so that nothing is left half done; as Ctrl-C does anyway."""
+    """Within the block, raise Terminated on a request to end, so that clean-up runs as it does on Ctrl-C."""
 
     def on_signal(number: int, frame: object) -> None:
         raise Terminated(number)
@@ -87,7 +88,7 @@ def terminable() -> Iterator[None]:
 
 @contextmanager
 def _handling(numbers: Sequence[int | None], handler: Callable[[int, Any], object] | signal.Handlers) -> Iterator[None]:
-    """Within the block ``handler`` gets these signals, but those that are ignored; None: one that this system lacks.
+    """Within the block, handle ``numbers`` by ``handler``, except signals that are ignored; None: not on this system.
 
     Outside the main thread, where signals do not arrive, nothing is changed.
     """

@@ -11,36 +11,36 @@ from warpvox.algos.candidate import Candidate
 
 
 class Listener:
-    """Callbacks of a training or a design search; the methods of this class do nothing."""
+    """Base class of callbacks of a training or design search; its methods do nothing."""
 
     def preparing(self, what: str) -> AbstractContextManager[object]:
-        """Enter the block in which ``what`` is done before a training begins."""
+        """Return a context that is entered while ``what`` is done before a training begins."""
         return nullcontext()
 
     def begun(self, run: Any) -> None:
-        """It begins, or goes on; everything has been checked and made.
+        """Called when the training or search begins or resumes; everything has been checked.
 
         ``run``: of a training a :class:`warpvox.algos.training.job.Job`, of a search a
         :class:`warpvox.algos.codesign.run.SearchRun`.
         """
 
     def ended(self, summary: Mapping[str, Any]) -> None:
-        """It has ended, one way or another; ``summary`` is what ``summary.json`` says.
+        """Called when the training or search has ended or failed; ``summary`` is the content of ``summary.json``.
 
         It is empty before the first iteration of a training, and if that of a search could not be written.
         """
 
     def iterated(self, row: Mapping[str, float]) -> None:
-        """An iteration of a training is complete; ``row``: of ``metrics.csv``."""
+        """Called after each iteration of a training, with its row of ``metrics.csv``."""
 
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
-        """``waiting`` of the ``total`` candidates of a search's generation will be evaluated."""
+        """Called when the candidates in ``waiting``, of ``total`` in the generation, are about to be evaluated."""
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
-        """Take what an evaluator reports of these candidates; see :data:`warpvox.algos.candidate.Report`."""
+        """Called with an evaluator's progress on ``batch``; see :data:`warpvox.algos.candidate.Report`."""
 
     def finished(self, records: Sequence[Record]) -> None:
-        """These candidates are evaluated and stored."""
+        """Called when the candidates of ``records`` have been evaluated and stored."""
 
     def told(self, generation: int, fresh: bool) -> None:
-        """The search has learned from a generation; not ``fresh``: it had been complete before this run."""
+        """Called when a search has learned from a generation; not ``fresh``: it was complete before this run."""

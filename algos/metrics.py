@@ -1,4 +1,4 @@
-"""Metrics of a training run: ``metrics.csv``, TensorBoard's events, and rsl-rl's writer for Neptune."""
+"""Metrics of a training run: ``metrics.csv``, TensorBoard events, and rsl-rl's writer for Neptune."""
 
 import csv
 import math
@@ -32,14 +32,14 @@ COLUMNS = {
     "steps_per_second": "Perf/steps_per_second",  # of this iteration, learning included, evaluation not
     "elapsed": "",  # seconds of all iterations and evaluations so far
 }
-"""Columns, and their tags for loggers."""
+"""Columns of ``metrics.csv``, and their logger tags (empty: not logged)."""
 FILE = "metrics.csv"
 SERVICES = ("wandb", "neptune")
 """Loggers that are packages of their own; TensorBoard's events are written besides."""
 
 
 class Metrics:
-    """Writes one row an iteration; rows that a resumed run will write again are dropped first.
+    """Writes a row for each iteration to ``metrics.csv`` and to a logger; first drops rows that will be repeated.
 
     Every row is with the system before the next iteration begins, in ``metrics.csv`` and in the TensorBoard events.
     ``logger``: one of :data:`warpvox.algos.settings.LOGGERS`, checked by :func:`check_logger`.
@@ -65,7 +65,7 @@ class Metrics:
     def write(self, row: Mapping[str, float], log: Mapping[str, float] | None = None) -> None:
         """Append a row (keys of :data:`COLUMNS`); ``log`` goes to the logger only, under its own tags."""
         with writing(self.path), self.path.open("a", encoding="utf-8", newline="") as file:
-            if not file.tell():  # somebody has moved it away
+            if not file.tell():  # the file was moved away: begin a new one
                 file.write(self._header)
             file.write(_row_line(row))
         if self._writer is not None:
@@ -78,12 +78,12 @@ class Metrics:
         if self._writer is not None:
             with writing(self.path.parent):
                 self._writer.close()
-            if hasattr(self._writer, "stop"):  # of the logger's service
+            if hasattr(self._writer, "stop"):  # the logger's service has to be stopped as well
                 self._writer.stop()
 
 
 def tagged(row: Mapping[str, float]) -> dict[str, float]:
-    """The known values of a row by their tags for loggers."""
+    """Return the known values of a row by their logger tags."""
     return {tag: row[name] for name, tag in COLUMNS.items() if tag and _known(row.get(name))}
 
 
@@ -94,7 +94,7 @@ def check_logger(name: str) -> None:
 
 
 def read_metrics(folder: Path) -> list[dict[str, float]]:
-    """The rows of a run's ``metrics.csv``, empty cells as NaN; no rows if there is no such file.
+    """Read the rows of a run's ``metrics.csv``, empty cells as NaN; no rows if there is no file.
 
     A last line that was cut short by a crash is left out.
     """
@@ -110,7 +110,7 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
         raise RunError(
             f"{path} is damaged ({error}); move it away, and a run that is resumed will begin a new one."
         ) from None
-    # columns that something is made of; a file of an earlier version may lack others
+    # Columns that are used; files of earlier versions may lack others.
     needed = ("iteration", "steps", "eval_return", "elapsed")
     if rows and not set(needed) <= rows[0].keys():
         missing = listing([name for name in needed if name not in rows[0]])
@@ -119,7 +119,7 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
 
 
 def _row_line(row: Mapping[str, float]) -> str:
-    """A row as a line of ``metrics.csv``; values that are not known are empty."""
+    """Return a row as a line of ``metrics.csv``; unknown values are empty."""
     cells = []
     for name in COLUMNS:
         value = row.get(name)

@@ -1,4 +1,4 @@
-"""Protocols of evaluation: the episodes by which a policy is judged, and those by which a search chooses."""
+"""Protocols of evaluation: episodes that evaluate a policy, and episodes that a search compares designs by."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from warpvox.errors import ConfigError
 
 @dataclass(frozen=True)
 class Disturbance:
-    """A disturbance of episodes.
+    """Disturbance of an episode's actions, start or observations.
 
     Attributes:
         noise: deviation of normal noise on each action, in units of target length (actions are 0.6 to 1.6).
@@ -40,7 +40,7 @@ COPIES = 8
 
 
 def parts_of(protocol: str, feedback: bool) -> tuple[str, ...]:
-    """The disturbances of a protocol that concern a policy, with feedback or without. ConfigError: none does."""
+    """Return the disturbances of a protocol that apply to a policy. ConfigError: none does."""
     found = tuple(name for name in PROTOCOLS[protocol] if feedback or name != "sensors")
     if not found:
         raise ConfigError("protocol=sensors needs a policy with feedback; an open-loop one acts by the time alone.")
@@ -48,5 +48,5 @@ def parts_of(protocol: str, feedback: bool) -> tuple[str, ...]:
 
 
 def episodes_of(given: int | None, fitness: str) -> int:
-    """Episodes that a policy is judged by: as many as given, or as ``fitness`` needs."""
+    """Return the number of evaluation episodes: ``given``, or the default of ``fitness``."""
     return given or (COPIES if fitness == ROBUST else 1)

@@ -1,4 +1,4 @@
-"""Settings of training and physics: dataclasses whose values the YAML files of ``warpvox/configs`` set."""
+"""Settings of training and physics: dataclasses that the YAML files of ``warpvox/configs`` set."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -69,11 +69,13 @@ class Ppo(Settings):
     extra: Any = key(None, "further settings of rsl-rl's PPO by name, such as rnd_cfg")
 
     def __post_init__(self) -> None:
+        """Check the values, and convert ``rnn`` and ``extra`` to plain ones."""
         super().__post_init__()
-        self.rnn, self.extra = plain(self.rnn, "ppo.rnn"), plain(self.extra, "ppo.extra")
+        self.rnn = plain(self.rnn, "ppo.rnn")
+        self.extra = plain(self.extra, "ppo.extra")
 
     def check(self, num_envs: int, prefix: str = "ppo") -> None:
-        """Raise ConfigError if an iteration of so many environments is too small for its minibatches."""
+        """Raise ConfigError if an iteration of ``num_envs`` environments is too small for its minibatches."""
         samples = self.steps * num_envs
         if not self.hidden:
             raise ConfigError(f"{prefix}.hidden must name the width of one layer or more, got [].")
@@ -125,16 +127,16 @@ class DesignTraining(Settings):
     ppo: Ppo = key(lambda: Ppo(steps=64, epochs=8), "settings of PPO")  # large batches
 
     def halvings(self) -> list[int]:
-        """The iterations after which designs are dropped, in their order."""
+        """Return the iterations after which designs are dropped, in ascending order."""
         return sorted({max(1, round(share * self.iterations)) for share in self.rungs} - {self.iterations})
 
     def kept(self, designs: int) -> int:
-        """How many of so many designs are kept at a rung."""
+        """Return how many of ``designs`` are kept at a rung."""
         # 0.28 of 25 must be 7, whatever rounding makes of it
         return max(1, math.ceil(round(self.keep * designs, 9)))
 
     def steps_of_design(self, designs: int) -> float:
-        """Control steps that a design's training takes, the mean of ``designs`` side by side."""
+        """Return the control steps of a design's training, as the mean over ``designs`` side by side."""
         left = designs
         before = 0
         iterations = 0
@@ -173,7 +175,7 @@ class PhysicsConfig(_Constants):
 
     @classmethod
     def of(cls, given: Any) -> Any:
-        """The keys that the name of a preset, or constants, stand for; mappings and keys as they are."""
+        """Convert the name of a preset or a set of constants to these keys; other values are returned unchanged."""
         if isinstance(given, Physics):
             given = dataclasses.asdict(given)
             return cls(given.pop("name"), **given)
@@ -185,7 +187,7 @@ PRESETS = {name: PhysicsConfig(preset=name) for name in ("auto", *Physics.preset
 
 
 def physics_of(config: Any) -> Physics:
-    """The constants that ``physics`` and ``rules`` name together."""
+    """Return the physics constants that ``physics`` and ``rules`` of a configuration give together."""
     values = dataclasses.asdict(config.physics)
     preset = values.pop("preset")
     changes = {name: value for name, value in values.items() if value is not None}
@@ -193,7 +195,7 @@ def physics_of(config: Any) -> Physics:
 
 
 def sim_of(config: Any) -> SimOptions:
-    """How a configuration has environments computed."""
+    """Return the simulation options of a configuration."""
     from warpvox.batch.options import SimOptions  # and torch with it, for which mistakes in keys do not wait
 
     return SimOptions(

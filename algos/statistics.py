@@ -1,4 +1,4 @@
-"""Means with their confidence intervals, by Student's t distribution."""
+"""Means and their confidence intervals by Student's t distribution."""
 
 import math
 import warnings
@@ -14,7 +14,7 @@ LEVEL = 0.95
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean (or a difference of two), its confidence interval, and how many values it is of.
+    """A mean, or a difference of two, its confidence interval, and the number of values.
 
     ``low`` and ``high`` are NaN where there are too few values.
     """
@@ -25,12 +25,13 @@ class Interval:
     n: int
 
     def __str__(self) -> str:
+        """Return the mean and, if it is known, the interval, with three decimals."""
         known = math.isfinite(self.low)
         return f"{self.mean:.3f}" + (f" [{self.low:.3f}, {self.high:.3f}]" if known else "")
 
 
 def mean_interval(values: Sequence[float] | np.ndarray, level: float = LEVEL) -> Interval:
-    """The mean of independent values with Student's interval.
+    """Return the mean of independent values with Student's confidence interval.
 
     ValueError: there are no values.
     """
@@ -49,7 +50,7 @@ def mean_interval(values: Sequence[float] | np.ndarray, level: float = LEVEL) ->
 
 
 def difference(first: Sequence[float], second: Sequence[float], level: float = LEVEL) -> Interval:
-    """The mean of ``first`` less that of ``second``, with Welch's interval: their variances need not be equal.
+    """Return the mean of ``first`` minus that of ``second`` with Welch's interval, for unequal variances.
 
     ``n`` is the smaller number of values. ValueError: there are no values.
     """
@@ -64,7 +65,7 @@ def difference(first: Sequence[float], second: Sequence[float], level: float = L
     if a.std() == b.std() == 0:
         return Interval(mean, mean, mean, n)
     with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
-        # About the test of nearly equal values, whose p value is not used.
+        # SciPy warns about the p value of nearly equal values, which is not used.
         warnings.simplefilter("ignore", RuntimeWarning)
         test: Any = stats.ttest_ind(a, b, equal_var=False)
         low, high = test.confidence_interval(level)
@@ -72,6 +73,7 @@ def difference(first: Sequence[float], second: Sequence[float], level: float = L
 
 
 def _checked(values: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Return the values as float64 ``[n]``; ValueError: there are none, or they are no list."""
     data = np.asarray(values, dtype=np.float64)
     if data.ndim != 1 or not len(data):
         raise ValueError(f"a mean needs a list of values, got an array of shape {data.shape}")

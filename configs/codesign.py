@@ -1,4 +1,4 @@
-"""The keys of ``warpvox codesign``."""
+"""Keys of ``warpvox codesign``."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -13,6 +13,8 @@ from warpvox.keys import MISSING, key
 
 @dataclass
 class CodesignConfig(Codesign, PresetConfig):
+    """Keys of ``warpvox codesign``."""
+
     search: SearchSettings = key(MISSING, "how designs are proposed", nodes=ALGORITHMS)
     evaluation: Evaluation = key(MISSING, "how designs are compared", nodes=EVALUATIONS)
     export: list[str] = key(

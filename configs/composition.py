@@ -1,4 +1,4 @@
-"""Hydra on the YAML files and schemas of this package."""
+"""Composition of settings by Hydra, from the YAML files and dataclasses of this package."""
 
 import copy
 import functools
@@ -22,7 +22,7 @@ from warpvox.errors import ConfigError, did_you_mean, listing
 
 
 def composed(command: str, overrides: Sequence[str] = (), config_dir: Path | None = None) -> DictConfig:
-    """The configuration of a command as Hydra composes it.
+    """Compose the configuration of a command by Hydra.
 
     Without a folder of the user's own it is composed once in a process, because that takes a tenth of a second; each
     call gets a copy.
@@ -35,13 +35,14 @@ def composed(command: str, overrides: Sequence[str] = (), config_dir: Path | Non
 
 @functools.cache
 def _from_package(command: str, overrides: tuple[str, ...]) -> DictConfig:
+    """Compose a configuration from the package's files alone, once for the same arguments."""
     with _opened(command):
         return compose(command, list(overrides))
 
 
 @contextmanager
 def _opened(command: str) -> Iterator[None]:
-    """Hydra's global state on our configurations; a launcher that makes runs in this process has its own."""
+    """Within the block, let Hydra's global state read our configurations; then restore a launcher's state."""
     register(command)
     shared = GlobalHydra.instance()
     outer = shared.hydra
@@ -55,12 +56,12 @@ def _opened(command: str) -> Iterator[None]:
 
 @contextmanager
 def hydras_errors(beginning: str = "") -> Iterator[None]:
-    """Errors of Hydra and OmegaConf in one sentence: what is wrong and where, and of names the nearest."""
+    """Within the block, convert errors of Hydra and OmegaConf to a ConfigError of one sentence."""
     try:
         yield
     except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as found:
         error = cast(Any, found)
-        # Some lines are for those who know the classes.
+        # Leave out lines about OmegaConf's classes.
         inner = ("full_key", "object_type", "reference_type")
         lines = [line.strip() for line in str(error).splitlines()]
         lines = [line for line in lines if line and not line.startswith(inner)]
@@ -78,13 +79,13 @@ def hydras_errors(beginning: str = "") -> Iterator[None]:
 
 
 def quoted(text: str) -> str:
-    """A text in quotes that Hydra reads as that text."""
+    """Return a text in quotes, which Hydra reads as the same text."""
     return QuotedString(text=text, quote=Quote.single).with_quotes()
 
 
 @functools.cache
 def register(command: str) -> None:
-    """Make the schema of a command and the nodes of its groups known to Hydra, once."""
+    """Register the dataclass of a command and the choices of its groups with Hydra, once."""
     store = ConfigStore.instance()
     own = (files("warpvox.configs") / f"{command}.yaml").is_file()
     store.store(name=f"{command}_schema" if own else command, node=schema_of(command))
@@ -92,8 +93,8 @@ def register(command: str) -> None:
         for name, node in nodes.items():
             store.store(group=group, name=name, node=node)
 
-    # The paper's bodies are 5 x 5 (Table 2); one task has a larger grid, for a body designed by hand. The examples
-    # have these shapes. YAML files have them as ${paper_shape:${task}} and ${paper_design:${task}}.
+    # The paper's bodies are 5 x 5 (Table 2), except in one task with a larger grid, for a body designed by hand. YAML
+    # files refer to shape and example body as ${paper_shape:${task}} and ${paper_design:${task}}.
     is_larger = lambda task: task == "Lifter-v0"  # noqa: E731
     shape = lambda task: [5, 7] if is_larger(task) else [5, 5]  # noqa: E731
     design = lambda task: "lifter" if is_larger(task) else "walker"  # noqa: E731
@@ -102,7 +103,7 @@ def register(command: str) -> None:
 
 
 def settings_named(command: str, **names: str) -> dict[str, Any]:
-    """The settings of a command that names of sets stand for, ``ppo="evogym"`` for instance: what is not default."""
+    """Return the settings that differ from the defaults where names such as ``ppo="evogym"`` are chosen."""
     with hydras_errors():
         words = [f"{key}={quoted(name)}" for key, name in names.items()]
         usual = vars(OmegaConf.to_object(composed(command)))

@@ -1,4 +1,4 @@
-"""The keys of every command: type, meaning, range. Values that depend on a choice stand in the YAML files.
+"""Commands and their dataclasses of keys: type, meaning, range.
 
 The command line composes the dataclass of a command with the YAML files beside it, checks types, choices and ranges
 against the metadata of its fields, and prints the same metadata as ``warpvox COMMAND --help``. A module with such
@@ -25,10 +25,10 @@ COMMANDS = {
     "tasks": "tools",
     "info": "tools",
 }
-"""The module of this package that has the dataclass of a command, ``<Command>Config``."""
+"""Module of this package with the dataclass ``<Command>Config`` of each command."""
 
 PRESET = "preset"
-"""The key that takes the name of a preset, a file of ``configs/preset/COMMAND``."""
+"""Name of the key that takes the name of a preset, a file of ``configs/preset/COMMAND``."""
 
 EXPORTS = ("usd", "gif", "mp4", "html", "png", "strip")
 SHOW = ("auto", "on", "off")
@@ -36,12 +36,12 @@ CONFIG_FILE = "file to take values from, such as a run's config.yaml (or its fol
 
 
 def schema_of(command: str) -> type:
-    """The dataclass of a command."""
+    """Return the dataclass of a command."""
     return getattr(import_module(f"warpvox.configs.{COMMANDS[command]}"), f"{command.capitalize()}Config")
 
 
 def nodes_of(command: str) -> dict[str, Mapping[str, Any]]:
-    """The groups of a command whose choices are dataclasses, or instances of them, beside YAML files: these, by name.
+    """Return the groups of a command whose choices are dataclasses or instances, with the choices by name.
 
     Where they are of different dataclasses, these have a common base, which is the type of the command's field, and a
     first field, ``name`` or ``algorithm``, by which a stored configuration says which of them it has.
@@ -52,7 +52,7 @@ def nodes_of(command: str) -> dict[str, Mapping[str, Any]]:
 
 @dataclass
 class PresetConfig:
-    """The key of commands that have presets: whole sets of defaults, ``configs/preset/COMMAND/NAME.yaml``."""
+    """The key of commands that have presets: sets of defaults, ``configs/preset/COMMAND/NAME.yaml``."""
 
     preset: str | None = key(
         None, "a named set of other defaults, which the keys that are given override; null: the defaults shown here"

@@ -1,4 +1,4 @@
-"""The keys of the commands that show what runs have left: play, export, evaluate, curves."""
+"""Keys of the commands that show what runs have left: play, export, evaluate, curves."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -14,12 +14,12 @@ from warpvox.view.rollout import AGENTS
 
 POLICY_EXPORTS = ("onnx", "jit")
 _OWN_TASK = "For a run of a task of your own: its code, file.py:NAME"
-"""Meaning of ``task`` beside ``run``."""
+"""Help of the key ``task`` in commands that show a run."""
 
 
 @dataclass
 class _PolicyConfig(Settings):
-    """Keys that play, export and evaluate share; named as the first base, they come behind those of the others."""
+    """Keys that play, export and evaluate share; named as the first base, they come after the others."""
 
     stochastic: bool = key(False, "sample actions from the policy as in training, instead of taking their mean")
     policy: str | None = key(
@@ -65,6 +65,8 @@ class _RolloutConfig(Settings):
 
 @dataclass
 class PlayConfig(_PolicyConfig, _RolloutConfig):
+    """Keys of ``warpvox play``."""
+
     agent: str | None = key(
         None,
         "simple agent instead of a policy: random (uniform actions), sine (sine waves of random phases) or zero"
@@ -93,6 +95,8 @@ class PlayConfig(_PolicyConfig, _RolloutConfig):
 
 @dataclass
 class ExportConfig(_PolicyConfig, _RolloutConfig):
+    """Keys of ``warpvox export``."""
+
     rollout: str | None = key(None, "rollout file to export; null: record an episode of the run")
     task: str | None = key(None, _OWN_TASK)
     num_envs: int = key(1, "number of environments, a multiple of the run's number of designs", low=1)
@@ -106,7 +110,7 @@ class ExportConfig(_PolicyConfig, _RolloutConfig):
 
 @dataclass
 class _EvaluationConfig(Settings):
-    """Keys that evaluate alone has."""
+    """Keys of evaluate alone."""
 
     runs: list[str] | None = key(
         None,
@@ -148,6 +152,8 @@ class EvaluateConfig(_PolicyConfig, _EvaluationConfig):
 
 @dataclass
 class CurvesConfig(Settings):
+    """Keys of ``warpvox curves``."""
+
     runs: list[str] = key(
         ["latest"],
         "runs of `warpvox train`: latest, folders, patterns such as 'outputs/train/*/*_NAME*'; or design searches, by"

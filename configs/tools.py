@@ -1,4 +1,4 @@
-"""The keys of the commands about bodies, tasks and stored robots: design, zoo, tasks, info."""
+"""Keys of the commands about bodies, tasks and stored robots: design, zoo, tasks, info."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -12,6 +12,8 @@ from warpvox.types import RULES
 
 @dataclass
 class DesignConfig(Settings):
+    """Keys of ``warpvox design``."""
+
     file: str | None = key(None, "file of the folder to open at the start")
     folder: str = key("designs", "folder in which files are opened and saved; made when something is saved")
     tasks: list[str] = key([], "tasks of your own to try bodies in, beside the benchmark's: file.py:NAME, module:NAME")
@@ -21,12 +23,16 @@ class DesignConfig(Settings):
 
 @dataclass
 class ZooConfig(Settings):
+    """Keys of ``warpvox zoo``."""
+
     task: str | None = key(None, "show the robot of this task in detail")
     folder: str | None = key(None, "folder of the entries; null: that of the package")
 
 
 @dataclass
 class TasksConfig(Settings):
+    """Keys of ``warpvox tasks``."""
+
     task: str | None = key(
         None,
         "task id, module:NAME or file.py:NAME to show in detail, with its world; its key may be omitted",

@@ -1,4 +1,4 @@
-"""The keys of ``warpvox train``."""
+"""Keys of ``warpvox train``."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -11,6 +11,8 @@ from warpvox.keys import key
 
 @dataclass
 class TrainConfig(Training, PresetConfig):
+    """Keys of ``warpvox train``."""
+
     export: list[str] = key(
         [],
         "formats in which an episode of the best policy is written into the run's folder at the end",

@@ -25,7 +25,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class About:
-    """Metadata of a term.
+    """A term's description of itself: formula, unit, range and number of columns.
 
     Attributes:
         formula: text with the term's parameters in braces; ``{low!d}`` writes an angle in degrees.
@@ -43,11 +43,11 @@ class About:
     high: float = inf
 
     def text(self, params: Mapping[str, Any]) -> str:
-        """The formula with parameters filled in."""
+        """Return the formula with the values of ``params`` filled in."""
         return _Filler().vformat(self.formula, (), params)
 
     def size(self, params: Mapping[str, Any], points: int) -> int:
-        """Entries of the observation of an object with so many points."""
+        """Return how many columns the observation has for an object with ``points`` points."""
         entries = self.entries(**params) if callable(self.entries) else self.entries
         return entries + self.per_point * points
 
@@ -63,7 +63,7 @@ def about(formula: str, **details: Any) -> Callable[[Function], Function]:
 
 
 def about_of(function: Callable[..., Any]) -> About | None:
-    """The metadata of a term's function, or None."""
+    """Return the :class:`About` of a function, or None."""
     return getattr(function, "about", None)
 
 

@@ -24,7 +24,7 @@ from warpvox.simulation import Simulation
 
 
 def check_memory(spec: TaskSpec, sim: Simulation, draws: RandomStream) -> None:
-    """Check what the memories of a task begin with; TaskError names the memory and what is wrong."""
+    """Raise TaskError unless every memory of a task begins with finite numbers ``[num_envs, ...]``."""
     stream = draws.rewind()
     for memory in spec.memory:
         what = f"The memory '{memory.name}' of the task '{spec.id}'"
@@ -38,7 +38,9 @@ def check_memory(spec: TaskSpec, sim: Simulation, draws: RandomStream) -> None:
 
 
 def check_terms(spec: TaskSpec, sim: Simulation, state: Snapshot) -> None:
-    """Check what all terms of a task give at the beginning of an episode, in which memories have been drawn.
+    """Raise TaskError unless all terms of a task give valid values at the beginning of an episode.
+
+    Memories must have been drawn.
 
     Raises:
         TaskError: what is wrong, with the name of the term, what was expected and what it gave.
@@ -64,7 +66,7 @@ def _name(term: Term, spec: TaskSpec) -> str:
 
 
 def _check_column(what: str, value: Any, kind: str, sim: Simulation) -> None:
-    """Check a number or (``kind``) a bool for each environment."""
+    """Raise TaskError unless a term gives one finite number or, with ``kind="bool"``, one bool for each environment."""
     rows = _has_rows(value, sim)
     if not rows or value.ndim != 1 or value.dtype.is_complex or (kind == "bool") > (value.dtype == torch.bool):
         axis = " Leave its last axis out: value[:, 0]." if getattr(value, "shape", ())[1:] == (1,) else ""
@@ -76,6 +78,7 @@ def _check_column(what: str, value: Any, kind: str, sim: Simulation) -> None:
 
 
 def _check_observation(what: str, term: Observation, value: Any, sim: Simulation) -> None:
+    """Raise TaskError unless an observation term gives finite columns, as many as its ``@about`` declares."""
     if not _has_rows(value, sim) or value.ndim not in (2, 3) or value.dtype.is_complex or not value.shape[1]:
         columns = " Add the axis of columns: value[:, None]." if getattr(value, "ndim", 0) == 1 else ""
         raise TaskError(
@@ -99,12 +102,13 @@ def _check_observation(what: str, term: Observation, value: Any, sim: Simulation
 
 
 def _has_rows(value: Any, sim: Simulation) -> bool:
-    """Whether something is a tensor with a row for each environment, where the environments are."""
+    """Return whether ``value`` is a tensor on the simulation's device with a row for each environment."""
     strided = isinstance(value, torch.Tensor) and value.layout is torch.strided
     return strided and value.shape[:1] == (sim.num_envs,) and value.device == torch.device(sim.device)
 
 
 def _check_finite(what: str, value: torch.Tensor) -> None:
+    """Raise TaskError if a tensor ``[num_envs, ...]`` holds NaN or infinity."""
     bad = ~torch.isfinite(value).reshape(len(value), -1).all(1)
     if bool(bad.any()):
         raise TaskError(
@@ -120,7 +124,7 @@ def _got(value: Any) -> str:
 
 
 def check_fields(state: Any, like: Mapping[str, Any], inside: str = "") -> None:
-    """Check names, types and shapes of a state against those of a valid one; SimulationError names what is wrong.
+    """Raise SimulationError unless a state has the names, types and shapes of a valid one.
 
     ``like``: nested mappings of tensors and None; ``torch.Tensor`` itself stands for any tensor.
     """
@@ -165,7 +169,11 @@ class FiniteGuard:
         self._named: set[str] = set()
 
     def observation(self, obs: torch.Tensor, where: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-        """An observation ``[num_envs, num_obs]`` with 0 for what is not finite, and bool ``[num_envs]``: where it was.
+        """Count non-finite entries of ``obs`` ``[num_envs, num_obs]``; return ``obs`` with 0 in place of them.
+
+        The second result, bool ``[num_envs]``, is True where an environment had a non-finite entry that was counted.
+
+        The second result, bool ``[num_envs]``, is True where an environment had a non-finite entry that was counted.
 
         Args:
             where: bool ``[num_envs]``: environments that count; None: all.
@@ -179,8 +187,11 @@ class FiniteGuard:
             self._of_columns.index_add_(0, self._design, counted.int())
         return obs.masked_fill(nonfinite, 0.0), counted.any(1)
 
-    def first(self, obs: torch.Tensor, where: torch.Tensor | None) -> torch.Tensor:
-        """The observation of a beginning, with 0 for what is not finite; ``where`` as for :meth:`observation`."""
+    def first_observation(self, obs: torch.Tensor, where: torch.Tensor | None) -> torch.Tensor:
+        """Return the first observation of episodes with 0 in place of non-finite entries, and count these.
+
+        ``where`` is explained under :meth:`observation`.
+        """
         if self.on_cpu and all_finite(obs):
             return obs
         obs, _ = self.observation(obs, where)
@@ -191,7 +202,10 @@ class FiniteGuard:
     def step(
         self, obs: torch.Tensor, terms: dict[str, torch.Tensor], where: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """As :meth:`observation` of a step with these parts of the reward, ``[num_envs]`` each, also not finite."""
+        """Do the same as :meth:`observation` and also count non-finite reward terms, ``[num_envs]`` each.
+
+        The second result is True where an environment had a non-finite entry or reward term.
+        """
         obs, nonfinite = self.observation(obs, where)
         if self._rewards:
             by_reward = torch.stack([~torch.isfinite(terms[name]) for name in self._rewards]) & where
@@ -202,18 +216,21 @@ class FiniteGuard:
         return obs, nonfinite
 
     def refresh(self) -> None:
-        """Begin new counts after designs have changed; waits for the device."""
+        """Move the counts to those of earlier designs and begin new ones; call it after designs have changed.
+
+        It waits for the device.
+        """
         self._earlier = self._counts()
         self._of_rewards.zero_()
         self._of_columns.zero_()
         self._columns = self._layout.columns
 
     def total(self) -> torch.Tensor:
-        """How many numbers were not finite since designs have changed, long, on the device."""
+        """Return how many numbers were not finite since designs have changed: a long tensor on the device."""
         return self._of_rewards.sum() + self._of_columns.sum()
 
     def _counts(self) -> dict[str, int]:
-        """In how many environments each term was not finite so far, all terms."""
+        """Return in how many environments each term was not finite so far, zeros included."""
         counts: dict[str, int] = {}
         totals: list[int] = self._of_rewards.cpu().numpy().tolist()
         for name, count in zip(self._rewards, totals, strict=True):
@@ -229,7 +246,7 @@ class FiniteGuard:
         return {name: count + self._earlier.get(name, 0) for name, count in counts.items()}
 
     def report(self) -> dict[str, int]:
-        """:meth:`_counts` above 0, with a warning of terms that were not named before; waits for the device."""
+        """Return the counts of terms that were not finite, and warn once for each such term; waits for the device."""
         found = {name: count for name, count in self._counts().items() if count}
         for name in [name for name in found if name not in self._named]:
             self._named.add(name)
@@ -245,6 +262,6 @@ class FiniteGuard:
 
 
 def all_finite(*values: torch.Tensor) -> bool:
-    """True if the sum of all values is finite; False also if it overflows."""
+    """Return whether the sum of all values is finite, which it is not if a value is not; False also if it overflows."""
     total: Any = sum(value.sum() for value in values)
     return math.isfinite(total.item())

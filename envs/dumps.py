@@ -47,16 +47,18 @@ class DivergenceDump:
         self._count = 0
         self._rings: dict[str, torch.Tensor] = {}
         self._at = torch.full((env.num_envs,), -1, dtype=torch.long, device=env.device)
-        self._length, self._begun = torch.zeros_like(self._at), torch.zeros_like(self._at)
+        self._length = torch.zeros_like(self._at)
+        self._begun = torch.zeros_like(self._at)
 
     def refresh(self) -> None:
-        """Read the bodies of the environments again; :meth:`clear` is to follow for those that have another one."""
+        """Read the bodies of the environments again; then call :meth:`clear` for environments with a new body."""
         self._scenes, self._points = scenes_of(self.env.sim)
 
     def clear(self, mask: torch.Tensor | None = None) -> None:
-        """Drop the steps of environments (bool ``[num_envs]``; None: all): their next one does not follow them."""
+        """Forget the recorded steps of environments (bool ``[num_envs]``; None: all), which begin anew."""
         mask = torch.ones_like(self._at, dtype=torch.bool) if mask is None else mask
-        self._at, self._begun = self._at.masked_fill(mask, -1), self._begun.masked_fill(mask, self._count)
+        self._at = self._at.masked_fill(mask, -1)
+        self._begun = self._begun.masked_fill(mask, self._count)
 
     def before(self, actions: torch.Tensor) -> None:
         """Record the state before a step, and its actions ``[num_envs, num_actions]``."""
@@ -64,6 +66,7 @@ class DivergenceDump:
         self._note("actions", actions)
 
     def _note(self, name: str, values: torch.Tensor) -> None:
+        """Write ``values`` into the ring buffer of that name, at the place of the present step."""
         if name not in self._rings:
             self._rings[name] = values.new_zeros((self._room, *values.shape))
         ring = self._rings[name]
@@ -73,7 +76,7 @@ class DivergenceDump:
         ring[self._count % self._room] = values
 
     def after(self, reward: torch.Tensor, info: dict[str, Any]) -> list[Path]:
-        """Record the result of the step; returns the files that were written."""
+        """Record the result of the step; write files of divergences if it is time, and return their paths."""
         self._note("rewards", reward)
         new = info["diverged"] & (self._at < 0)
         self._at = torch.where(new, self._count, self._at)
@@ -87,7 +90,10 @@ class DivergenceDump:
         return written
 
     def _write(self, env: int) -> Path | None:
-        """Write the file of one environment; if that fails, warn once and write no more."""
+        """Write the file of one environment and return its path; None if there are 10 files or writing fails.
+
+        A failure warns, and no more files are written.
+        """
         taken = [int(number) for p in self.folder.glob("diverged_*.npz") if (number := p.stem.split("_")[1]).isdigit()]
         if not self._open or len(taken) >= 10:
             return None
@@ -100,7 +106,7 @@ class DivergenceDump:
             return None
 
     def rollout(self, env: int) -> Rollout:
-        """The last steps of an environment before its divergence."""
+        """Return the last steps of an environment up to its divergence."""
         # What was recorded, in the order of the steps
         end = int(self._at[env]) + 1
         steps = min(int(self._length[env]), STEPS, end - int(self._begun[env]))

@@ -39,7 +39,7 @@ class Episodes:
 
     @property
     def active(self) -> torch.Tensor:
-        """bool ``[num_envs]``: where an episode is running; False: it has ended and waits for its reset."""
+        """Where an episode is running, bool ``[num_envs]``; False: it has ended and waits for its reset."""
         return ~(self.terminated | self.truncated)
 
     def clear(self, mask: torch.Tensor | None = None) -> None:
@@ -51,7 +51,10 @@ class Episodes:
                 tensor.masked_fill_(mask, 0)
 
     def end(self, terminated: torch.Tensor, truncated: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Note what ends now, bool ``[num_envs]``; return how all have ended that wait for their reset."""
+        """Mark the environments that end now; return which have terminated and which were truncated since their reset.
+
+        All are bool ``[num_envs]``.
+        """
         terminated = self.terminated | terminated
         truncated = self.truncated | truncated
         self.terminated.copy_(terminated)
@@ -59,7 +62,7 @@ class Episodes:
         return terminated, truncated
 
     def set_memory(self, values: Mapping[str, torch.Tensor], mask: torch.Tensor | None = None) -> None:
-        """Set the task's episode state, everywhere or where ``mask`` is True."""
+        """Set the task's episode state, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
         if not self.memory:
             self.memory = {name: value.clone() for name, value in values.items()}
             return
@@ -78,24 +81,24 @@ class Episodes:
             tensor.copy_(value)
 
     def set_before(self, state: Snapshot) -> None:
-        """Write the quantities of ``state`` that rewards will compare the next step with."""
+        """Store the quantities of ``state`` that rewards will compare the next step with."""
         self.times_set += 1
         state.fetch(self.before)
         for quantity, held in self.before.items():
             held.copy_(state.value(quantity))
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Copies of the counts and flags."""
+        """Return copies of counters and flags by name."""
         return {name: tensor.clone() for name, tensor in self._counts.items()}
 
     def set_state(self, state: Mapping[str, torch.Tensor]) -> None:
-        """Take over what :meth:`state` gave."""
+        """Set counters and flags to what :meth:`state` gave."""
         for name, tensor in self._counts.items():
             tensor.copy_(state[name])
 
 
 def state_rows(state: torch.Tensor | dict[str, Any] | None, rows: torch.Tensor) -> Any:
-    """Rows, in any order, of the state that an environment or an adapter of it has given.
+    """Return the state of an environment or adapter with only these rows, in this order.
 
     Args:
         state: tensors in dictionaries of dictionaries; None stays None.

@@ -25,7 +25,11 @@ It is told the generators that the function draws from: each repetition draws fu
 def capture_on_cuda(
     device: str, work: Callable[[], Any], generators: Sequence[torch.Generator] = ()
 ) -> tuple[Callable[[], None], Any]:
-    """A :data:`Capture`, once it has its device: of torch operations and Warp launches, on a stream of its own."""
+    """Run ``work`` once on a stream of its own and record it as a CUDA graph, without computing anything.
+
+    Returns a function that replays the graph, and the results of ``work``, whose tensors a replay fills. With its
+    device given this is a :data:`Capture`.
+    """
     stream = torch.cuda.Stream(device)
     graph = torch.cuda.CUDAGraph()
     with warnings.catch_warnings():
@@ -51,7 +55,7 @@ def capture_on_cuda(
 
 
 class Graph:
-    """Stands in for a function that works on the device, such as a control step.
+    """Calls a function that works on the device, such as a control step, and replays it as a CUDA graph if it can.
 
     Under settings that it meets for the first time some calls are made as they are; the next is captured, and from then
     on replayed. Each settings have a recording of their own, so that a change of them is never missed and costs nothing
@@ -72,7 +76,7 @@ class Graph:
         self._failed = False
 
     def __call__(self, work: Callable[[], Any], settings: Hashable = None) -> Any:
-        """One call; returns fresh tensors.
+        """Run ``work``, or replay its recording; return its results as new tensors.
 
         Args:
             work: takes no arguments, reads and writes tensors that stay where they are. Not kept: the environments that
@@ -90,11 +94,11 @@ class Graph:
 
     @property
     def is_recorded(self) -> bool:
-        """True once there is something to replay."""
+        """Whether there is a recording to replay."""
         return bool(self._recorded)
 
     def _record(self, work: Callable[[], Any], settings: Hashable) -> bool:
-        """Capture a call, without making it; False if that fails."""
+        """Record ``work`` without computing anything; return False, with a warning, if that fails."""
         try:
             self._recorded[settings] = self._capture(work, self._generators)
         except RuntimeError as error:  # of torch and of Warp
@@ -108,10 +112,11 @@ class Graph:
 
 
 def _cloned(value: Any) -> Any:
-    """A copy with fresh tensors of what a call returns: tuples and dictionaries of tensors."""
+    """Return a copy of ``value``, tuples and dictionaries of tensors, with new tensors."""
     fresh: dict[torch.dtype, tuple[list[torch.Tensor], list[torch.Tensor]]] = {}
 
     def made(value: torch.Tensor | dict[str, Any] | tuple[Any, ...]) -> Any:
+        """Return ``value`` with new, empty tensors, and note both in ``fresh``."""
         if isinstance(value, torch.Tensor):
             new, old = fresh.setdefault(value.dtype, ([], []))
             new.append(torch.empty_like(value))

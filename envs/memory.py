@@ -33,7 +33,7 @@ _MEMORY_SHARE = 0.8
 def environment_bytes(
     spec: TaskSpec, worlds: Sequence[World], count: int, sim: ResolvedOptions, *, obs: str = "task", ppo: Any = None
 ) -> float:
-    """Bytes of each of ``count`` environments; nothing of their size is made.
+    """Return the bytes that each of ``count`` environments will take, without making them.
 
     Args:
         worlds: one for each design. In fast arithmetic there is room for all bodies of their common box or of the grid.
@@ -86,7 +86,7 @@ def environment_bytes(
 
 
 def _entries(spec: TaskSpec, obs: str, points: int, cells: int) -> int:
-    """Entries of an observation, at most; terms that do not say how many they have count as one."""
+    """Return an upper bound for the columns of an observation; a term without :class:`About` counts as one column."""
     by_voxel = "voxel" in obs
     entries = len(spec.robots) * cells * NUM_FEATURES if by_voxel else 0
     for term in spec.observations:
@@ -98,7 +98,7 @@ def _entries(spec: TaskSpec, obs: str, points: int, cells: int) -> int:
 
 
 def fitting(each: float, device: str) -> float:
-    """The number of things of ``each`` bytes that may be asked for; infinite where it is not known what is free."""
+    """Return how many things of ``each`` bytes fit into the free memory; infinity where that is unknown."""
     free = free_memory(device)
     return inf if free is None else _MEMORY_SHARE * free / each
 

@@ -11,16 +11,17 @@ from warpvox.simulation import Simulation
 class ObservationLayout:
     """Concatenates observation terms; each design's real entries come first, the rest of its row is 0.
 
-    The simulator pads to the largest body what has a value for every point (x and y apart) or every action; a term that
-    reads ``actions(name)`` and is as wide is taken for such. A gather closes those gaps, and is left out where all
-    designs are of one size.
+    Terms with a value for every point (x and y apart) or for every action are padded by the simulator to the largest
+    body. A term has a value for every action if it reads ``actions(name)`` and has ``num_actions`` columns. A gather
+    closes the gaps in smaller bodies; it is left out where all designs are of one size.
 
     Attributes:
-        num_obs: entries of a row.
-        mask: bool ``[sim.num_designs, num_obs]``: the entries that are real.
+        num_obs: columns of an observation.
+        mask: bool ``[sim.num_designs, num_obs]``: the columns that are real, not padding.
         columns: for every distinct design of the simulation, where each term lies: ``{term name: slice}``.
-        places: the columns that a term can take in some design, also in those that may be put in later.
-        always: so many columns are real in all of these.
+        possible_columns: all columns in which a term may lie, ``{term name: slice}``: over the present designs and,
+            if bodies may be exchanged (``sim.grid``), over all designs that may come.
+        num_never_padded: number of first columns that are real in all those designs.
     """
 
     def __init__(self, terms: tuple[Observation, ...], sim: Simulation, state: Snapshot) -> None:
@@ -33,28 +34,29 @@ class ObservationLayout:
         self._zeros = torch.zeros((sim.num_envs, 1), dtype=sim.dtype, device=sim.device)
         counts = self.refresh()
 
-        # Columns that each term has in every design, and in some; where bodies may be exchanged, in any that may come
-        least: list[int] = counts.min(0).tolist()
+        # The fewest and the most columns that each term has in any design
+        fewest: list[int] = counts.min(0).tolist()
         most: list[int] = counts.max(0).tolist()
-        if sim.grid is not None:
+        if sim.grid is not None:  # bodies may be exchanged: in any design that may come
             most = [value[0].numel() for value in self._values]
             for k, (term, value, robot) in enumerate(zip(terms, self._values, self._robots, strict=True)):
                 if robot:
-                    least[k] = 0
+                    fewest[k] = 0
                 elif value.ndim == 3 and dict(term.params).get("name") in sim.action_columns[0]:
-                    least[k] = 2 * 4  # x and y of a single voxel's points
+                    fewest[k] = 2 * 4  # x and y of a single voxel's points
 
-        # A term begins behind what the terms before it have at least, and ends behind what they have at most.
-        self.places: dict[str, slice] = {}
+        # The first column that a term may have follows the fewest columns of the terms before it; the last one ends the
+        # most columns of these terms and itself.
+        self.possible_columns: dict[str, slice] = {}
         start = stop = 0
         for k, term in enumerate(terms):
             stop += most[k]
-            self.places[term.name] = slice(start, stop)
-            start += least[k]
-        self.always = start
+            self.possible_columns[term.name] = slice(start, stop)
+            start += fewest[k]
+        self.num_never_padded = start
 
     def _robot_of(self, term: Observation, value: torch.Tensor, state: Snapshot) -> str:
-        """Name of the robot for whose every action a term has a column; "": of none. Smaller bodies have fewer."""
+        """Return the name of the robot if a term has a column for every action of one robot, else ""."""
         if value.shape[1:] != (self._sim.num_actions,):
             return ""
         own = Snapshot(self._sim, state.memory_values, copies=True)
@@ -63,7 +65,7 @@ class ObservationLayout:
         return robots[0] if len(robots) == 1 else ""
 
     def refresh(self) -> np.ndarray:
-        """Read the sizes of the designs again, after they have changed: columns ``[designs, terms]``."""
+        """Set the layout from the present designs; return how many columns each term has, int ``[designs, terms]``."""
         sim = self._sim
 
         # Which of a term's flattened columns each design has, bool [designs, k]
@@ -110,7 +112,7 @@ class ObservationLayout:
         return counts
 
     def observe(self, state: Snapshot) -> torch.Tensor:
-        """A fresh tensor ``[num_envs, num_obs]`` in the simulation's dtype."""
+        """Evaluate all terms; return observations ``[num_envs, num_obs]``, a new tensor in the simulation's dtype."""
         parts = [term(state).flatten(1).to(self._dtype) for term in self._terms]
         if self._gather is None:
             return torch.cat(parts, dim=1)

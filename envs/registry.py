@@ -23,12 +23,12 @@ _TASKS = {
 
 
 def task_ids() -> list[str]:
-    """Ids of all tasks in the order of the paper."""
+    """Return the ids of all tasks in the order of the paper."""
     return list(_TASKS)
 
 
 def get_task(task: str | TaskSpec) -> TaskSpec:
-    """The task with this id; a specification (a task of the user's own) is returned as it is.
+    """Return the task with this id; a specification is returned as it is.
 
     A :class:`warpvox.code.Code` (``module:NAME`` or ``path/to/file.py:NAME``, typed by the user) names a specification
     in a module or file, which is imported. A plain string is the id of a task and nothing else, as it may come from a
@@ -52,7 +52,7 @@ def get_task(task: str | TaskSpec) -> TaskSpec:
 
 
 def released_id(task_id: str) -> str:
-    """The id of a task as the release spells it."""
+    """Return the id of a task as the release spells it."""
     return next((theirs for theirs, ours in _ALIASES.items() if ours == task_id), task_id)
 
 
@@ -79,7 +79,7 @@ class KnownReturn:
     note: str
 
     def score(self, value: float) -> float:
-        """``(value - random) / (best - random)``: 0 is chance, 1 the best published return.
+        """Return ``(value - random) / (best - random)``: 0 is chance, 1 the best published return.
 
         Raises:
             ValueError: no return is published.
@@ -91,7 +91,7 @@ class KnownReturn:
 
 @cache
 def known_returns() -> dict[str, KnownReturn]:
-    """By the id of the task; tasks of the benchmark only."""
+    """Return the known returns of the benchmark's tasks, by id."""
     text = files("warpvox.envs").joinpath("known_returns.csv").read_text(encoding="utf-8")
     rows: list[dict[str, Any]] = list(csv.DictReader(text.splitlines()))
     for row in rows:

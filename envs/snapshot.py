@@ -44,7 +44,7 @@ class Snapshot:
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """The quantities read so far."""
+        """Names and arguments of the quantities read so far."""
         return tuple(self._values)
 
     def fetch(self, quantities: Iterable[Quantity]) -> Snapshot:
@@ -54,11 +54,11 @@ class Snapshot:
         return self
 
     def value(self, quantity: Quantity) -> Tensor:
-        """One of :attr:`quantities`, itself: not to be written to."""
+        """Return a quantity that was read, no copy: do not write to it."""
         return self._values[quantity]
 
     def update(self, updates: Mapping[str, Callable[[Snapshot], Tensor]]) -> dict[str, Tensor]:
-        """Update the episode state, one memory after the other; return all of it.
+        """Update the episode state, one memory after the other; return the values of all memories.
 
         Args:
             updates: by the name of a memory what gives its new value.
@@ -70,54 +70,54 @@ class Snapshot:
         return values
 
     def com(self, name: str) -> Tensor:
-        """float64 ``[num_envs, 2]``: centre of mass of an object (p in B.1)."""
+        """Return the centre of mass of an object, float64 ``[num_envs, 2]`` (p in B.1)."""
         return self._ask("com", name)
 
     def velocity(self, name: str) -> Tensor:
-        """float64 ``[num_envs, 2]``: velocity of the centre of mass (v in B.1)."""
+        """Return the velocity of an object's centre of mass, float64 ``[num_envs, 2]`` (v in B.1)."""
         return self._ask("velocity", name)
 
     def orientation(self, name: str) -> Tensor:
-        """float64 ``[num_envs]``: turn since time 0, counter-clockwise in [0, 2 pi) (theta in B.1)."""
+        """Return the turn since time 0, float64 ``[num_envs]``, counter-clockwise in [0, 2 pi) (theta in B.1)."""
         return self._ask("orientation", name)
 
     def relative_positions(self, name: str) -> Tensor:
-        """``[num_envs, 2, points]``: x row and y row of all points about the centre of mass (c in B.1)."""
+        """Return all points minus the centre of mass, ``[num_envs, 2, points]``: a row of x, a row of y (c in B.1)."""
         return self._ask("relative_positions", name)
 
     def positions(self, name: str) -> Tensor:
-        """``[num_envs, points, 2]``: all points of an object, fixed ones included."""
+        """Return the positions of all points of an object, also fixed ones: ``[num_envs, points, 2]``."""
         return self._ask("object_positions", name)
 
     def velocities(self, name: str) -> Tensor:
-        """``[num_envs, points, 2]``: velocities of all points of an object."""
+        """Return the velocities of all points of an object, ``[num_envs, points, 2]``."""
         return self._ask("object_velocities", name)
 
     def actions(self, name: str) -> Tensor:
-        """``[num_envs, num_actions]``: actions of a robot in the last step, clipped; 1 (at rest) where there is none.
+        """Return a robot's actions in the last step, clipped, ``[num_envs, num_actions]``; 1 (at rest) without one.
 
         There is none behind those of a smaller body, and before the first step of an episode.
         """
         return self._ask("robot_actions", name)
 
     def floor_scan(self, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
-        """float64 ``[num_envs, 2 reach + 1]``: distances down to ``objects`` in windows about an object."""
+        """Return the distances down to ``objects`` in windows about an object: float64 ``[num_envs, 2 reach + 1]``."""
         return self._ask("floor_scan", name, reach, objects)
 
     def ceiling_scan(self, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
-        """float64 ``[num_envs, 2 reach + 1]``: distances up to ``objects`` in windows about an object."""
+        """Return the distances up to ``objects`` in windows about an object: float64 ``[num_envs, 2 reach + 1]``."""
         return self._ask("ceiling_scan", name, reach, objects)
 
     def extent(self, name: str) -> Tensor:
-        """float64 ``[num_envs, 2]``: width and height of the box about all points of an object."""
+        """Return width and height of the box about all points of an object, float64 ``[num_envs, 2]``."""
         return self._ask("extent", name)
 
     def hull_area(self, name: str) -> Tensor:
-        """float64 ``[num_envs]``: area of the convex hull of all points of an object."""
+        """Return the area of the convex hull of all points of an object, float64 ``[num_envs]``."""
         return self._ask("hull_area", name)
 
     def memory(self, name: str) -> Tensor:
-        """``[num_envs, ...]``: an entry of the task's episode state.
+        """Return an entry of the task's episode state, ``[num_envs, ...]``.
 
         Raises:
             TaskError: the task has no such memory.

@@ -44,7 +44,7 @@ Function: TypeAlias = "Callable[..., Tensor]"
 
 @dataclass(frozen=True)
 class Term:
-    """A function on states with its parameters filled in."""
+    """A function of states with all its parameters but the states filled in."""
 
     function: Function
     params: tuple[tuple[str, Any], ...] = ()
@@ -53,6 +53,7 @@ class Term:
     states: ClassVar[tuple[str, ...]] = ("state",)
 
     def __post_init__(self) -> None:
+        """Raise TaskError unless the function can be called with the states and these parameters."""
         try:
             taken = signature(self.function)
         except (TypeError, ValueError):  # what cannot be called, or does not say how
@@ -68,25 +69,26 @@ class Term:
             raise TaskError(f"The {self.kind} '{self.name}' {takes}: {error}.{hint}") from None
 
     def __call__(self, *states: object) -> Tensor:
+        """Evaluate the term in these states; TaskError: its function has failed."""
         try:
             return self.bound(*states)
         except Exception as error:
-            _fail(f"{self.kind} '{self.name}'", error)
+            _raise_task_error(f"{self.kind} '{self.name}'", error)
 
     @cached_property
     def bound(self) -> Function:
-        """The function of states alone."""
+        """The function with the parameters filled in, which takes the states alone."""
         return partial(self.function, **dict(self.params))
 
     @property
     def name(self) -> str:
-        """The function's name followed by the parameters that are words: ``displacement_robot_x``."""
+        """The function's name followed by the parameters that are strings: ``displacement_robot_x``."""
         words = [value for _, value in self.params if isinstance(value, str)]
         return "_".join([getattr(self.function, "__name__", type(self.function).__name__), *words])
 
     @property
     def formula(self) -> str:
-        """The computation as text; without metadata the function's name and parameters."""
+        """The computation as text, from ``@about``; without it, the function's name and parameters."""
         described = about_of(self.function)
         if described is not None:
             return described.text(dict(self.params))
@@ -95,19 +97,19 @@ class Term:
 
 @dataclass(frozen=True)
 class Observation(Term):
-    """``function(state)`` gives ``[num_envs, k]``, or ``[num_envs, 2, points]`` if it is about points."""
+    """A term ``function(state)`` that gives ``[num_envs, k]``, or for all points ``[num_envs, 2, points]``."""
 
     kind: ClassVar[str] = "observation"
 
     @property
     def about(self) -> About:
-        """Unit and range; of a function that says nothing about itself: a number of any size."""
+        """Formula, unit and range; a function without ``@about`` counts as a number of any size."""
         return about_of(self.function) or About(self.formula)
 
 
 @dataclass(frozen=True)
 class Reward(Term):
-    """``function(before, after)`` gives float64 ``[num_envs]``, which counts ``weight`` times."""
+    """A term ``function(before, after)`` that gives float64 ``[num_envs]``, which is multiplied by ``weight``."""
 
     weight: float = 1.0
     kind: ClassVar[str] = "reward"
@@ -116,7 +118,7 @@ class Reward(Term):
 
 @dataclass(frozen=True)
 class Termination(Term):
-    """``function(after)`` gives bool ``[num_envs]``; where True the episode ends and ``bonus`` is added."""
+    """A term ``function(after)`` that gives bool ``[num_envs]``: where True the episode ends and ``bonus`` is added."""
 
     bonus: float = 0.0
     kind: ClassVar[str] = "termination"
@@ -139,26 +141,34 @@ class Memory:
     update: Callable[[Snapshot], Tensor] | None = None
 
     def begin(self, draws: RandomStream) -> Tensor:
-        """The value of ``start``."""
+        """Call ``start`` with the random stream; return the initial value, ``[num_envs, ...]``.
+
+        Raises:
+            TaskError: the function has failed; the message says where.
+        """
         try:
             return self.start(draws)
         except Exception as error:
-            _fail(f"start of the memory '{self.name}'", error)
+            _raise_task_error(f"start of the memory '{self.name}'", error)
 
     def advance(self, state: Snapshot) -> Tensor:
-        """The value of ``update``; without one, the present value."""
+        """Call ``update`` with the state after a step and return the new value; without ``update``, the present value.
+
+        Raises:
+            TaskError: the function has failed; the message says where.
+        """
         if self.update is None:
             return state.memory_values[self.name]
         try:
             return self.update(state)
         except Exception as error:
-            _fail(f"update of the memory '{self.name}'", error)
+            _raise_task_error(f"update of the memory '{self.name}'", error)
 
 
-def _fail(part: str, error: Exception) -> NoReturn:
-    """Raise TaskError for what a function of a task has raised, with the place if the error is not one of ours.
+def _raise_task_error(part: str, error: Exception) -> NoReturn:
+    """Raise TaskError for an ``error`` that a function of a task has raised; ``part`` names the function.
 
-    A shortage of memory is raised as it is.
+    If the error is not one of warpvox, the message gives its file and line. A shortage of memory is raised as it is.
     """
     if shortage(error):
         raise error
@@ -170,6 +180,7 @@ def _fail(part: str, error: Exception) -> NoReturn:
 
 
 def _is_ours(function: Callable[..., Any]) -> bool:
+    """Return whether a function belongs to warpvox or to Python's ``operator``."""
     while isinstance(function, partial):
         function = function.func
     module = str(getattr(function, "__module__", ""))
@@ -177,17 +188,17 @@ def _is_ours(function: Callable[..., Any]) -> bool:
 
 
 def observes(function: Function, name: str = "robot", **params: Any) -> Observation:
-    """An observation of the object ``name``."""
+    """Return an observation of the object ``name``."""
     return Observation(function, (("name", name), *params.items()))
 
 
 def rewards(function: Function, name: str = "robot", weight: float = 1.0, **params: Any) -> Reward:
-    """A reward for what the object ``name`` does."""
+    """Return a reward for what the object ``name`` does."""
     return Reward(function, (("name", name), *params.items()), weight)
 
 
 def terminates(function: Function, name: str = "robot", bonus: float = 0.0, **params: Any) -> Termination:
-    """A termination of the episode, for what the object ``name`` does."""
+    """Return a termination of the episode for what the object ``name`` does."""
     return Termination(function, (("name", name), *params.items()), bonus)
 
 
@@ -232,6 +243,7 @@ class TaskSpec:
     paper: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def __post_init__(self) -> None:
+        """Raise TaskError unless the fields are valid and names are unique; make mappings read-only."""
         for name in ("paper", "partners"):
             if not is_mapping(given := getattr(self, name)):
                 raise TaskError(f"{name} of the task {self.id!r} must be a dictionary, got {given!r:.60}.")
@@ -261,7 +273,7 @@ class TaskSpec:
             )
 
     def _check_parts(self) -> None:
-        """Check the types of all parts; results of terms are checked when environments are made."""
+        """Raise TaskError unless all parts have the right types; values of terms are checked later."""
         kinds = {"objects": WorldObject, "observations": Observation, "rewards": Reward}
         kinds |= {"terminations": Termination, "memory": Memory}
         for name, kind in kinds.items():
@@ -295,20 +307,21 @@ class TaskSpec:
                 raise TaskError(f"The {what} in the task '{self.id}' must be a finite number, got {number!r:.60}.")
 
     def __reduce__(self) -> tuple[Any, ...]:
+        """Return what copies and pickles the task."""
         # Views of mappings cannot be copied or sent to other processes; the mappings can.
         values = {item.name: getattr(self, item.name) for item in fields(self)}
         return partial(TaskSpec, **values | {"paper": dict(self.paper), "partners": dict(self.partners)}), ()
 
     @property
     def has_code(self) -> bool:
-        """Whether a function of the task is not warpvox's own."""
+        """Whether some function of the task is the user's own."""
         functions = [term.function for term in (*self.observations, *self.rewards, *self.terminations)]
         functions += [function for memory in self.memory for function in (memory.start, memory.update) if function]
         return not all(_is_ours(function) for function in functions)
 
     @property
     def is_random(self) -> bool:
-        """Whether episodes begin differently: a memory begins with something drawn at random."""
+        """Whether environments begin with different values of some memory, as it is drawn at random."""
         from torch import equal
 
         from warpvox.envs.random_stream import RandomStream
@@ -319,11 +332,11 @@ class TaskSpec:
 
     @property
     def robots(self) -> dict[str, tuple[int, int]]:
-        """All robots that are designed, with their cells."""
+        """All robots whose bodies are designed: ``{name: (x, y)}``, the cell of each as in ``robot_cell``."""
         return {ROBOT: self.robot_cell, **self.partners}
 
     def under(self, rules: str) -> TaskSpec:
-        """The task as ``rules`` (one of :data:`RULES`) have it.
+        """Return the task under ``rules`` (one of :data:`RULES`); ``paper`` applies the changes in :attr:`paper`.
 
         Raises:
             ConfigError: unknown rules.

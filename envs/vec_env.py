@@ -185,7 +185,7 @@ class VoxelVecEnv:
         self.layout = ObservationLayout(spec.observations, sim, probe)
         self.num_obs = self.layout.num_obs
         self.num_actions = sim.num_actions
-        self._describe(sim.design_index[::block])  # equal designs share one entry of the simulation
+        self._set_masks_and_columns(sim.design_index[::block])  # equal designs share one world of the simulation
         self.voxels = voxel_layouts(spec.observations, self.obs_columns[0])
 
         # On the CPU a mask can be read to skip work; elsewhere reading it would wait for the device.
@@ -205,11 +205,15 @@ class VoxelVecEnv:
         return f"VoxelVecEnv({self.spec.id}, {counts}, {sizes}, device={self.device})"
 
     def _snapshot(self, values: Mapping[Quantity, torch.Tensor] | None = None) -> Snapshot:
-        """The present state; terms of a user's own get copies, which they may write to."""
+        """Return the present state; a task with code of the user's own gets copies, which it may write to."""
         return Snapshot(self.sim, self.episodes.memory, values, copies=self._has_code)
 
-    def _describe(self, worlds: torch.Tensor) -> None:
-        """Sizes of the designs, from the simulation's world of each."""
+    def _set_masks_and_columns(self, worlds: torch.Tensor) -> None:
+        """Set the masks and columns of observations and actions of every design.
+
+        Args:
+            worlds: long ``[num_designs]``: for each design the index of its world in ``sim.worlds``.
+        """
         self.obs_mask = self.layout.mask[worlds]
         self.action_mask = self.sim.action_mask[worlds]
         numbers: list[int] = worlds.cpu().numpy().tolist()
@@ -224,7 +228,7 @@ class VoxelVecEnv:
 
     @property
     def episode_length(self) -> torch.Tensor:
-        """long ``[num_envs]``, control steps of the episode so far: the tensor in use, which steps write to.
+        """Control steps of the present episodes, long ``[num_envs]``: the tensor that steps write to, no copy.
 
         May be assigned, or written to; :meth:`retimed` brings earlier observations up to date.
         """
@@ -250,7 +254,7 @@ class VoxelVecEnv:
 
     @property
     def memory(self) -> dict[str, torch.Tensor]:
-        """The task's episode state, by name (``spec.memory``): fresh tensors ``[num_envs, ...]``."""
+        """The task's episode state by name (``spec.memory``): new tensors ``[num_envs, ...]``."""
         return {name: value.clone() for name, value in self.episodes.memory.items()}
 
     def reset(
@@ -295,11 +299,13 @@ class VoxelVecEnv:
         self.episodes.set_before(state)
         if self.dump is not None:
             self.dump.clear(mask)
-        return self._finite.first(self.layout.observe(state), mask), {}
+        return self._finite.first_observation(self.layout.observe(state), mask), {}
 
     def draw_as(self, numbers: torch.Tensor) -> None:
-        """From the next reset on, draw the random numbers of these environments, long ``[num_envs]``; equal ones draw
-        the same. A reset with a seed ends it.
+        """Let environments draw the random numbers of others, from the next reset on, until a reset with a seed.
+
+        Args:
+            numbers: long ``[num_envs]``: for each environment the index of the one whose numbers it draws.
         """
         if self._draws is not None:
             self._draws.keys.copy_(self._draws.keys[numbers.to(self.device)])
@@ -338,13 +344,13 @@ class VoxelVecEnv:
         teams = [{name: world.objects[name].grid for name in self.spec.robots} for world in worlds]
         self.designs = list(teams) if self.spec.partners else [team[ROBOT] for team in teams]
         self.design_index.copy_(self.sim.design_index)
-        self._describe(torch.arange(len(worlds), device=self.device))
+        self._set_masks_and_columns(torch.arange(len(worlds), device=self.device))
         if self.dump is not None:
             self.dump.refresh()
         return self.reset(mask=mask)[0]
 
     def _start_memory(self, stream: RandomStream, mask: torch.Tensor | None, given: Mapping[str, torch.Tensor]) -> None:
-        """Set the memory of episodes that begin where ``mask`` (None: everywhere), and move the randomized objects."""
+        """Set the memory of episodes that begin where ``mask`` (None: everywhere); move the randomized objects."""
         draws = stream.rewind()
         fresh = {memory.name: memory.begin(draws) for memory in self.spec.memory} | dict(given)
         self.episodes.set_memory(fresh, mask)
@@ -352,7 +358,7 @@ class VoxelVecEnv:
             self.sim.shift(fresh["offset"], mask)
 
     def _given(self, memory: Mapping[str, Any] | None) -> dict[str, torch.Tensor]:
-        """Values for memories from outside, padded with 0 to the shapes of those that would be drawn."""
+        """Check the values of ``memory``; return tensors padded with 0 to the shapes that the task draws."""
         drawn = self.episodes.memory
         given = dict[str, torch.Tensor]()
         if not is_mapping(memory or {}):
@@ -378,7 +384,7 @@ class VoxelVecEnv:
         return given
 
     def step(self, actions: torch.Tensor | np.ndarray) -> StepResult:
-        """One control step everywhere.
+        """Do one control step in all environments.
 
         Args:
             actions: ``[num_envs, num_actions]``, target lengths of the actuators in units of their rest length,
@@ -426,13 +432,13 @@ class VoxelVecEnv:
         return result
 
     def _step_on_device(self) -> StepResult:
-        """The part of :meth:`step` that a CUDA graph records.
+        """Step all environments with the actions that :meth:`step` has stored; return the results of :meth:`step`.
 
-        Tensors are written in place, and on CUDA nothing is read back. ``active`` (bool ``[num_envs]``) is True where
-        an episode is running: everywhere with ``auto_reset``.
+        It runs on the CPU, too; on CUDA a graph may record and repeat it. Therefore tensors that later calls use are
+        written in place, and on CUDA nothing is read back.
         """
         episodes = self.episodes
-        active = episodes.active
+        active = episodes.active  # where an episode is running; with auto_reset: everywhere
 
         # Physics
         self.sim.advance()
@@ -450,10 +456,11 @@ class VoxelVecEnv:
         reward_terms, terminated = self.evaluate_terms(before, after, unstable, active)
         reward = cast(torch.Tensor, sum(reward_terms.values()))
 
-        # NaN and infinity. An environment that has them is stopped as diverged. On the CPU two sums show that there are
-        # none, which is the usual case; elsewhere reading a sum would wait for the device.
+        # NaN and infinity. An environment that has them is stopped as diverged. On the CPU a quick check of the sums
+        # usually shows that there are none; elsewhere reading a sum would wait for the device.
         skipped = diverged | ~active
-        if not (self._on_cpu and all_finite(obs, reward) and not skipped.any()):
+        clean = self._on_cpu and all_finite(obs, reward) and not skipped.any()
+        if not clean:
             obs, nonfinite = self._finite.step(obs, reward_terms, ~skipped)
             unstable = unstable | nonfinite
             diverged = diverged | nonfinite
@@ -496,18 +503,21 @@ class VoxelVecEnv:
         return obs, reward.to(self.dtype), terminated, truncated, info
 
     def not_finite(self) -> dict[str, int]:
-        """In how many environments each term of the task was NaN or infinite so far; waits for the device.
+        """Return in how many environments each term of the task was NaN or infinite so far; waits for the device.
 
         Terms that were not named before are named in a warning. On the CPU that happens in the step itself.
         """
         return self._finite.report()
 
     def not_finite_total(self) -> torch.Tensor:
-        """A number on the device that is 0 as long as :meth:`not_finite` has nothing to tell; waits for nothing."""
+        """Return a tensor that is 0 as long as :meth:`not_finite` reports nothing; does not wait for the device."""
         return self._finite.total()
 
     def retimed(self, obs: torch.Tensor) -> torch.Tensor:
-        """The last observation ``[num_envs, num_obs]``, with ``obs="timed"`` after episode lengths were assigned."""
+        """Return the last observation ``obs`` with the present episode lengths, which a caller may have assigned.
+
+        Only observations of ``obs="timed"`` hold them; others are returned as they are.
+        """
         if not is_timed(self.obs_columns[0]):
             return obs
         column = torch.tensor([columns[TIME].start for columns in self.obs_columns], device=obs.device)
@@ -516,7 +526,7 @@ class VoxelVecEnv:
     def evaluate_terms(
         self, before: Snapshot, after: Snapshot, unstable: torch.Tensor, active: torch.Tensor
     ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
-        """The terms of the reward (float64 ``[num_envs]`` each, by name) and where the episode terminates.
+        """Return the terms of the reward (float64 ``[num_envs]`` each, by name) and where the episode terminates.
 
         Args:
             before, after: the states around the step; equal where the step was stopped.
@@ -536,7 +546,7 @@ class VoxelVecEnv:
         return reward_terms, terminated
 
     def _reset_done(self, done: torch.Tensor, obs: torch.Tensor) -> torch.Tensor:
-        """Reset where ``done``; return ``obs`` with the first observation of the new episodes there."""
+        """Reset the environments where ``done``; return ``obs`` with the first observation of their new episodes."""
         if self._on_cpu and not done.any():
             return obs
 
@@ -549,11 +559,11 @@ class VoxelVecEnv:
         state = self._snapshot()
         self.episodes.set_before(state)
         # Running episodes keep `obs`: it was made before their memory was updated.
-        first_obs = self._finite.first(self.layout.observe(state), done)
+        first_obs = self._finite.first_observation(self.layout.observe(state), done)
         return torch.where(done[:, None], first_obs, obs)
 
     def state(self) -> dict[str, Any]:
-        """The full state, as tensors with a row for every environment, for :meth:`set_state`."""
+        """Return the full state, tensors with a row for every environment, for :meth:`set_state`."""
         return {
             "sim": self.sim.state(),
             "world": self.sim.world_numbers.clone(),
@@ -564,7 +574,7 @@ class VoxelVecEnv:
         }
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Go on from :meth:`state` of environments of the same task, designs, seeds and settings.
+        """Restore a :meth:`state` of environments of the same task, designs, seeds and settings.
 
         Raises:
             SimulationError: the state is that of other worlds or another number of environments, or lacks something;
@@ -593,6 +603,7 @@ class VoxelVecEnv:
 
 
 def _check_seeds(seed: int | Sequence[int], designs: int, num_envs: int) -> None:
+    """Raise ConfigError unless ``seed`` is one number, or one for each design or each environment."""
     seeds = seed if isinstance(seed, Sequence) and not isinstance(seed, str | bytes) else None
     if seeds is not None and len(seeds) not in (designs, num_envs):
         raise ConfigError(

@@ -48,11 +48,11 @@ class VoxelLayout:
     action_cell: torch.Tensor
 
     def cells(self, obs: torch.Tensor) -> torch.Tensor:
-        """``[..., rows * columns, 25]``: the features of every cell, row by row from the top left."""
+        """Return the features of every cell, row by row from the top left: ``[..., rows * columns, 25]``."""
         return torch.unflatten(obs[..., self.place], -1, (self.rows * self.columns, NUM_FEATURES))
 
     def actions(self, values: torch.Tensor) -> torch.Tensor:
-        """Actions ``[num_envs, num_actions]`` from a value for every cell ``[num_envs, rows * columns]``.
+        """Return actions ``[num_envs, num_actions]`` from a value for every cell ``[num_envs, rows * columns]``.
 
         Actions of other robots are 0, so that the results for all robots of a world can be added.
         """
@@ -60,7 +60,7 @@ class VoxelLayout:
 
 
 class VoxelGrid:
-    """The observation term that fills the grid of one robot."""
+    """The observation term with the features of every cell of the grid of one robot."""
 
     __name__ = "voxels"
 
@@ -83,7 +83,12 @@ class VoxelGrid:
             table.copy_(new)  # in place: a captured step may read it
 
     def _make_tables(self) -> tuple[torch.Tensor, ...]:
-        """For every environment: the cells of its actions, the points of its cells, and what is known of them."""
+        """Return, for every environment, the cells of its actions, the points of its cells, and their fixed features.
+
+        The last result is 1 where a cell is not empty.
+
+        The last result is 1 where a cell is not empty.
+        """
         # Bodies that stay keep their entries: going through a body cell by cell is slow.
         sim = self._sim
         found: list[_Cells] = []
@@ -109,6 +114,7 @@ class VoxelGrid:
         return action_cell, corners, known, filled
 
     def _cells_of(self, source: WorldObject, design: int) -> _Cells:
+        """Return the cells of a body on the grid: points, type and neighbours, and which of them actions drive."""
         # Corners
         rows, columns = np.nonzero(source.grid)
         cells = rows * self.columns + columns
@@ -135,7 +141,7 @@ class VoxelGrid:
         return _Cells(source, corners, known, cells[driving])
 
     def __call__(self, state: Snapshot, name: str) -> torch.Tensor:
-        """``[num_envs, cells * 25]``."""
+        """Return the features of all cells of the robot ``name``, ``[num_envs, cells * 25]``."""
         places = state.relative_positions(name).transpose(1, 2)
         at = self._corners[..., None].expand(-1, -1, 2)
         parts: list[torch.Tensor] = []
@@ -146,7 +152,7 @@ class VoxelGrid:
 
 
 class _Cells(NamedTuple):
-    """The cells of a body on the grid: their points, type and neighbours, and those that actions drive, in order."""
+    """The cells of a body on the grid: their points, type and neighbours (``known``), and those that actions drive."""
 
     source: WorldObject
     corners: np.ndarray
@@ -157,14 +163,14 @@ class _Cells(NamedTuple):
 def voxel_observations(
     terms: tuple[Observation, ...], robots: tuple[str, ...], sim: Simulation
 ) -> tuple[Observation, ...]:
-    """A grid for each robot, then what the task observes besides the shapes of those robots."""
+    """Return a grid term for each robot, followed by the task's terms without the shapes of those robots."""
     grids = tuple(Observation(VoxelGrid(sim, name), (("name", name),)) for name in robots)
     shapes = [Observation(shape, (("name", name),)) for name in robots]
     return grids + tuple(term for term in terms if term not in shapes)
 
 
 def voxel_layouts(terms: tuple[Observation, ...], places: dict[str, slice]) -> dict[str, VoxelLayout]:
-    """The layout of every grid among observations that lie at ``places``, by the name of the robot."""
+    """Return the layout of every grid term by the name of its robot; ``places`` has the columns of each term."""
     return {
         dict(term.params)["name"]: VoxelLayout(grid.rows, grid.columns, places[term.name], grid.action_cell)
         for term in terms

@@ -25,22 +25,22 @@ _CELLS = {EMPTY_LETTER: Cell.EMPTY} | {material.letter: cell for cell, material 
 
 
 def block(name: str, width: int, height: int, cell: str = "F", x: int = 0, y: int = 0) -> WorldObject:
-    """A solid rectangle of one kind of cell with its lower left corner at cell (x, y)."""
+    """Return a solid rectangle of one kind of cell with its lower left corner at cell (x, y)."""
     return WorldObject.from_array(name, np.full((height, width), int(_CELLS[cell]), np.int8), x, y)
 
 
 def rows(name: str, *lines: str, x: int = 0, y: int = 0) -> WorldObject:
-    """An object drawn by rows from left to right, the bottom row first; short rows end empty."""
+    """Return an object drawn by rows from left to right, the bottom row first; short rows end with empty cells."""
     return WorldObject.from_array(name, _stack(lines)[::-1], x, y)
 
 
 def columns(name: str, *lines: str, x: int = 0, y: int = 0) -> WorldObject:
-    """An object drawn by columns from the bottom up, the leftmost column first; short columns end empty."""
+    """Return an object drawn by columns from the bottom up, the leftmost first; short columns end with empty cells."""
     return WorldObject.from_array(name, _stack(lines).T[::-1], x, y)
 
 
 def heights(name: str, profile: str, cell: str = "F", x: int = 0, y: int = 0) -> WorldObject:
-    """Solid columns from y upward whose heights are runs ``HEIGHTxCOUNT``: ``"1x22 2 1x5"``."""
+    """Return solid columns from y upward with heights in runs ``HEIGHTxCOUNT``: ``"1x22 2 1x5"``."""
     lines: list[str] = []
     for run in profile.split():
         height, _, count = run.partition("x")
@@ -49,7 +49,7 @@ def heights(name: str, profile: str, cell: str = "F", x: int = 0, y: int = 0) ->
 
 
 def task_team(task: TaskSpec, design: object) -> dict[str, object]:
-    """The bodies of all robots of a task: ``{name: body}``, the robot first.
+    """Return the bodies of all robots of a task: ``{name: body}``, the robot first.
 
     Args:
         design: such a mapping, or one body, which all robots of the task then have.
@@ -70,7 +70,7 @@ def task_team(task: TaskSpec, design: object) -> dict[str, object]:
 
 
 def task_world(task: TaskSpec, body: object, connections: object = None) -> World:
-    """The world of a task with its robots in their places.
+    """Return the world of a task with its robots in their places.
 
     Args:
         body: valid design, int8 ``[rows, columns]``, or such bodies by the names of the task's robots.
@@ -97,7 +97,7 @@ def task_world(task: TaskSpec, body: object, connections: object = None) -> Worl
 
 
 def _stack(lines: Sequence[str]) -> np.ndarray:
-    """Lines as int8 ``[lines, cells]``, padded with empty cells."""
+    """Return lines of text as cells, int8 ``[lines, cells]``, padded with empty cells."""
     run = rf"(\d*)([{''.join(_CELLS)}])"
     parsed: list[list[int]] = []
     for line in lines:
@@ -112,7 +112,7 @@ def _stack(lines: Sequence[str]) -> np.ndarray:
 
 
 def one_body(body: object, designs: Any, connections: Any) -> tuple[Any, Any]:
-    """``designs`` and ``connections`` of several bodies from those of one; raises ConfigError if both are given."""
+    """Return ``designs`` and ``connections``, as lists of one if ``body`` is given; ConfigError: both are given."""
     if body is None:
         return designs, connections
     if designs is not None:
@@ -121,7 +121,7 @@ def one_body(body: object, designs: Any, connections: Any) -> tuple[Any, Any]:
 
 
 def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[Design | dict[str, Design]], list[World]]:
-    """Valid bodies (for a task with several robots those of all, by name), and the world of each.
+    """Load and check the bodies (of several robots by name); return the bodies and the world of each.
 
     Raises:
         DesignError, WorldError: a body that is not valid, or does not fit. ConfigError: not a connection for each.
@@ -132,8 +132,8 @@ def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[De
 
     # One body: a name, robots by name, an array of two dimensions, or a list of rows, which are lists that hold none
     is_array = getattr(designs, "ndim", 1) in (0, 2)
-    if is_list(designs) and len(designs):
-        is_array |= all(is_list(row) and not isinstance(row, str) and not any(map(is_list, row)) for row in designs)
+    if not is_array and is_list(designs) and len(designs):
+        is_array = all(is_list(row) and not isinstance(row, str) and not any(map(is_list, row)) for row in designs)
     single = is_array or isinstance(designs, str) or is_mapping(designs)
     if not single and not is_list(designs):
         raise DesignError(f"designs must be a list of bodies, got {type(designs).__name__}.")

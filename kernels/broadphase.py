@@ -23,13 +23,13 @@ TOO_WIDE = 5.0  # a wider voxel has exploded: its environment is lost, and its c
 
 @builder
 def boxes(kit: Kit):
-    """Stage: bounds of the surface voxels that may have moved."""
+    """Build the stage that computes the bounding boxes of all surface voxels that may have moved."""
     return kit.stage("native/voxel_boxes.h", precision="float64", movable=1)
 
 
 @builder
 def boxes_overlap(kit: Kit):
-    """Function: the lanes in which the boxes of row i of a table and row j of another overlap or touch."""
+    """Build a function that returns the mask of lanes in which row i of one table of boxes meets row j of another."""
 
     @kit.func_native("native/boxes_overlap.h", precision="float64")
     def overlap(one: wp.array3d(dtype=wp.float64), i, other: wp.array3d(dtype=wp.float64), j, pack, lane) -> int: ...
@@ -39,7 +39,7 @@ def boxes_overlap(kit: Kit):
 
 @builder
 def mark_pair(kit: Kit):
-    """Function: note that two voxels are candidates, in one bit for both orders; fixed ones never meet."""
+    """Build a function that marks two voxels as candidates, in one bit for both orders; it skips two fixed voxels."""
 
     @kit.func
     def mark(model, data, mesh, unit, v, w):
@@ -54,22 +54,23 @@ def mark_pair(kit: Kit):
 
 @builder
 def hulls(kit: Kit):
-    """Stage: boxes of the movable voxels around all lanes."""
+    """Build the stage that computes for each movable voxel the box around its boxes in all lanes."""
     return kit.stage("native/hulls.h", precision="float64")
 
 
 @builder
 def mark_all(kit: Kit):
-    """Stage: candidates among movable voxels by comparing all boxes with all, after their hulls."""
+    """Build the stage that marks pairs of movable voxels whose boxes meet, by comparing all with all."""
     return kit.stage("native/mark_all.h", precision="float64")
 
 
 @builder
 def near_in_lane(kit: Kit):
-    """Function: whether the boxes of two voxels, together ``m`` wider, overlap or touch in lane k."""
+    """Build a function that tests whether the boxes of voxels i and j are at most ``m`` apart per axis in lane k."""
 
     @kit.func
     def near(data, pack, k, i, j, m: wp.float64):
+        """Return whether the boxes of voxels i and j are at most ``m`` apart on both axes in lane k."""
         return (
             data.box[pack, 4 * i, k] <= data.box[pack, 4 * j + 1, k] + m
             and data.box[pack, 4 * j, k] <= data.box[pack, 4 * i + 1, k] + m
@@ -82,25 +83,29 @@ def near_in_lane(kit: Kit):
 
 @wp.func
 def on_lattice(x0: wp.float64, x1: wp.float64, y0: wp.float64, y1: wp.float64):
-    """Whether bounds are near enough to have lattice cells, which NaN are not."""
+    """Return whether bounds are finite and small enough to have cell numbers; False for NaN."""
     far = wp.float64(FARTHEST)
     return x0 > -far and x1 < far and y0 > -far and y1 < far
 
 
 @builder
 def mark_grid(kit: Kit):
-    """Stage: candidates among movable voxels through a hashed grid, one lane after another."""
+    """Build the stage that marks pairs of movable voxels by a hashed grid, one lane after another."""
     width = kit.width
-    mark, near = mark_pair(kit), near_in_lane(kit)
+    mark = mark_pair(kit)
+    near = near_in_lane(kit)
 
     @kit.func
     def slot_of(data, x, y):
-        """Hash of a cell."""
+        """Return the slot of grid cell (x, y) in the hash table."""
         return ((x * 73856093) ^ (y * 19349663)) & (data.grid_head.shape[1] - 1)
 
     @kit.func
     def cells(data, pack, k, v, margin):
-        """First and last grid column and row of a voxel's box, half the margin wider; empty if not finite."""
+        """Return first and last column, first and last row of the grid cells that a voxel's box covers.
+
+        The box is half the margin wider on every side. No cells (0, -1, 0, -1) if it is not finite or too wide.
+        """
         half = margin * wp.float64(0.5)
         x0, x1 = data.box[pack, 4 * v, k] - half, data.box[pack, 4 * v + 1, k] + half
         y0, y1 = data.box[pack, 4 * v + 2, k] - half, data.box[pack, 4 * v + 3, k] + half
@@ -112,7 +117,7 @@ def mark_grid(kit: Kit):
 
     @kit.func
     def insert(model, data, mesh, pack, k, unit, v, entries):
-        """Mark the pairs of voxel v with those already in its cells, then insert it; the entries after that."""
+        """Mark voxel v with the voxels in its grid cells, then add v to them; return the new number of entries."""
         n = int(entries)
         x0, x1, y0, y1 = cells(data, pack, k, v, model.margin)
         for y in range(y0, y1 + 1):
@@ -135,6 +140,7 @@ def mark_grid(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
+        """Empty the hash table, then insert all movable voxels, for each lane of the unit."""
         lanes = int(width)
         for k in range(lane, lane + lanes):
             for slot in range(data.grid_head.shape[1]):
@@ -148,7 +154,7 @@ def mark_grid(kit: Kit):
 
 @wp.func
 def lattice_cells(size: wp.vec2i, x0: wp.float64, x1: wp.float64, y0: wp.float64, y1: wp.float64):
-    """First and last column and row of a terrain lattice under bounds; none if these are not finite."""
+    """Return first and last column, first and last row of the terrain lattice that bounds cover; none if not finite."""
     if on_lattice(x0, x1, y0, y1):
         s = wp.float64(1.0 / VOXEL)
         slack = wp.float64(1.0e-3)  # in cells: coordinates carry rounding, the lattice does not
@@ -163,7 +169,10 @@ def lattice_cells(size: wp.vec2i, x0: wp.float64, x1: wp.float64, y0: wp.float64
 
 @builder
 def lattice_range(kit: Kit):
-    """Function: columns and rows of the terrain lattice under a box that is ``margin`` wider on every side."""
+    """Build a function that returns which columns and rows of the terrain lattice a voxel's box overlaps.
+
+    The box is ``margin`` wider on every side.
+    """
 
     @kit.func
     def span(model, data, mesh, pack, k, v, margin):
@@ -176,13 +185,16 @@ def lattice_range(kit: Kit):
 
 @builder
 def lattice_content(kit: Kit):
-    """Function: what is under the hull of the n-th movable voxel: bit 1 surface of terrain, bit 2 fixed voxels.
+    """Build a function that returns what the terrain lattice holds within the hull of the n-th movable voxel.
+
+    Bit 1: the surface of terrain; bit 2: fixed voxels.
 
     Both are said to be where the hull is large (its lanes are far apart) or not finite.
     """
 
     @kit.func
     def content(model, data, mesh, unit, n):
+        """Return bit 1 for terrain surface, bit 2 for fixed voxels, within the hull of the n-th movable voxel."""
         frame, margin = model.frame[mesh], model.margin
         size = model.terrain[frame]
         x0, x1, y0, y1 = lattice_cells(
@@ -206,14 +218,16 @@ def lattice_content(kit: Kit):
 
 @builder
 def mark_fixed(kit: Kit):
-    """Stage: candidates of movable voxels and fixed ones, which the terrain lattice finds."""
+    """Build the stage that marks pairs of a movable and a fixed voxel, which the terrain lattice finds."""
     width = kit.width
-    mark, near = mark_pair(kit), near_in_lane(kit)
-    span, content = lattice_range(kit), lattice_content(kit)
+    mark = mark_pair(kit)
+    near = near_in_lane(kit)
+    span = lattice_range(kit)
+    content = lattice_content(kit)
 
     @kit.func
     def mark_lane(model, data, mesh, pack, k, unit, v):
-        """Candidates of voxel v in one lane."""
+        """Mark the fixed voxels near voxel v in lane k."""
         x0, x1, y0, y1 = span(model, data, mesh, pack, k, v, model.margin)
         frame, first = model.frame[mesh], model.first_other[mesh]
         for y in range(y0, y1 + 1):
@@ -224,6 +238,7 @@ def mark_fixed(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
+        """Mark fixed voxels near each movable voxel in the lanes of the unit."""
         if model.movables[mesh] == model.voxels[mesh]:
             return
         lanes = int(width)
@@ -238,19 +253,23 @@ def mark_fixed(kit: Kit):
 
 @builder
 def list_pairs(kit: Kit):
-    """Stage: the marked candidates in ascending order, into ``pairs``, with the corners that may come to touch."""
+    """Build the stage that lists the marked pairs in ascending order in ``pairs``, with the corners that may touch."""
     return kit.stage("native/list_pairs.h", precision="float64")
 
 
 @builder
 def collect_near(kit: Kit):
-    """Stage: voxels that may touch terrain in some lane."""
+    """Build the stage that lists the voxels that may touch terrain in some lane, in ``near``."""
     width = kit.width
-    span, content = lattice_range(kit), lattice_content(kit)
+    span = lattice_range(kit)
+    content = lattice_content(kit)
 
     @kit.func
     def store_near_box(model, data, mesh, pack, k, v):
-        """Store bounds of the surface cells in reach, inside out where there are none; 1 if there are some, else 0."""
+        """Store the bounds of the terrain's surface cells near voxel v in lane k; return 1 if there are any, else 0.
+
+        Without such cells the stored bounds are inverted: left > right.
+        """
         x0, x1, y0, y1 = span(model, data, mesh, pack, k, v, model.margin)
         frame = model.frame[mesh]
         left, bottom = wp.float64(FARTHEST), wp.float64(FARTHEST)
@@ -271,6 +290,7 @@ def collect_near(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
+        """List the voxels of the unit that are near terrain in some lane."""
         lanes = int(width)
         n = int(0)
         for m in range(model.movables[mesh]):
@@ -290,13 +310,18 @@ def collect_near(kit: Kit):
 
 @builder
 def collect_pairs(kit: Kit):
-    """Stage: rebuild the candidate pairs."""
+    """Build the stage that finds all candidate pairs of voxels again."""
     grid_from = GRID_FROM if kit.width == 1 else WIDE_GRID_FROM
-    all_boxes, around = kit.stage("native/voxel_boxes.h", precision="float64", movable=0), hulls(kit)
-    by_grid, by_all, by_lattice, listed = mark_grid(kit), mark_all(kit), mark_fixed(kit), list_pairs(kit)
+    all_boxes = kit.stage("native/voxel_boxes.h", precision="float64", movable=0)
+    around = hulls(kit)
+    by_grid = mark_grid(kit)
+    by_all = mark_all(kit)
+    by_lattice = mark_fixed(kit)
+    listed = list_pairs(kit)
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
+        """Find the candidate pairs of the unit: movable with movable, then movable with fixed voxels."""
         if model.movables[mesh] < model.voxels[mesh]:
             all_boxes(model, data, mesh, pack, lane, unit, dt)
         around(model, data, mesh, pack, lane, unit, dt)
@@ -312,8 +337,9 @@ def collect_pairs(kit: Kit):
 
 @builder
 def collect(kit: Kit):
-    """Stage: rebuild all candidates, once the accumulated motion exceeds half the margin."""
-    pairs, near = collect_pairs(kit), collect_near(kit)
+    """Build the stage that finds all candidates again once points may have moved by half the margin."""
+    pairs = collect_pairs(kit)
+    near = collect_near(kit)
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):

@@ -24,7 +24,7 @@ masks, pairs = wp.array2d(dtype=int), wp.array2d(dtype=wp.vec2i)
 
 @wp.func_native(text("native/triangles.h", "native/inside_quad.h"))
 def inside_quad(x: real, y: real, r: quad) -> bool:
-    """Whether a point is in a quad, boundary included."""
+    """Return whether point (x, y) is in quad r, boundary included."""
     ...
 
 
@@ -32,13 +32,16 @@ def inside_quad(x: real, y: real, r: quad) -> bool:
     constants(PARALLEL=PARALLEL, DEGENERATE=DEGENERATE) + text("native/crossing.h", "native/nearest_side.h")
 )
 def nearest_side(m: quad, m_sides: int, c: int, r: quad, r_sides: int) -> wp.vec4d:
-    """The nearest surface side of quad r that an edge at corner c of quad m crosses, or -1; vector, depth."""
+    """Return the nearest surface side of quad r that an edge at corner c of quad m crosses: number, vector, depth.
+
+    The number is -1 if there is none.
+    """
     ...
 
 
 @builder
 def contact_forces(kit: Kit):
-    """Function: add ``times`` the forces of one contact on the corner p and on the ends a, b of the side.
+    """Build a function that adds ``times`` the forces of one contact to corner p and to the ends a, b of the side.
 
     ``side`` holds its vector and the depth of the corner under it.
     """
@@ -54,7 +57,7 @@ def contact_forces(kit: Kit):
 
 @builder
 def apply(kit: Kit):
-    """Function: add the forces of a contact of corner c (point p) of voxel i with the side between ``ends`` of voxel j.
+    """Build a function that adds the forces of a contact: corner c (point p) of voxel i with a side of voxel j.
 
     A voxel below 0 stands for cell -1 - i of the terrain. What is done with a contact is an argument of :func:`find`.
     """
@@ -73,7 +76,7 @@ def apply(kit: Kit):
 
 @wp.func
 def surface_sides(side_lanes: wp.array2d(dtype=wp.vec4i), mesh: int, v: int, k: int):
-    """Bits of the surface sides of a voxel in lane k."""
+    """Return which sides of voxel v are surface in lane k: one bit for each side."""
     lanes = side_lanes[mesh, v]
     low = ((lanes[0] >> k) & 1) | (((lanes[1] >> k) & 1) << 1)
     return low | (((lanes[2] >> k) & 1) << 2) | (((lanes[3] >> k) & 1) << 3)
@@ -81,7 +84,7 @@ def surface_sides(side_lanes: wp.array2d(dtype=wp.vec4i), mesh: int, v: int, k: 
 
 @wp.func
 def leader(twin_range: pairs, twin: pairs, twin_lanes: masks, mesh: int, p: int, k: int):
-    """The point that stands for point p (-1: none) in lane k."""
+    """Return the point that stands for point p in lane k, as twins share one point there; -1 for p = -1."""
     found = int(p)
     if p >= 0:
         twins = twin_range[mesh, p]
@@ -96,12 +99,13 @@ def leader(twin_range: pairs, twin: pairs, twin_lanes: masks, mesh: int, p: int,
 
 @functools.cache
 def corner_contact(kit: Kit, act):
-    """Function: do what ``act`` does with the contact of corner c of quad m, which is in quad r, if it is one."""
+    """Build a function that looks for the side that corner c of quad m entered quad r by, and calls ``act`` with it."""
 
     @kit.func
     def contact(
         model, data, mesh, pack, k, i, m: quad, m_sides, p, c, j, r: quad, r_sides, r_points: wp.vec4i, times: real,
     ):  # fmt: skip
+        """Call ``act`` with the side of quad r through which corner c of quad m came, if there is one."""
         found = nearest_side(m, m_sides, c, r, r_sides)
         first = int(found[0])
         if first >= 0:
@@ -119,13 +123,13 @@ def corner_contact(kit: Kit, act):
 
 @wp.func_native(text("native/quad.h"))
 def quad_of(places: points3, pack: int, k: int, c: wp.vec4i) -> quad:
-    """A voxel of one lane as a quad."""
+    """Return the corners ``c`` of a voxel in lane k as a quad."""
     ...
 
 
 @functools.cache
 def voxel_contacts(kit: Kit, act):
-    """Function: contacts of the candidate pairs."""
+    """Build a function that calls ``act`` with each contact of the candidate pairs."""
 
     contact = corner_contact(kit, act)
 
@@ -135,7 +139,10 @@ def voxel_contacts(kit: Kit, act):
         twin_range: wp.array2d(dtype=wp.vec2i), twin: wp.array2d(dtype=wp.vec2i), twin_lanes: wp.array2d(dtype=int),
         places: points3, boxes: points3, touching: wp.array(dtype=int), mesh, pack, lane, unit, count, active, begin,
     ) -> int:  # fmt: skip
-        """The next corner of a candidate that is in the other voxel in some lane; these go into ``touching``."""
+        """Return the next corner, from ``begin`` on, that is in the other voxel of its pair in some lane.
+
+        The mask of these lanes is written to ``touching``.
+        """
         ...
 
     @kit.func
@@ -147,7 +154,7 @@ def voxel_contacts(kit: Kit, act):
 
     @kit.func
     def corner_in_voxel(model, data, mesh, pack, k, i, j, c, times: real):
-        """One lane in which corner c of voxel i is in voxel j."""
+        """Handle the contact of corner c of voxel i with voxel j in lane k."""
         m, r = quad_of(data.pos, pack, k, model.corner[mesh, i]), quad_of(data.pos, pack, k, model.corner[mesh, j])
         p, ends = int(model.pushed[mesh, i][c]), model.pushed[mesh, j]
         r_points = wp.vec4i(ends[0], ends[1], ends[2], ends[3])
@@ -157,6 +164,7 @@ def voxel_contacts(kit: Kit, act):
 
     @kit.func
     def all_pairs(model, data, mesh, pack, lane, unit, active):
+        """Handle every corner of a candidate pair that is in the other voxel, lane by lane."""
         at = corner_from(model, data, mesh, pack, lane, unit, active, 0)
         while at < 8 * data.pair_count[unit]:
             pair = data.pairs[unit, at >> 3]
@@ -175,25 +183,27 @@ def voxel_contacts(kit: Kit, act):
 
 @wp.func
 def in_box(x0: real, x1: real, y0: real, y1: real, x: real, y: real):
-    """Whether a point is in a box."""
+    """Return whether point (x, y) is in a box, boundary included."""
     return x0 <= x and x <= x1 and y0 <= y and y <= y1
 
 
 @functools.cache
 def terrain_contacts(kit: Kit, act):
-    """Function: contacts of the near voxels with the cells of the terrain lattice."""
-    contact, span, overlap = corner_contact(kit, act), lattice_range(kit), boxes_overlap(kit)
+    """Build a function that calls ``act`` with each contact of near voxels with cells of the terrain lattice."""
+    contact = corner_contact(kit, act)
+    span = lattice_range(kit)
+    overlap = boxes_overlap(kit)
 
     @kit.func
     def cell_quad(model, frame, cell):
-        """A cell of the terrain as a quad."""
+        """Return a cell of the terrain as a quad."""
         x0, x1 = model.terrain_box[frame, cell, 0], model.terrain_box[frame, cell, 1]
         y0, y1 = model.terrain_box[frame, cell, 2], model.terrain_box[frame, cell, 3]
         return quad(x0, y1, x1, y1, x1, y0, x0, y0)
 
     @kit.func
     def with_cell(model, data, mesh, pack, k, v, m: quad, mc: wp.vec4i, cell, r: quad):
-        """Corners of the voxel in the cell and of the cell in the voxel; each behind a test of boxes."""
+        """Handle contacts of corners of the voxel in the cell, then of corners of the cell in the voxel."""
         none = wp.vec4i(-1, -1, -1, -1)
         x0, x1 = wp.min(wp.min(m[0], m[2]), wp.min(m[4], m[6])), wp.max(wp.max(m[0], m[2]), wp.max(m[4], m[6]))
         y0, y1 = wp.min(wp.min(m[1], m[3]), wp.min(m[5], m[7])), wp.max(wp.max(m[1], m[3]), wp.max(m[5], m[7]))
@@ -216,7 +226,7 @@ def terrain_contacts(kit: Kit, act):
 
     @kit.func
     def with_terrain(model, data, mesh, pack, k, v):
-        """Contacts of one voxel in one lane."""
+        """Handle the contacts of voxel v with all terrain cells that its box overlaps, in lane k."""
         cx0, cx1, cy0, cy1 = span(model, data, mesh, pack, k, v, real(0.0))
         loaded, frame = int(0), model.frame[mesh]
         corners = model.corner[mesh, v]
@@ -233,6 +243,7 @@ def terrain_contacts(kit: Kit, act):
 
     @kit.func
     def all_near(model, data, mesh, pack, lane, unit, active):
+        """Handle the contacts of every voxel near terrain, lane by lane."""
         for n in range(data.near_count[unit]):
             v = data.near[unit, n]
             lanes = active & overlap(data.box, v, data.near_box, v, pack, lane)
@@ -245,14 +256,15 @@ def terrain_contacts(kit: Kit, act):
 
 @functools.cache
 def find(kit: Kit, act):
-    """Stage: set ``contact`` to 0 and look for contacts; ``act`` is called with each."""
+    """Build the stage that sets ``contact`` to 0, then calls ``act`` with each contact."""
     width = kit.width
-    with_voxels, with_terrain = voxel_contacts(kit, act), terrain_contacts(kit, act)
+    with_voxels = voxel_contacts(kit, act)
+    with_terrain = terrain_contacts(kit, act)
     clear = kit.stage("native/springs.h", "native/clear_contact.h")
 
     @kit.func
     def active_lanes(data, pack, lane):
-        """The lanes that are not frozen."""
+        """Return the mask of lanes that are not frozen."""
         mask = int(0)
         for k in range(int(width)):
             if data.frozen[pack, lane + k] == 0:
@@ -271,5 +283,5 @@ def find(kit: Kit, act):
 
 @builder
 def contacts(kit: Kit):
-    """Stage: all contact forces, added as contacts are found."""
+    """Build the stage that finds all contacts and adds their forces to ``contact`` at once."""
     return find(kit, apply(kit))

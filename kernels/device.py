@@ -22,8 +22,10 @@ that a compiler chooses differ between devices."""
 
 
 def register_limited(registers: int, block: int) -> Any:
-    """Decorator: such a kernel for blocks of so many threads with at most so many registers each on CUDA, and no loop
-    over the grid."""
+    """Return a decorator like :data:`kernel` for CUDA blocks of ``block`` threads with at most ``registers`` each.
+
+    Such a kernel has no loop over the grid.
+    """
     options = {"fuse_fp": False, "block_dim": block}
     return wp.kernel(
         enable_backward=False, module="unique", module_options=options, grid_stride=False, cuda_max_registers=registers
@@ -43,17 +45,17 @@ _streams: dict[tuple[str, int], wp.Stream] = {}
 
 
 def on_cuda(device: str) -> bool:
-    """Whether a device (``cpu``, ``cuda:<index>``) has streams."""
+    """Return whether ``device`` (``cpu``, ``cuda:<index>``) is a GPU."""
     return device != "cpu"
 
 
 def shared_memory(device: str) -> int:
-    """Bytes of shared memory that a block of a CUDA device may ask for: 227 KiB of an H200; 0 on the CPU."""
+    """Return the bytes of shared memory that a block of a CUDA device may ask for: 227 KiB of an H200; 0 on the CPU."""
     return wp.get_device(device).max_shared_memory_per_block
 
 
 def current_stream(device: str) -> wp.Stream:
-    """Torch's current stream of a CUDA device, as Warp's; made once for each stream."""
+    """Return torch's current stream of a CUDA device as a Warp stream, which is cached."""
     import torch
 
     stream = torch.cuda.current_stream(device)
@@ -64,10 +66,11 @@ def current_stream(device: str) -> wp.Stream:
 
 
 class Command:
-    """A recorded launch for CUDA: goes to the stream that is torch's current one when it is launched."""
+    """A recorded kernel launch for CUDA, which runs on the stream that is torch's current one at each launch."""
 
     def __init__(self, command: wp.Launch, device: str) -> None:
-        self._command, self._device = command, device
+        self._command = command
+        self._device = device
 
     def launch(self) -> None:
         """Launch the kernel."""
@@ -85,7 +88,9 @@ def launch(kernel: wp.Kernel, dim: Any, inputs: Sequence[Any], device: str) -> N
 def record(
     kernel: wp.Kernel, dim: Any, inputs: Sequence[Any], device: str, block: int = BLOCK, together: bool = False
 ) -> wp.Launch | Command:
-    """A launch that can be repeated by ``launch()`` for a fraction of its cost; arrays must stay where they are.
+    """Return a recorded launch; each ``launch()`` of it runs the kernel on the same arrays, faster than a new launch.
+
+    The arrays must stay at their addresses.
 
     Args:
         block: threads of a block, on CUDA.
@@ -104,18 +109,19 @@ def record(
 
 
 def zeros(shape: tuple[int, ...], dtype: Any, device: str) -> wp.array:
-    """A zeroed array ``shape`` of a scalar or vector type."""
+    """Return an array ``shape`` of zeros of a scalar or vector type."""
     if not on_cuda(device):
         return wp.zeros(shape, dtype=dtype, device=device)
     import torch
 
     dtype = {int: wp.int32, float: wp.float32}.get(dtype, dtype)
-    scalar, inner = getattr(dtype, "_wp_scalar_type_", dtype), getattr(dtype, "_shape_", ())
+    scalar = getattr(dtype, "_wp_scalar_type_", dtype)
+    inner = getattr(dtype, "_shape_", ())
     return wp.from_torch(torch.zeros((*shape, *inner), dtype=wp.dtype_to_torch(scalar), device=device), dtype=dtype)
 
 
 class HostArrays(Mapping[str, wp.array]):
-    """Zeroed arrays on the CPU by name. The small ones share a block of memory.
+    """Arrays of zeros on the CPU by name; the small ones share a block of memory.
 
     A simulation of one environment has a hundred arrays of some hundred bytes. To allocate them one by one, and to make
     all of them known to Warp, takes longer than a control step: Warp's array is made when it is asked for by name.
@@ -151,6 +157,7 @@ class HostArrays(Mapping[str, wp.array]):
         return len(self._kinds)
 
     def __getitem__(self, name: str) -> wp.array:
+        """Return the Warp array of a name; it is made when it is first asked for."""
         if name not in self._arrays:
             shape, dtype = self._kinds[name]
             block, _, address = self._memory[name]
@@ -159,14 +166,14 @@ class HostArrays(Mapping[str, wp.array]):
         return self._arrays[name]
 
     def numpy(self, name: str) -> np.ndarray:
-        """An array as numpy has it, not a copy; the last axis is a vector's."""
+        """Return a numpy view of an array, no copy; vectors become the last axis."""
         shape, dtype = self._kinds[name]
         block, begin, _ = self._memory[name]
         scalar, inner, _ = _layout(dtype)
         return np.ndarray((*shape, *inner), scalar, block, begin)
 
     def set_fields(self, struct: Any, names: Iterable[str]) -> None:
-        """Set the fields of a Warp struct of these names to the arrays, which the caller keeps as long as it."""
+        """Point the fields ``names`` of a Warp struct to the arrays; keep this object as long as the struct."""
         fields = struct.__ctype__()
         for name in names:
             shape, dtype = self._kinds[name]
@@ -181,7 +188,7 @@ class HostArrays(Mapping[str, wp.array]):
 
 
 def _aligned(size: int) -> np.ndarray:
-    """So many zeroed bytes, which begin at a cache line."""
+    """Return ``size`` bytes of zeros that begin at a cache line."""
     block = np.zeros(size + ALIGNMENT, np.uint8)
     begin = -block.ctypes.data % ALIGNMENT
     return block[begin : begin + size]
@@ -189,7 +196,7 @@ def _aligned(size: int) -> np.ndarray:
 
 @functools.cache
 def _layout(dtype: Any) -> tuple[np.dtype, tuple[int, ...], int]:
-    """The scalar type of an array of Warp's, the shape of a vector, and the bytes of an entry."""
+    """Return numpy's scalar type of a Warp type, the shape of its vectors, and the bytes of an entry."""
     scalar = getattr(dtype, "_wp_scalar_type_", dtype)
     scalar = np.dtype(wp.dtype_to_numpy({int: wp.int32, float: wp.float32}.get(scalar, scalar)))
     inner = tuple(getattr(dtype, "_shape_", ()))
@@ -201,14 +208,14 @@ def _keep(block: np.ndarray, pointer: int, size: int) -> None:
 
 
 def allocate(kinds: Mapping[str, tuple[tuple[int, ...], Any]], device: str) -> Mapping[str, wp.array]:
-    """Zeroed arrays by name, from their shapes and types."""
+    """Return arrays of zeros by name, from their shapes and types."""
     if on_cuda(device):
         return {name: zeros(shape, dtype, device) for name, (shape, dtype) in kinds.items()}
     return HostArrays(kinds)
 
 
 def put(arrays: Mapping[str, wp.array], name: str, place: Any, values: Any) -> None:
-    """Write numpy's values, or one number, into ``arrays[name][place]``."""
+    """Write numpy values, or one number, into ``arrays[name][place]``."""
     if isinstance(arrays, HostArrays):
         arrays.numpy(name)[place] = values
     else:
@@ -219,7 +226,7 @@ def put(arrays: Mapping[str, wp.array], name: str, place: Any, values: Any) -> N
 
 
 def set_fields(struct: Any, arrays: Mapping[str, wp.array], names: Iterable[str]) -> None:
-    """Set the fields of a Warp struct of these names to arrays."""
+    """Set the fields ``names`` of a Warp struct to the arrays of these names."""
     if isinstance(arrays, HostArrays):
         arrays.set_fields(struct, names)
     else:
@@ -228,7 +235,7 @@ def set_fields(struct: Any, arrays: Mapping[str, wp.array], names: Iterable[str]
 
 
 def from_numpy(values: Any, dtype: Any, device: str) -> wp.array:
-    """An array on the device with these values, whose last axis is a vector's if ``dtype`` is one."""
+    """Return a new array on the device with these values; if ``dtype`` is a vector, it is their last axis."""
     values = np.ascontiguousarray(values)
     inner = len(getattr(dtype, "_shape_", ()))
     array = zeros(values.shape[: values.ndim - inner], dtype, device)

@@ -11,20 +11,20 @@ from warpvox.kernels.state import DISTANT, UNSTABLE
 
 @builder
 def check(kit: Kit):
-    """Stage: set UNSTABLE in the status of environments with a folded robot."""
+    """Build the stage that sets UNSTABLE in the status of environments with a folded robot."""
     width = kit.width
     overlap = boxes_overlap(kit)
 
     @kit.func
     def clear(data, pack, lane, robots):
-        """No folded pairs yet."""
+        """Set the numbers of folded pairs to 0."""
         for robot in range(robots):
             for k in range(lane, lane + int(width)):
                 data.folds[pack, robot, k] = 0
 
     @kit.func
     def apply_limits(model, data, mesh, pack, lane):
-        """UNSTABLE where a robot has more folded pairs than its limit."""
+        """Set UNSTABLE where a robot has more folded pairs than its limit."""
         for robot in range(model.robots[mesh]):
             for k in range(lane, lane + int(width)):
                 if data.folds[pack, robot, k] > model.fold_limit[mesh, robot, k]:
@@ -32,6 +32,7 @@ def check(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
+        """Count the folded pairs of each robot of the unit and set UNSTABLE where there are too many."""
         found = int(0)
         for n in range(data.pair_count[unit]):
             pair = data.pairs[unit, n]

@@ -82,7 +82,10 @@ class Group:
 
         Tensions of springs share their place with others. The list of close corners has room for 8 a thread.
         """
-        real, movers, springs, parts = 4 if self.precision == "float32" else 8, self.movers, self.springs, self.parts
+        real = 4 if self.precision == "float32" else 8
+        movers = self.movers
+        springs = self.springs
+        parts = self.parts
         touch = 16 * movers + min(parts, WARP) * (16 + 12 * real) + 16 * parts
         in_turn = max(touch, 2 * real * (springs + 2), 2 * real * movers)
         fields = dict(pos=(self.points, 16), disp=(movers, 2 * real), contact=(movers, 2 * real), links=(movers, 16))
@@ -97,17 +100,17 @@ class Group:
 
     @property
     def large(self) -> bool:
-        """Whether its block has to ask CUDA for the shared memory."""
+        """Whether the group's block has to ask CUDA for more shared memory than blocks have by default."""
         return self.approximate and self.bytes * max(WARP // self.parts, 1) > SHARED_BYTES
 
     @property
     def row(self) -> int:
-        """Numbers of 8 bytes that a group has on the CPU: this memory and that of votes."""
+        """Number of 8-byte values that a group needs on the CPU: its shared memory and the memory of votes."""
         return (self.bytes + 4 * max(WARP, self.parts)) // 8
 
 
 def choose(sizes: Mapping[str, int], precision: str, device: str, room: int = SHARED_BYTES) -> Group | None:
-    """The group for worlds of such sizes; None where they exceed the shared memory.
+    """Return the sizes of a group of threads for worlds of these sizes; None if none fits into the shared memory.
 
     Args:
         sizes: the most points ('point'), springs ('spring') and sides of rigid voxels ('rigid'); no other points than
@@ -144,7 +147,7 @@ def choose(sizes: Mapping[str, int], precision: str, device: str, room: int = SH
 
 
 def source(group: Group, whole_warps: bool = False) -> str:
-    """The C++ of a group kernel; with ``whole_warps`` the groups of a warp are one block on the CPU, too."""
+    """Return the C++ of a group kernel; with ``whole_warps`` the groups of a warp are one block on the CPU, too."""
     sizes = dict(PARTS=group.parts, POINTS=group.points, MOVERS=group.movers, SPRINGS=group.springs, LINKS=LINKS)
     sizes |= dict(
         RIGIDS=group.rigids, GROUP_BYTES=group.bytes, FEW=UNROLLED, CODED=CODED, CLOSE=group.layout["close"][0]
@@ -164,7 +167,9 @@ def source(group: Group, whole_warps: bool = False) -> str:
 
 @functools.cache
 def group_kernel(group: Group, whole_warps: bool = False) -> wp.Kernel:
-    """The kernel; launch over (rows, parts), whole warps, whatever the number of packs.
+    """Build the kernel of a control step; launch it over (rows, parts), where the rows fill whole warps.
+
+    Rows beyond the number of packs compute nothing.
 
     ``order`` permutes the threads, which on the CPU must change nothing.
     """
@@ -214,9 +219,16 @@ def group_kernel(group: Group, whole_warps: bool = False) -> wp.Kernel:
 
 
 def record_group(state, substeps: int, first: int, packs: int, order: int = 0) -> wp.Launch | Command:
-    """A command that does one control step of the packs ``first`` to ``first + packs`` from the actions taken."""
+    """Record one control step of the packs ``first`` to ``first + packs``; return the command that launches it.
+
+    The step reads the actions that are in the buffers when the command is launched. ``order`` is explained under
+    :func:`group_kernel`.
+    """
     group = state.group
     inputs = [state.model, state.data, state.scratch, first, packs, order, substeps, state.dt]
-    block, together = max(WARP if on_cuda(state.device) else 1, group.parts), max(WARP // group.parts, 1)
-    rows = -(-packs // together) * together
-    return record(group_kernel(group), (rows, group.parts), inputs, state.device, block, together=True)
+    threads = max(WARP if on_cuda(state.device) else 1, group.parts)
+
+    # One row of threads for each pack, rounded up so that every warp is full of groups
+    groups_per_warp = max(WARP // group.parts, 1)
+    rows = math.ceil(packs / groups_per_warp) * groups_per_warp
+    return record(group_kernel(group), (rows, group.parts), inputs, state.device, threads, together=True)

@@ -16,7 +16,7 @@ from warpvox.kernels.state import CPP_CONSTANTS, structs
 
 
 class Kit:
-    """Types of a precision and a lane width.
+    """The types, structs and decorators with which Warp functions are compiled for one precision and lane width.
 
     Attributes:
         precision, width, real: 'float32' or 'float64', lanes, and Warp's type.
@@ -24,17 +24,25 @@ class Kit:
     """
 
     def __init__(self, precision: str, width: int):
-        self.precision, self.width, self.real = precision, width, REALS[precision]
+        self.precision = precision
+        self.width = width
+        self.real = REALS[precision]
         types = structs(precision)
-        self.Model, self.Data, self.Tape, self.Contact = types.Model, types.Data, types.Tape, types.Contact
+        self.Model = types.Model
+        self.Data = types.Data
+        self.Tape = types.Tape
+        self.Contact = types.Contact
         self._types = dict(model=self.Model, data=self.Data, tape=self.Tape, dt=wp.float64, margin=wp.float64)
 
     def func(self, source):
-        """Decorator: a Warp function, inlined (structs are passed by value, so that a call would copy them)."""
+        """Decorate a Warp function; it is inlined, as a call would copy the structs, which are passed by value.
+
+        Parameters without annotation get the type of their name (``model``, ``dt``, ...), else int.
+        """
         return inline(self._typed(source))
 
     def func_native(self, *files: str, precision: str | None = None, code: str = "", **values: float):
-        """Decorator: a Warp function whose body is C++ in files of this folder, for values of the kit's precision.
+        """Return a decorator for a Warp function whose body is C++ from files of this folder, for the kit's precision.
 
         Warp looks for this name to find out what the function returns.
 
@@ -46,7 +54,7 @@ class Kit:
         return lambda source: wp.func_native(body)(self._typed(source))
 
     def stage(self, *files: str, precision: str | None = None, **values: float):
-        """A stage whose body is C++ (see :meth:`func_native`)."""
+        """Return a stage whose body is C++ (see :meth:`func_native`)."""
 
         def stage(model, data, mesh, pack, lane, unit, dt): ...
 
@@ -61,12 +69,15 @@ class Kit:
 
 @functools.cache
 def kit_of(precision: str, width: int) -> Kit:
-    """The one kit of a precision ('float32', 'float64') and a width (1 to 32)."""
+    """Return the kit of a precision ('float32', 'float64') and a width (1 to 32); it is made once."""
     return Kit(precision, width)
 
 
 def builder(build):
-    """Decorator: a function of a Kit, called once for each; it may also be called with a precision and a width."""
+    """Decorate a function that builds something from a Kit, so that it runs once for each kit.
+
+    It may also be called with a precision and a width.
+    """
     cached = functools.cache(build)
 
     @functools.wraps(build)

@@ -33,23 +33,26 @@ inline = functools.partial(wp.func, inline=True)
 """
 )
 def first_lane(mask: int) -> int:
-    """The lowest lane in a mask that is not empty."""
+    """Return the number of the lowest lane in a mask that is not 0."""
     ...
 
 
 @wp.func
 def without_first(mask: int) -> int:
-    """The mask without its lowest lane."""
+    """Return the mask without its lowest lane."""
     return mask & (mask - 1)
 
 
 def text(*files: str) -> str:
-    """The C++ in files of this folder, one after another."""
+    """Return the contents of files of this folder, joined by line ends."""
     return "\n".join(Path(__file__).parent.joinpath(file).read_text(encoding="utf-8") for file in files)
 
 
 def constants(**values: float) -> str:
-    """C++ that defines integers and float64 numbers."""
+    """Return C++ that defines each value by its name: an ``int`` as ``int``, a ``float`` as ``double``.
+
+    Values must be finite and no bools, whose Python text is not C++.
+    """
     return "\n".join(
         f"constexpr {'int' if isinstance(value, int) else 'double'} {name} = {value!r};"
         for name, value in values.items()
@@ -58,7 +61,7 @@ def constants(**values: float) -> str:
 
 @functools.cache
 def native(files: tuple[str, ...], precision: str, width: int) -> str:
-    """The body of a native function of a pack and a lane, in C++ of ``files``, for a precision and a width.
+    """Return the C++ body of a Warp function of a pack and a lane, made of ``files`` for a precision and a lane width.
 
     ``Value`` holds the lanes in that precision, ``Wide`` in float64; ``values(array)[r]`` and ``wides(array)[r]`` are
     row r of the pack (``native/scalar.h``, ``native/vector.h``).

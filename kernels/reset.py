@@ -10,25 +10,26 @@ from warpvox.kernels.state import STALE
 
 @builder
 def save(kit: Kit):
-    """Stage, at the start of a control step: save the state; environments that have diverged are put at rest first."""
+    """Build the first stage of a control step: it puts diverged environments at rest, then saves the state of all."""
     return kit.stage("native/springs.h", "native/bounds.h", "native/save.h")
 
 
 @builder
 def settle(kit: Kit):
-    """Stage, at the end of a control step: frozen and stopped environments go back to its start."""
+    """Build the last stage of a control step: it restores the saved state of frozen and stopped environments."""
     return kit.stage("native/springs.h", "native/bounds.h", "native/settle.h")
 
 
 @builder
 def reset_kernel(kit: Kit):
-    """Kernel over environments: those with a mask go back to time 0."""
+    """Build the kernel over environments that puts those with a True mask back to their state at time 0."""
 
     @kernel
     def reset(
         model: kit.Model, data: kit.Data, units: int, width: int,
         env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int), mask: wp.array(dtype=wp.bool),
     ):  # fmt: skip
+        """Put one environment back to its state at time 0 if its mask is True."""
         env = wp.tid()
         if not mask[env]:
             return
@@ -48,17 +49,21 @@ def reset_kernel(kit: Kit):
 
 
 def launch(state, mask):
-    """Reset the environments of a mask, a Warp bool array [environment]."""
+    """Reset the environments where ``mask``, a Warp bool array [environment], is True."""
     inputs = [state.model, state.data, state.units, state.width, state.env_pack, state.env_lane, mask]
     device.launch(reset_kernel(state.precision), state.num_envs, inputs, state.device)
 
 
 @builder
 def follow_kernel(kit: Kit) -> wp.Kernel:
-    """Kernel over (packs, lanes): twins take over the state of their leaders."""
+    """Build the kernel over (packs, lanes) that copies the state of leading points to their twins.
+
+    Twins are points that a lane joins into one, the leader.
+    """
 
     @kernel
     def follow(model: kit.Model, data: kit.Data):
+        """Copy the state of leaders to their twins in one lane of a pack."""
         pack, k = wp.tid()
         mesh = model.pack_mesh[pack]
         for e in range(model.twins[mesh]):
@@ -74,6 +79,6 @@ def follow_kernel(kit: Kit) -> wp.Kernel:
 
 
 def launch_follow(state):
-    """Complete a state that was written for leaders only."""
+    """Copy the state of leading points to their twins, after a state was written for leaders only."""
     inputs = [state.model, state.data]
     device.launch(follow_kernel(state.precision), (state.packs, state.lanes), inputs, state.device)

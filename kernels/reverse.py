@@ -29,7 +29,7 @@ real = wp.float64
 
 @builder
 def soften(kit: Kit):
-    """Function: add the derivatives of the contact of a point at ``height`` above a side of terrain.
+    """Build a function that adds the derivatives of one contact with terrain, of a point ``height`` above a side.
 
     The push sets in as (1 - z / sqrt(z^2 + 4)) / 2 with z = height / smoothing. ``level`` 1: a floor or a ceiling, 0: a
     wall; ``sign`` 1 where the height grows with the coordinate, -1 where it falls.
@@ -38,6 +38,7 @@ def soften(kit: Kit):
 
     @kit.func
     def add(model, data, tape, pack, k, p, row, height: real, level, sign: real):
+        """Subtract or add the derivatives of one contact by height and by velocity in ``tape.contact``."""
         z = height / real(tape.smoothing)
         if z < real(REACH):
             over, law = real(1.0) / wp.sqrt(z * z + real(4.0)), model.contact
@@ -60,7 +61,7 @@ def soften(kit: Kit):
 
 @wp.func
 def sides_at(sides: wp.array2d(dtype=int), size: wp.vec2i, frame: int, x: int, y: int):
-    """Bits of the surface sides of a terrain cell, 0 beyond the lattice."""
+    """Return which sides of a terrain cell are surface, a bit for each; 0 for cells outside the lattice."""
     if x < 0 or x >= size[0] or y < 0 or y >= size[1]:
         return 0
     return sides[frame, y * size[0] + x]
@@ -68,15 +69,16 @@ def sides_at(sides: wp.array2d(dtype=int), size: wp.vec2i, frame: int, x: int, y
 
 @builder
 def ground(kit: Kit):
-    """Function: write the derivatives of contacts with terrain at the start of the last recorded sub-step.
+    """Build a function that writes the derivatives of contacts with terrain at the start of the last recorded sub-step.
 
     Every corner of a voxel counts, as in :mod:`warpvox.kernels.contact`.
     """
-    add, width = soften(kit), kit.width
+    add = soften(kit)
+    width = kit.width
 
     @kit.func
     def above(model, frame, cell, n, x: real, y: real):
-        """Height of a point above side n of a cell, in clockwise order from the top; below 0 inside the cell."""
+        """Return the height of a point above side n of a cell (clockwise from the top); negative inside the cell."""
         height = y - model.terrain_box[frame, cell, 3]
         if n == 1:
             height = x - model.terrain_box[frame, cell, 1]
@@ -88,7 +90,7 @@ def ground(kit: Kit):
 
     @kit.func
     def nearest(model, frame, cell, bits, x: real, y: real):
-        """The surface side that a point in the cell is least deep under."""
+        """Return the surface side of a cell that a point in the cell is nearest to."""
         found, highest = int(0), real(-VOXEL)
         for n in range(int(4)):
             height = above(model, frame, cell, n, x, y)
@@ -99,12 +101,13 @@ def ground(kit: Kit):
 
     @kit.func
     def touch(model, data, tape, frame, pack, k, p, row, cell, n, x: real, y: real):
+        """Add the derivatives of the contact of point p with side n of a cell."""
         sign = wp.where(n < 2, real(1.0), real(-1.0))
         add(model, data, tape, pack, k, p, row, above(model, frame, cell, n, x, y), 1 - (n & 1), sign)
 
     @kit.func
     def point(model, data, tape, mesh, pack, k, p, row):
-        """The contacts of a point in one lane: with the cell that it is in, or with those around it."""
+        """Add the contacts of point p in lane k: with the terrain cell that it is in, else with the cells beside it."""
         x, y, frame = data.pos[pack, 2 * p, k], data.pos[pack, 2 * p + 1, k], model.frame[mesh]
         if not on_lattice(x, x, y, y):
             return
@@ -124,6 +127,7 @@ def ground(kit: Kit):
 
     @kit.func
     def all_near(model, data, tape, mesh, pack, lane, unit):
+        """Add the contacts of the corners of all voxels near terrain, lane by lane."""
         first = (tape.substeps[unit] - 1) * model.points[mesh]
         for n in range(data.near_count[unit]):
             v = data.near[unit, n]
@@ -138,11 +142,19 @@ def ground(kit: Kit):
 
 @functools.cache
 def reverse_kernel(precision: str, width: int) -> wp.Kernel:
-    """The kernel; launch over (units of a pack, packs) with the first pack of this launch."""
+    """Build the kernel of a control step and its reverse pass; launch it over (packs, units of a pack).
+
+    ``first_pack`` is the first pack of a launch.
+    """
     kit = kit_of(precision, width)
-    begin, set_goals = save(kit), goals(kit)
-    bounds, candidates, contact = boxes(kit), collect(kit), contacts(kit)
-    motion, strain, contact_derivatives = runge_kutta(kit), limit(kit), ground(kit)
+    begin = save(kit)
+    set_goals = goals(kit)
+    bounds = boxes(kit)
+    candidates = collect(kit)
+    contact = contacts(kit)
+    motion = runge_kutta(kit)
+    strain = limit(kit)
+    contact_derivatives = ground(kit)
 
     @kit.func_native("native/record.h")
     def keep(model, data, tape, mesh, pack, lane, unit): ...
@@ -157,6 +169,7 @@ def reverse_kernel(precision: str, width: int) -> wp.Kernel:
     def reverse_step(
         model: kit.Model, data: kit.Data, tape: kit.Tape, units: int, first_pack: int, substeps: int, dt: wp.float64
     ):
+        """Do the control step of one unit with all states kept, then go back to its start."""
         row, part = wp.tid()
         pack = first_pack + row
         lane = part * width
@@ -181,7 +194,7 @@ def reverse_kernel(precision: str, width: int) -> wp.Kernel:
 
 
 def record_reverse(state, tape, substeps: int, first: int, packs: int):
-    """A command for the packs ``first`` to ``first + packs``: a control step with the actions taken, then back.
+    """Record a control step of the packs ``first`` to ``first + packs`` and its reverse pass; return the command.
 
     It leaves the state at the end of the step. ``tape`` is the struct; the caller has written the derivatives by that
     state into its ``by_pos``, ``by_vel`` and ``by_true_vel``, which then hold those by the state at the start.

@@ -40,13 +40,13 @@ class SensingArrays:
 
 @wp.func
 def span_of(arrays: SensingArrays, pack: int, o: int, k: int):
-    """The range of an object's points in the order of observations: from, to."""
+    """Return where an object's points lie in the order of observations: begin and end."""
     return arrays.object_range[arrays.pack_mesh[pack], o, k]
 
 
 @wp.func
 def points_of(arrays: SensingArrays, env: int, o: int):
-    """Pack and lane of an environment, and where the points of an object lie in the order of observations: from, to."""
+    """Return pack and lane of an environment, and begin and end of an object's points in the order of observations."""
     pack, k = arrays.env_pack[env], arrays.env_lane[env]
     span = span_of(arrays, pack, o, k)
     return pack, k, span[0], span[1]
@@ -54,13 +54,13 @@ def points_of(arrays: SensingArrays, env: int, o: int):
 
 @wp.func
 def row(arrays: SensingArrays, pack: int, i: int, k: int):
-    """The row of the i-th point in the order of observations."""
+    """Return the number, in the pack's arrays, of the i-th point in the order of observations."""
     return arrays.order[arrays.pack_mesh[pack], i, k]
 
 
 @wp.func
 def centre(arrays: SensingArrays, pack: int, k: int, begin: int, end: int):
-    """Centre of mass of the points of an object."""
+    """Return x and y of the centre of mass of the points ``begin`` to ``end``."""
     x, y = wp.float64(0.0), wp.float64(0.0)
     for i in range(begin, end):
         p = row(arrays, pack, i, k)
@@ -72,7 +72,7 @@ def centre(arrays: SensingArrays, pack: int, k: int, begin: int, end: int):
 
 @kernel
 def centres(arrays: SensingArrays, com: wp.array2d(dtype=wp.vec2d), velocity: wp.array2d(dtype=wp.vec2d)):
-    """Centre of mass and its velocity of every object [environment, object]."""
+    """Write the centre of mass of every object, and the velocity of that centre: [environment, object]."""
     env, o = wp.tid()
     pack, k, begin, end = points_of(arrays, env, o)
     if end <= begin:
@@ -90,21 +90,21 @@ def centres(arrays: SensingArrays, com: wp.array2d(dtype=wp.vec2d), velocity: wp
 
 @wp.func
 def place(arrays: SensingArrays, pack: int, i: int, k: int):
-    """Position of the i-th point."""
+    """Return the position of the i-th point."""
     p = row(arrays, pack, i, k)
     return wp.vec2d(arrays.pos[pack, 2 * p, k], arrays.pos[pack, 2 * p + 1, k])
 
 
 @wp.func
 def rest(arrays: SensingArrays, pack: int, i: int, k: int):
-    """Position of the i-th point at time 0."""
+    """Return the position of the i-th point at time 0."""
     p, mesh = row(arrays, pack, i, k), arrays.pack_mesh[pack]
     return wp.vec2d(arrays.rest_pos[mesh, 2 * p, k], arrays.rest_pos[mesh, 2 * p + 1, k])
 
 
 @wp.func
 def arc_cosine(c: wp.float64):
-    """Angle in [0, pi], of sums, products, quotients and roots alone, so that every machine gives the same bits.
+    """Return the arc cosine of c, in [0, pi], with the same bits on every machine: only + - * / and roots.
 
     Within two units in the last place. Method and constants: fdlibm (e_acos.c).
     """
@@ -126,7 +126,10 @@ def arc_cosine(c: wp.float64):
 
 @wp.func
 def turn(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64):
-    """Angle between two vectors, cross product of their directions (NaN if one has none), length of the second."""
+    """Return the angle between vectors a and b, the cross product of their directions, and the length of b.
+
+    The cross product is NaN if a vector has length 0.
+    """
     la, lb = wp.sqrt(ax * ax + ay * ay), wp.sqrt(bx * bx + by * by)
     ax, ay, bx, by = ax / la, ay / la, bx / lb, by / lb
     c = ax * bx + ay * by
@@ -139,7 +142,7 @@ def turn(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64):
 
 @kernel
 def orientations(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.float64)):
-    """Orientation of one object [environment], counter-clockwise in [0, 2 pi)."""
+    """Write the orientation of one object, counter-clockwise in [0, 2 pi): [environment]."""
     env = wp.tid()
     pack, k, begin, end = points_of(arrays, env, o)
     if end <= begin:
@@ -177,7 +180,7 @@ def orientations(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.float64))
 
 @kernel
 def points(arrays: SensingArrays, o: int, what: int, out: wp.array3d(dtype=wp.float64)):
-    """Positions (what 0), velocities (1) or positions about the centre of mass (2): [environment, point, axis]."""
+    """Write positions (what 0), velocities (1) or positions minus centre of mass (2): [environment, point, axis]."""
     env = wp.tid()
     pack, k, begin, end = points_of(arrays, env, o)
     x, y = wp.float64(0.0), wp.float64(0.0)
@@ -195,19 +198,19 @@ def points(arrays: SensingArrays, o: int, what: int, out: wp.array3d(dtype=wp.fl
 
 @wp.func
 def later(a: wp.vec2d, b: wp.vec2d):
-    """Whether b comes after a in the order from bottom to top, and from left to right within a height."""
+    """Return whether b comes after a in the order from bottom to top and, at equal height, from left to right."""
     return b[1] > a[1] or (b[1] == a[1] and b[0] > a[0])
 
 
 @wp.func
 def cross(a: wp.vec2d, b: wp.vec2d):
-    """Cross product of two vectors."""
+    """Return the cross product of two vectors."""
     return a[0] * b[1] - a[1] * b[0]
 
 
 @kernel
 def extents(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.vec2d)):
-    """Width and height of the bounding box of one object [environment]."""
+    """Write width and height of the bounding box of one object: [environment]."""
     env = wp.tid()
     pack, k, begin, end = points_of(arrays, env, o)
     if end <= begin:
@@ -222,7 +225,7 @@ def extents(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.vec2d)):
 
 @kernel
 def hulls(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.float64)):
-    """Area of the convex hull of one object [environment].
+    """Write the area of the convex hull of one object: [environment].
 
     Wraps the hull in two chains, up from the lowest point along its right side and down along its left: each
     step goes strictly on in one order of the points, so that rounding cannot send it round in circles.
@@ -261,7 +264,10 @@ def hulls(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.float64)):
 
 @wp.func
 def seen(y: wp.float64, at: wp.float64, best: wp.float64, up: int):
-    """The nearer of ``best`` and a point at height y, below (up -1) or above (up 1) the centre of mass."""
+    """Return the smaller of ``best`` and the distance of a point at height y from height ``at``.
+
+    Points on the other side do not count: ``up`` is 1 to look up from ``at``, -1 to look down.
+    """
     if up == 1 and y > at:
         return wp.min(best, y - at)
     if up == -1 and y < at:
@@ -271,7 +277,7 @@ def seen(y: wp.float64, at: wp.float64, best: wp.float64, up: int):
 
 @wp.func
 def edge(window: int, reach: int, side: int):
-    """The beginning (side -1) or end (1) of a window, from the centre of mass, in voxels."""
+    """Return the left end (side -1) or right end (1) of a window, measured from the centre of mass, in voxels."""
     return wp.float64(window - reach) + wp.float64(side) * wp.float64(0.5)
 
 
@@ -281,7 +287,7 @@ def scans(
     column: wp.array2d(dtype=int), static_points: wp.array2d(dtype=wp.vec2d), moving: wp.array(dtype=int),
     out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """Distance to the nearest listed point in centred windows one voxel wide: [environment, window].
+    """Write the distance to the nearest listed point in each window one voxel wide: [environment, window].
 
     ``static_points`` are fixed points in voxels sorted by lattice column, ``column`` where each column starts;
     ``moving`` lists objects that can move (-1: none). In voxels until the last line, as released.
@@ -328,7 +334,7 @@ KERNELS = {k.func.__name__: k for k in (centres, orientations, points, extents, 
 
 
 def record(state, name: str, dim, *inputs) -> wp.Launch | device.Command:
-    """A command that runs one sensing kernel; ``inputs`` follow the arrays, which all of them take."""
+    """Record the launch of one sensing kernel; return the command. ``inputs`` follow the arrays."""
     arrays = SensingArrays()
     for field in ("pos", "vel", "rest_pos", "order", "object_range", "frame", "pack_mesh"):
         setattr(arrays, field, state.arrays[field])

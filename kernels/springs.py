@@ -5,13 +5,16 @@ from warpvox.kernels.kit import Kit, builder
 
 @builder
 def goals(kit: Kit):
-    """Stage, once a control step: goal = rest length x mean of the actions that drive the spring."""
+    """Build the stage that sets each spring's goal length, once a control step.
+
+    The goal is the rest length times the mean of the actions that drive the spring.
+    """
     return kit.stage("native/goals.h", precision="float64")
 
 
 @builder
 def runge_kutta(kit: Kit):
-    """Stage: displacement and new velocity of every free point after dt.
+    """Build the stage that computes displacement and new velocity of every free point after ``dt``.
 
     Every spring, actuated or not, has in each sub-step the equilibrium length l + rate (goal - l), where l is its
     length at the sub-step's start (section A.4). This relaxation is also what damps the bodies. Its force, gravity,
@@ -22,7 +25,9 @@ def runge_kutta(kit: Kit):
 
 @builder
 def limit(kit: Kit):
-    """Stage: strain limits, which move points and leave velocities alone; then new positions, true velocity and drift.
+    """Build the stage that applies the strain limits, which move points but not velocities.
+
+    Then it computes new positions, true velocity and drift.
 
     First pass: all springs from one snapshot, beyond ``strain_limit`` (25 % of the rest length). Second pass: the sides
     of rigid voxels one after another, in place, beyond ``rigid_strain_limit`` (3 %). Each end of a spring moves by the

@@ -224,14 +224,14 @@ TAPE = {
 
 
 def rows(shape: str, sizes: dict[str, int]) -> tuple[int, ...]:
-    """The size of each axis of a shape such as 'pack 2*point lane'; never 0, which Warp could not index."""
+    """Return the size of each axis of a shape such as 'pack 2*point lane'; at least 1, as Warp cannot index size 0."""
 
     return tuple([max(factor * sizes[name] if name else factor, 1) for factor, name in _axes(shape)])
 
 
 @functools.cache
 def _axes(shape: str) -> list[tuple[int, str]]:
-    """Factor and shape symbol (empty: none) of each axis of such a shape."""
+    """Return the factor and the symbol (empty: none) of each axis of a shape as for :func:`rows`."""
     axes = []
     for term in shape.split():
         factor, _, name = term.rpartition("*")
@@ -241,7 +241,7 @@ def _axes(shape: str) -> list[tuple[int, str]]:
 
 @functools.cache
 def structs(precision: str) -> SimpleNamespace:
-    """The Warp structs ``Model``, ``Data``, ``Tape`` and ``Contact`` (constants of contacts) for a precision."""
+    """Return the Warp structs ``Model``, ``Data``, ``Tape`` and ``Contact`` (constants of contacts) for a precision."""
     real = REALS[precision]
 
     def struct(name, table, scalars):
@@ -256,7 +256,7 @@ def structs(precision: str) -> SimpleNamespace:
 
 
 def bytes_of(table: Table, sizes: dict[str, int], precision: str) -> int:
-    """Bytes of the arrays of a table."""
+    """Return the bytes that the arrays of a table take."""
     real = REALS[precision]
     return sum(
         math.prod(rows(shape, sizes)) * wp.types.type_size_in_bytes(real if kind is REAL else kind)
@@ -265,7 +265,7 @@ def bytes_of(table: Table, sizes: dict[str, int], precision: str) -> int:
 
 
 def allocate(table: Table, sizes: dict[str, int], precision: str, device: str) -> Mapping[str, wp.array]:
-    """Zeroed arrays for every field of a table."""
+    """Return arrays of zeros for all fields of a table, by name."""
     real = REALS[precision]
     kinds = {name: (rows(shape, sizes), real if kind is REAL else kind) for name, (kind, shape, _) in table.items()}
     return device_arrays(kinds, device)

@@ -28,15 +28,20 @@ STAGES = {
 
 @functools.cache
 def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
-    """The fused kernel; launch over (units of a pack, packs) with the first pack of this launch."""
+    """Build the kernel that does whole control steps; launch it over (packs, units of a pack).
+
+    ``first_pack`` is the first pack of a launch.
+    """
     kit = kit_of(precision, width)
-    begin, set_goals, end = save(kit), goals(kit), settle(kit)
+    begin = save(kit)
+    set_goals = goals(kit)
+    end = settle(kit)
     stages = (build(kit) for build in STAGES[arithmetic])
     bounds, candidates, contact, motion, strain, folds = stages
 
     @kit.func
     def idle(data, pack, lane):
-        """Clear the status; 1 if all lanes are frozen."""
+        """Clear the status of the unit's lanes; return 1 if all of them are frozen, else 0."""
         all_frozen = int(1)
         for k in range(lane, lane + int(width)):
             if data.frozen[pack, k] == 0:
@@ -46,6 +51,7 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
 
     @kernel
     def control_step(model: kit.Model, data: kit.Data, first_pack: int, units: int, substeps: int, dt: wp.float64):
+        """Do one control step of one unit of a pack."""
         row, part = wp.tid()
         pack = first_pack + row
         lane = part * width
@@ -69,7 +75,7 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
 
 @functools.cache
 def stage_kernel(build, precision: str, width: int) -> wp.Kernel:
-    """The kernel that runs one stage alone; launch over (units of a pack, packs)."""
+    """Build the kernel that runs one stage alone; launch it over (packs, units of a pack)."""
     kit = kit_of(precision, width)
     stage = build(kit)
 
@@ -83,7 +89,7 @@ def stage_kernel(build, precision: str, width: int) -> wp.Kernel:
 
 @builder
 def action_kernel(kit: Kit) -> wp.Kernel:
-    """Kernel over (environments, actions): clip the actions and sort them into the lanes."""
+    """Build the kernel over (environments, actions) that clips actions and copies them into packs and lanes."""
 
     @kernel
     def place_actions(
@@ -100,13 +106,16 @@ def action_kernel(kit: Kit) -> wp.Kernel:
 
 
 def record_actions(state, actions, low: float, high: float) -> wp.Launch | Command:
-    """A command that takes the actions of all environments, a Warp array [environment, action]."""
+    """Record the copying of ``actions``, a Warp array [environment, action], into the buffers; return the command."""
     inputs = [state.data, state.env_pack, state.env_lane, actions, low, high]
     return record(action_kernel(state.precision), actions.shape, inputs, state.device)
 
 
 def record_step(state, substeps: int, first: int, packs: int) -> wp.Launch | Command:
-    """A command that does one control step of the packs ``first`` to ``first + packs`` from the actions taken."""
+    """Record one control step of the packs ``first`` to ``first + packs``; return the command that launches it.
+
+    The step reads the actions that are in the buffers when the command is launched.
+    """
     if state.group is not None:
         return record_group(state, substeps, first, packs)
     fused = step_kernel(state.arithmetic, state.precision, state.width)

@@ -216,7 +216,7 @@ CEILINGS = {
     "public names at module level": 1_225,
     "files that train may load": 148,  # the PPO of populations learns for train on CUDA
     "files in circles, types counted": 0,
-    "lines of tests": 26_500,
+    "lines of tests": 26_600,
     "patterns of sentences in tests": 60,
 }
 """How large the house may be. Lower a figure when a change has brought it down; a higher one needs a reason."""

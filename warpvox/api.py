@@ -45,7 +45,7 @@ def train(
     sim: SimOptions | None = None,
     **settings: Any,
 ) -> TrainedRun:
-    """Train a policy, and wait for it: what ``warpvox train`` does, with its defaults and its results.
+    """Train a policy as ``warpvox train`` does, with the same defaults; return the trained run.
 
     The same seed gives the same policy. An interrupt (Ctrl-C, a notebook's stop button) waits for the end of the
     iteration, saves, and raises KeyboardInterrupt; ``resume="latest"`` goes on. torch's threads and random numbers are
@@ -141,7 +141,7 @@ def train(
 
 
 def _dotted(given: Mapping[str, Any]) -> Iterator[str]:
-    """The names of settings, those of parts as far as they are not the default."""
+    """Return settings by dotted names; of nested parts only values that are not the default."""
     for name, value in given.items():
         yield name
         if isinstance(value, Mapping):
@@ -166,7 +166,7 @@ def evaluate(
     output_dir: str | Path = "outputs",
     **options: Unpack[PlayKeywords],
 ) -> PolicyTable:
-    """Mean returns of policies over whole episodes, with confidence intervals.
+    """Return the mean returns of policies over whole episodes, with confidence intervals.
 
     Args:
         policies: one or several: names of runs (folders, checkpoints, ``latest``, patterns, ``zoo:Walker-v0``), what

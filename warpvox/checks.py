@@ -20,32 +20,32 @@ if TYPE_CHECKING:
 
 
 def is_integer(value: object) -> TypeIs[int]:
-    """Whether a value is an integer of Python or numpy; ``True`` is none."""
+    """Return whether a value is an integer of Python or numpy; ``True`` is none."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Whether a value is a finite int or float of Python."""
+    """Return whether a value is a finite int or float of Python."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def is_list(value: object) -> TypeGuard[Sequence[Any] | np.ndarray]:
-    """True for a sequence or an array."""
+    """Return whether a value is a sequence or an array."""
     return isinstance(value, Sequence | np.ndarray)
 
 
 def is_mapping(value: object) -> TypeGuard[Mapping[str, Any]]:
-    """True for a mapping, by names."""
+    """Return whether a value is a mapping."""
     return isinstance(value, Mapping)
 
 
 def design_of(thing: Any) -> Any:
-    """The body of what has one as ``design``, such as a robot of the zoo, a run or a policy; else ``thing`` itself."""
+    """Return ``thing.design``, such as the body of a robot of the zoo, a run or a policy; without it, ``thing``."""
     return getattr(thing, "design", thing)
 
 
 def check_choice(name: str, value: object, choices: Iterable[object], error: type[WarpvoxError] = ConfigError) -> None:
-    """Raise ``error`` if ``value`` is none of ``choices``; True is not 1."""
+    """Raise ``error`` unless ``value`` is one of ``choices``; True is not 1."""
     options = list(choices)
     if isinstance(value, bool) or not any(isinstance(value, type(one)) and value == one for one in options):
         hint = did_you_mean(value, options)
@@ -53,21 +53,21 @@ def check_choice(name: str, value: object, choices: Iterable[object], error: typ
 
 
 def check_flag(name: str, value: object) -> bool:
-    """``value`` as bool, or a ConfigError."""
+    """Return ``value`` as bool, or raise ConfigError."""
     if not isinstance(value, bool | np.bool_):
         raise ConfigError(f"{name} must be True or False, got {value!r:.80}.")
     return bool(value)
 
 
 def check_path(name: str, value: Any) -> Path:
-    """``value`` as a path, ``~`` replaced, or a ConfigError."""
+    """Return ``value`` as a path with ``~`` expanded, or raise ConfigError."""
     if not isinstance(value, str | Path) or "\0" in str(value):
         raise ConfigError(f"{name} must be a path, got {value!r:.80}.")
     return Path(value).expanduser()
 
 
 def check_known(given: Iterable[str], *functions: Callable[..., Any], without: Iterable[str] = ()) -> None:
-    """Raise UnknownArgumentError, with the nearest name and all, for an argument that none of ``functions`` has.
+    """Raise UnknownArgumentError if an argument is none of ``functions``' arguments; it lists them all.
 
     Args:
         functions: the one that was called, and those (or dataclasses) that get what it does not know; the last may
@@ -90,7 +90,7 @@ def check_known(given: Iterable[str], *functions: Callable[..., Any], without: I
 
 @functools.lru_cache
 def _arguments(function: Callable[..., Any]) -> tuple[tuple[str, ...], bool]:
-    """The names of the arguments of a function, and whether it takes any others by name."""
+    """Return the names of a function's arguments, and whether it takes others by name."""
     found = inspect.signature(function).parameters.values()
     named = tuple(one.name for one in found if one.kind not in (one.VAR_KEYWORD, one.VAR_POSITIONAL))
     return named, any(one.kind is one.VAR_KEYWORD for one in found)
@@ -99,7 +99,7 @@ def _arguments(function: Callable[..., Any]) -> tuple[tuple[str, ...], bool]:
 def check_integer(
     name: str, value: object, low: int, high: int | None = None, error: type[Exception] = ConfigError
 ) -> int:
-    """``value`` as int, or an ``error`` that names the valid range."""
+    """Return ``value`` as int, or raise ``error`` with the valid range."""
     if not is_integer(value) or value < low or (high is not None and value > high):
         limits = f">= {low}" if high is None else f"from {low} to {high}"
         raise error(f"{name} must be an integer {limits}, got {value!r:.80}.")
@@ -107,7 +107,7 @@ def check_integer(
 
 
 def check_shape(name: str, value: Any, error: type[Exception] = ConfigError) -> tuple[int, int]:
-    """``value`` as (rows, columns), or an ``error``."""
+    """Return ``value`` as (rows, columns), or raise ``error``."""
     try:
         sizes = list(value)
     except TypeError:
@@ -118,7 +118,7 @@ def check_shape(name: str, value: Any, error: type[Exception] = ConfigError) -> 
 
 
 def check_mask(mask: Any, like: Tensor, error: type[Exception] = ConfigError) -> Tensor:
-    """``mask`` as a bool tensor of the shape and device of ``like`` (``[num_envs]``), or an ``error``."""
+    """Return ``mask`` as a bool tensor with the shape and device of ``like`` (``[num_envs]``), or raise ``error``."""
     import torch
 
     try:

@@ -24,7 +24,7 @@ KEYS = ("task", "policy", "search.make", "evaluation.make")
 
 
 class Code(str):
-    """``FILE.py:NAME`` or ``MODULE:NAME`` that the user has passed, on the command line or in Python.
+    """The name of code, ``FILE.py:NAME`` or ``MODULE:NAME``, that the user has passed in a command or in Python.
 
     A text like any other, but that :func:`load_code` takes it. Stored and read again it is a plain string.
     """
@@ -33,19 +33,19 @@ class Code(str):
 
 
 def is_code(text: object) -> bool:
-    """True if a text names code, passed by the user or not: ``FILE.py:NAME`` or ``MODULE:NAME``."""
+    """Return whether a string names code: ``FILE.py:NAME`` or ``MODULE:NAME``."""
     return isinstance(text, str) and ":" in text
 
 
 def check_code(text: str | None, needs: str, made: str) -> None:
-    """Raise ConfigError, which says what ``needs`` the code and what is ``made`` by it, unless ``text`` names some."""
+    """Raise ConfigError unless ``text`` names code; the message says which key ``needs`` it and what is ``made``."""
     place, _, name = (text or "").rpartition(":")
     if not place or not name.isidentifier():
         raise ConfigError(f"{needs}=FILE.py:NAME or MODULE:NAME, where NAME makes {made}; got {text!r}.")
 
 
 def load_code(code: str, is_wanted: Callable[[Any], bool] = callable, kind: str = "class or function") -> Any:
-    """Import what ``code`` names.
+    """Import the object that ``code`` names and return it.
 
     Args:
         code: a :class:`Code`; a plain string is refused.
@@ -120,6 +120,7 @@ def _import_file(path: Path) -> ModuleType:
 
 @contextmanager
 def _first_on_path(folder: Path) -> Iterator[None]:
+    """Put ``folder`` first on the search path of imports within the block."""
     importlib.invalidate_caches()
     sys.path.insert(0, str(folder))
     try:
@@ -129,7 +130,7 @@ def _first_on_path(folder: Path) -> Iterator[None]:
 
 
 def passed_code(key: str, stored: Any, given: Any, place: object) -> Any:
-    """The stored value of a key or, where that names code, the code that the user has passed.
+    """Return the stored value of a key; if it names code, return the code that the user has passed instead.
 
     Raises:
         StoredCodeError: the user has passed none.
@@ -142,7 +143,7 @@ def passed_code(key: str, stored: Any, given: Any, place: object) -> Any:
 
 
 def with_passed_code(settings: Any, given: Collection[str], place: object) -> Any:
-    """Settings in which the code of the keys that the user has ``given`` can be imported.
+    """Return settings in which the code of keys that the user has ``given`` may be imported.
 
     Raises:
         StoredCodeError: another key names code, in ``place``.
@@ -160,7 +161,7 @@ def with_passed_code(settings: Any, given: Collection[str], place: object) -> An
 
 
 def code_of(settings: Any) -> dict[str, str]:
-    """The values of settings, or of a stored configuration, that name code, by dotted key."""
+    """Return the values of settings, or of a stored configuration, that name code, by dotted key."""
     found = {}
     for key in KEYS:
         value = settings
@@ -172,10 +173,10 @@ def code_of(settings: Any) -> dict[str, str]:
 
 
 def words_of_code(settings: Any) -> str:
-    """The words of a command that pass the code of settings again, each after a blank, as a shell takes them."""
+    """Return arguments of a command that pass the code of settings again, quoted, each after a blank."""
     return "".join(f" {shlex.quote(f'{key}={text}')}" for key, text in code_of(settings).items())
 
 
 def same_code(one: object, other: object) -> bool:
-    """Return whether both are code of the same name, which may have moved to another place."""
+    """Return whether both name code of the same NAME, whose file or module may differ."""
     return is_code(one) and is_code(other) and str(one).rpartition(":")[2] == str(other).rpartition(":")[2]

@@ -29,7 +29,7 @@ T = TypeVar("T")
 
 @dataclass
 class Body:
-    """One object as a mesh. Index arrays count from the object's own first point or spring.
+    """The mesh of one object. Indices count from the object's own first point or spring.
 
     Equal objects share the lists, dictionaries and tables: they are not written to after the mesh is made.
     """
@@ -55,11 +55,11 @@ class Body:
         return list(self.corners)
 
     def kind(self, cell: tuple[int, int]) -> int:
-        """Type of a cell."""
+        """Return the type of a cell."""
         return int(self.source.grid[cell])
 
     def table(self, make: Callable[[Body], T]) -> T:
-        """Return what ``make`` gives for this mesh, whatever its place in a world; made once for equal objects."""
+        """Return ``make(self)``, which must not depend on the place in a world; it is made once for equal objects."""
         if make not in self.tables:
             self.tables[make] = make(self)
         return self.tables[make]
@@ -76,10 +76,11 @@ class CompiledWorld:
 
     @property
     def robots(self) -> list[Body]:
+        """The bodies that are robots."""
         return [body for body in self.bodies if body.source.is_robot]
 
     def body(self, name: str) -> Body | None:
-        """The mesh of an object, or None."""
+        """Return the mesh of an object, or None."""
         return next((body for body in self.bodies + self.statics if body.name == name), None)
 
 
@@ -97,7 +98,7 @@ def compile_world(world: World, physics: Physics, loose: Sequence[str] = ()) -> 
 def compile_objects(
     objects: Iterable[WorldObject], size: tuple[int, int], physics: Physics, loose: Sequence[str]
 ) -> CompiledWorld:
-    """The same of some objects, on a grid of ``size`` (columns, rows); there may be nothing that moves."""
+    """Mesh ``objects`` as :func:`compile_world` does, on a grid of ``size`` (columns, rows); all may be fixed."""
     ordered = sorted(objects, key=lambda o: (not o.is_robot, o.name))
     bodies = []
     statics = []
@@ -115,7 +116,10 @@ def compile_objects(
 
 
 def mesh(source: WorldObject, physics: Physics) -> Body:
-    """Points, springs and surface of one object (paper section A.1).
+    """Return the mesh of one object: points, springs and surface (paper section A.1).
+
+    The meshes of small objects that are not robots are cached: many worlds with the same terrain come one after the
+    other.
 
     Those of small objects that are no robots are kept: many worlds with the same terrain come one after the other.
     """
@@ -127,6 +131,7 @@ def mesh(source: WorldObject, physics: Physics) -> Body:
 
 @functools.lru_cache(32)  # a benchmark task has at most 21 objects
 def _kept_mesh(source: WorldObject, physics: Physics) -> Body:
+    """Return the mesh of one object, cached."""
     # The sides at which each filled cell is connected, row by row from the top left
     rows, columns = np.nonzero(source.grid)
     linked = dict.fromkeys(zip(rows.tolist(), columns.tolist(), strict=True), 0)
@@ -224,6 +229,7 @@ def _add_voxel(body: Body, cell: tuple[int, int], bits: int, physics: Physics) -
 
 
 def _new_point(body: Body, row: int, column: int) -> int:
+    """Add the point at a grid node to the mesh; return its index."""
     # Exactly these expressions: the last bit of a coordinate decides which touching voxels are in contact.
     source = body.source
     x = source.x * VOXEL + column * VOXEL
@@ -234,7 +240,7 @@ def _new_point(body: Body, row: int, column: int) -> int:
 
 
 def _set_stiffness(body: Body, kinds: list[list[int]], physics: Physics) -> None:
-    """Stiffness of the sides by the preset's rule for shared ones; two diagonals a voxel."""
+    """Set the stiffness of the sides by the preset's rule for shared sides; add two diagonals for each voxel."""
     diagonal = (VOXEL * VOXEL + VOXEL * VOXEL) ** 0.5
     by_kind = {int(kind): physics.stiffness(kind) for kind in Cell}
     stiffest: dict[int, float] = {}
@@ -252,7 +258,7 @@ def _set_stiffness(body: Body, kinds: list[list[int]], physics: Physics) -> None
 
 
 def exact_tables(designs: list[CompiledWorld], lanes: int) -> dict[str, np.ndarray]:
-    """The tables of packs whose lanes all hold one world, for the exact arithmetic: an entry for each world.
+    """Return the tables of packs for exact arithmetic: an entry for each world, which all lanes of its packs hold.
 
     Points and springs stand in the order in which the released simulator makes them.
     """
@@ -261,6 +267,7 @@ def exact_tables(designs: list[CompiledWorld], lanes: int) -> dict[str, np.ndarr
 
 
 def _exact_table(design: CompiledWorld, lanes: int) -> dict[str, np.ndarray]:
+    """Return the tables of one pack whose lanes all hold one world."""
     out = world_arrays(design)
     points = len(out["fixed"])
 
@@ -291,14 +298,20 @@ def _exact_table(design: CompiledWorld, lanes: int) -> dict[str, np.ndarray]:
 
 
 def pack_drives(drives: np.ndarray, axis: int) -> np.ndarray:
-    """int32: the one or two actions (-1: none) along an axis in one number each, plus one, low half first."""
+    """Return the two entries along ``axis`` in one int32: each plus 1, the first in the low 16 bits.
+
+    Entries are the actions that drive a spring, -1 for none.
+    """
     one = np.take(drives, 0, axis=axis) + 1
     two = np.take(drives, 1, axis=axis) + 1
     return (one | two << 16).astype(np.int32)
 
 
 def join(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Tables of several lists of packs as one, padded to common capacities: with 0, or with -1 where 0 is a number."""
+    """Return tables of several lists of packs as one list, padded to the largest sizes.
+
+    The padding is 0, or -1 in tables where 0 is an index.
+    """
     if len(parts) == 1:
         return parts[0]
     joined = {}
@@ -318,7 +331,7 @@ def join(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 
 def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
-    """Arrays of one compiled world, named as in :data:`warpvox.kernels.state.MODEL` where they mean the same."""
+    """Return the arrays of a compiled world, with the names that :data:`warpvox.kernels.state.MODEL` has for them."""
     # Tables of the objects, one behind the other. Numbers of points, springs and actions count on.
     no_object = {
         "fixed": np.zeros(0, np.int32),
@@ -410,7 +423,7 @@ def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
 
 
 def _body_arrays(body: Body) -> dict[str, np.ndarray]:
-    """Tables of points, springs and surface voxels of one object, whose numbers begin at 0."""
+    """Return the tables of points, springs and surface voxels of one object; indices begin at 0."""
     # Springs, without those that are always at rest: they give no force and have no strain
     place = {}
     ends = []
@@ -446,7 +459,7 @@ def _body_arrays(body: Body) -> dict[str, np.ndarray]:
 
 
 def _static_cells(body: Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Column and row, surface bits and bounds (left, right, bottom, top) of the cells of an object."""
+    """Return column and row, surface bits, and bounds (left, right, bottom, top) of the cells of an object."""
     cells = np.array(body.cells)[:, ::-1]
     bits = [body.surface.get(cell, 0) for cell in body.corners]
     points = np.array(body.points)
@@ -458,5 +471,5 @@ def _static_cells(body: Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _lattice_cells(design: CompiledWorld, source: WorldObject, cells: np.ndarray) -> np.ndarray:
-    """Where cells of an object, ``[n, 2]`` columns and rows, lie in the lattice of the world."""
+    """Return the index in the world's lattice of cells of an object, ``[n, 2]`` columns and rows."""
     return (source.y + source.height - 1 - cells[:, 1]) * design.width + source.x + cells[:, 0]

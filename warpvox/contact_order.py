@@ -29,7 +29,7 @@ _SIDE = {(-1, 0): 1, (0, 1): 2, (1, 0): 4, (0, -1): 8}
 
 
 class HashSet:
-    """A set of integers that is gone through in the order of libstdc++'s ``unordered_set<int>``.
+    """A set of integers that iterates in the order of libstdc++'s ``unordered_set<int>``.
 
     A number comes to the front of its bucket (itself modulo the count of buckets), a new bucket to the front of all;
     a full table puts its numbers, in their order, into a larger one.
@@ -51,6 +51,7 @@ class HashSet:
         return number in self._buckets.get(number % self._modulus, ())
 
     def add(self, number: int) -> None:
+        """Add a number; a full table is replaced by a larger one."""
         if number in self._buckets.get(number % self._modulus, ()):
             return
         if self._count == self._modulus or not self._size:  # full; the first bucket is never used
@@ -64,6 +65,7 @@ class HashSet:
         self._buckets.setdefault(number % self._modulus, {})[number] = None
 
     def discard(self, number: int) -> None:
+        """Remove a number if it is there."""
         place = number % self._modulus
         bucket = self._buckets.get(place)
         if bucket is not None and number in bucket:
@@ -75,7 +77,7 @@ class HashSet:
 
 @dataclass
 class _Tree:
-    """Nodes of a binary tree, children before their parents, the root last.
+    """A binary tree of boxes: children come before their parents, the root is the last node.
 
     ``cells``: (row, column) of a leaf, None for others; ``children``: the two of an inner node, None for a leaf;
     ``boxes``: left, bottom, right, top at the beginning.
@@ -92,7 +94,10 @@ class _Tree:
         return len(self.cells) - 1
 
     def ranks(self) -> tuple[list[int], list[int]]:
-        """For every node the number of leaves before it (from first child to second), and before its second child."""
+        """Return for every node the number of leaves before it, and the number before its second child.
+
+        Leaves are counted from first to second children.
+        """
         count = [1] * len(self.cells)
         for node, pair in enumerate(self.children):
             if pair:
@@ -106,7 +111,7 @@ class _Tree:
         return begin, middle
 
     def depth(self) -> int:
-        """Levels below the root."""
+        """Return the number of levels below the root."""
         level = [0] * len(self.cells)
         for node in reversed(range(len(self.cells))):
             for child in self.children[node] or ():
@@ -115,7 +120,7 @@ class _Tree:
 
 
 def tree_of(body) -> _Tree:
-    """The tree of a mesh (:class:`warpvox.compile.Body`)."""
+    """Build the box tree of a mesh (:class:`warpvox.compile.Body`)."""
     number = {cell: n for n, cell in enumerate(body.corners)}
     surface = HashSet()
     for cell in body.surface:
@@ -133,7 +138,7 @@ def tree_of(body) -> _Tree:
 
 
 def _neighbours(body, cell, node_of: dict) -> HashSet:
-    """Nodes of the connected surface voxels beside a cell, of the diagonal ones only if there are none."""
+    """Return the nodes of connected surface voxels beside a cell; without any, of those diagonal to it."""
     found = HashSet()
     cardinal = ((-1, 0), (1, 0), (0, -1), (0, 1))  # row and column: top, bottom, left, right
     diagonal = ((-1, -1), (-1, 1), (1, -1), (1, 1))
@@ -147,7 +152,7 @@ def _neighbours(body, cell, node_of: dict) -> HashSet:
 
 
 def _connected(body, cell, dy: int, dx: int) -> bool:
-    """Whether a neighbour is linked to the cell, a diagonal one over a cell beside both."""
+    """Return whether a neighbour is connected to the cell; a diagonal one through a cell beside both."""
     bits = body.linked
     if dy == 0 or dx == 0:
         return bool(bits[cell] & _SIDE[dy, dx])
@@ -158,7 +163,7 @@ def _connected(body, cell, dy: int, dx: int) -> bool:
 
 
 def _merge(tree: _Tree, near: list[HashSet]) -> None:
-    """Join the two nodes of the smallest common box, neighbours if there are any, until one is left.
+    """Join the two nodes with the smallest common box, again and again, until one is left; neighbours go first.
 
     Of equals the first node is joined, with the first of its neighbours. A diagonal neighbour need not know of it, so
     sets may hold nodes that have been joined.
@@ -170,6 +175,7 @@ def _merge(tree: _Tree, near: list[HashSet]) -> None:
     queue: list[tuple[float, int]] = []
 
     def smallest(node: int) -> tuple[float, int]:
+        """Return the area of the smallest box that ``node`` has in common with another open node, and that node."""
         left, bottom, right, top = boxes[node]
         least = math.inf
         chosen = node
@@ -223,7 +229,7 @@ def _merge(tree: _Tree, near: list[HashSet]) -> None:
 
 
 def order_arrays(design) -> dict[str, np.ndarray]:
-    """The Model's arrays about trees for a :class:`warpvox.compile.CompiledWorld`: nodes of bodies, then of terrain.
+    """Return the Model's arrays of box trees for a :class:`warpvox.compile.CompiledWorld`: bodies, then terrain.
 
     Raises:
         SimulationError: the world has more objects, or objects of deeper trees, than a contact's place in the order
@@ -269,7 +275,7 @@ def order_arrays(design) -> dict[str, np.ndarray]:
 
 
 class _TreeTable(NamedTuple):
-    """The tree of an object as arrays, whose numbers begin at 0.
+    """The box tree of an object as arrays, whose indices begin at 0.
 
     Attributes:
         node: int32 ``[nodes, 4]`` as in the Model; of leaves the first entry is -1 and the object 0.
@@ -289,6 +295,7 @@ class _TreeTable(NamedTuple):
 
 
 def _tree_table(body) -> _TreeTable:
+    """Return the box tree of a mesh as arrays."""
     tree = tree_of(body)
     rank, middle = tree.ranks()
     root = len(tree.cells) - 1
@@ -311,6 +318,7 @@ def _tree_table(body) -> _TreeTable:
 
 
 def _check_places(design, depth: dict[str, int]) -> None:
+    """Raise SimulationError if a sort key has too few bits for the objects or the depth of their trees."""
     remedy = "arithmetic='fast' does not keep this order and has no such limit."
     if len(depth) > MOST_OBJECTS:
         raise SimulationError(
@@ -327,7 +335,7 @@ def _check_places(design, depth: dict[str, int]) -> None:
 
 
 def no_order() -> dict[str, np.ndarray]:
-    """The same for simulations that do not keep the order."""
+    """Return the arrays of :func:`order_arrays` for simulations that do not keep the order: zeros of size 1."""
     one = np.zeros(1, dtype=np.int32)
     return dict(objects=one[0], nodes=one[0], node=one.reshape(1, 1).repeat(4, 1), node_area=np.zeros(1),
                 leaf=one, cell_leaf=one)  # fmt: skip

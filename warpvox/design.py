@@ -136,13 +136,13 @@ def as_grid(
 
 
 def has_actuator(body: object) -> bool:
-    """Whether any cell is a horizontal or vertical actuator."""
+    """Return whether any cell is a horizontal or vertical actuator."""
     cells = as_grid(body)
     return bool(np.isin(cells, ACTUATORS).any())
 
 
 def count_pieces(bodies: np.ndarray) -> np.ndarray:
-    """int ``[...]``: edge-connected pieces of non-empty cells in each of the bodies ``[..., rows, columns]``."""
+    """Return the number of edge-connected pieces of each of the bodies ``[..., rows, columns]``, int ``[...]``."""
     *batch, rows, columns = bodies.shape
     grid = np.zeros((math.prod(batch), rows + 1, columns), bool)  # an empty row keeps bodies apart
     grid[:, :-1] = bodies.reshape(-1, rows, columns) != Cell.EMPTY
@@ -152,7 +152,7 @@ def count_pieces(bodies: np.ndarray) -> np.ndarray:
 
 
 def _pieces(grid: np.ndarray) -> np.ndarray:
-    """int ``[cells]``: for every cell of ``grid`` ``[rows, columns]`` the first cell (row-major) of its piece."""
+    """Return for every cell of ``grid`` the first cell (row-major) of its piece, int ``[cells]``."""
     first, second = full_connections(grid).T
     root = np.arange(grid.size)
     while True:  # cells point to a cell of their piece with a smaller index: join ends of connections, then shorten
@@ -191,7 +191,7 @@ def repair_design(body: object) -> Design:
 
 
 def are_valid(bodies: np.ndarray) -> np.ndarray:
-    """bool ``[n]``: which of the bodies ``[n, rows, columns]`` are one piece and have an actuator."""
+    """Return which of the bodies ``[n, rows, columns]`` are one piece and have an actuator, bool ``[n]``."""
     driven = (bodies == Cell.H_ACT) | (bodies == Cell.V_ACT)
     actuated = driven.any((1, 2))
     actuated[actuated] = count_pieces(bodies[actuated]) == 1
@@ -258,7 +258,7 @@ def draw_bodies(
     shape: tuple[int, int],
     weights: Sequence[float] | np.ndarray = SAMPLING_WEIGHTS,
 ) -> np.ndarray:
-    """``count`` bodies, valid or not: int8 ``[count, rows, columns]`` of independent cells with relative weights."""
+    """Draw bodies, valid or not, int8 ``[count, rows, columns]``: independent cells with relative weights."""
     cumulative = np.cumsum(weights) / np.sum(weights)
     return np.searchsorted(cumulative[:-1], rng.random((count, *shape)), side="right").astype(np.int8)
 
@@ -342,12 +342,12 @@ def design_paths(folder: Path) -> list[Path]:
 
 
 def zoo_tasks() -> list[str]:
-    """Ids of the tasks that the zoo has a robot for."""
+    """Return the ids of the tasks that the zoo has a robot for."""
     return sorted(path.stem for path in ZOO_FOLDER.glob("[!.]*.npz"))
 
 
 def zoo_file(name: str | os.PathLike[str], error: type[Exception]) -> Path:
-    """The file of the zoo's robot for a task, or the ``.npz`` that is named; an ``error`` lists the tasks there are."""
+    """Return the file of the zoo's robot for a task, or ``name`` itself if it is an ``.npz`` file."""
     if not isinstance(name, str | os.PathLike):
         raise error(f"A robot of the zoo is named by its task, got {name!r:.80}.")
     text = os.fspath(name)
@@ -385,7 +385,7 @@ def save_design(path: str | os.PathLike[str], body: object) -> Path:
 
 
 def _run_folder(path: Path) -> Path:
-    """The folder of a run that is named by itself or by a checkpoint in it."""
+    """Return the folder of a run that is named by itself or by a checkpoint in it."""
     path = path.expanduser()
     return path.parent if path.suffix == ".pt" else path
 
@@ -507,6 +507,7 @@ def _parse_grid(data: bytes) -> list[list[float]]:
 
 
 def _parse_list(text: str, source: str) -> object:
+    """Return the cells in a JSON text: nested lists, an entry ``body``, or a world with one robot."""
     try:
         if len(text) > _LARGEST_FILE:
             raise Unreadable(f"it has {len(text):,} characters, and {_LARGEST_FILE:,} are the limit")
@@ -523,7 +524,7 @@ def _parse_list(text: str, source: str) -> object:
 
 
 def _robot_of(world: dict, source: str) -> np.ndarray:
-    """The cells of the robot of a world in EvoGym's format: its only object with an actuator."""
+    """Return the cells of the only object with an actuator of a world in EvoGym's format."""
     try:
         objects = read_objects(world).values()
     except WorldError as error:

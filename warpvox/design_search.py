@@ -105,7 +105,7 @@ def codesign(
 
 
 def _without_names(given: dict[str, Any]) -> dict[str, Any]:
-    """Settings with those that names of sets stand for, ``search="auto"`` for instance; what is given counts more."""
+    """Return settings with named sets such as ``search="auto"`` replaced by their values; values given come first."""
     texts = {key: given[key] for key in ("search", "evaluation", "training") if isinstance(given.get(key), str)}
     sets = {key: name for key, name in texts.items() if name not in (*ALGORITHMS, *EVALUATIONS)}
     if not sets:
@@ -120,5 +120,5 @@ def _without_names(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _name(thing: object) -> Code:
-    """Where the class of an object is, as it is written on the command line."""
+    """Return the class of an object as the code that names it on the command line."""
     return Code(f"{type(thing).__module__}:{type(thing).__name__}")

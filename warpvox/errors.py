@@ -65,11 +65,11 @@ class StoredCodeError(ConfigError):
 
 
 class RunError(WarpvoxError, ValueError):
-    """A folder that is not a run of warpvox, or a run that lacks what was asked for."""
+    """A folder that is not a run of warpvox, or a run that lacks what is needed."""
 
 
 class ResumeError(RunError):
-    """A run that does not go on as it is, but would from another checkpoint or with other settings.
+    """A run that cannot go on as asked, but could from another checkpoint or with other settings.
 
     Attributes:
         resume: the folder or checkpoint to go on from.
@@ -83,7 +83,9 @@ class ResumeError(RunError):
 
 
 class DivergenceError(RunError):
-    """Learning has left the finite numbers; its settings, mostly the learning rate, do not suit the task."""
+    """Training has produced numbers that are not finite; its settings, mostly the learning rate, do not suit the
+    task.
+    """
 
 
 class RolloutError(WarpvoxError, ValueError):
@@ -95,7 +97,7 @@ class DeviceError(WarpvoxError, RuntimeError):
 
 
 class MemoryLimitError(DeviceError):
-    """More was asked for than fits into the memory that is free; the message says what fits."""
+    """A request for more than the free memory holds; the message says what fits."""
 
 
 class StorageError(WarpvoxError, OSError):
@@ -138,7 +140,7 @@ def did_you_mean(name: object, options: Iterable[object]) -> str:
 
 
 def first_line(error: Exception) -> str:
-    """The first line of what another library's error says, or its type if it says nothing."""
+    """Return the first line of the message of an ``error``, or its type if it has no message."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
@@ -153,5 +155,5 @@ def listing(options: Iterable[object], limit: int = 12) -> str:
 
 
 def counted(number: int, things: str) -> str:
-    """``3 designs``, or ``1 design``: a number and what there is of it, a word whose plural adds an s."""
+    """Return a number with a noun in the right form: ``3 designs`` or ``1 design``; its plural must end in s."""
     return f"{number:,} {things.removesuffix('s') if number == 1 else things}"

@@ -32,6 +32,6 @@ MADE_FOR: dict[str, tuple[str, ...]] = {
 
 
 def design_for(task: Any, design: Any) -> Any:
-    """``design``; where that is ``auto``, the name of the example made for the task, ``walker`` if there is none."""
+    """Return ``design``; for ``auto``, the name of the task's example, or ``walker`` if it has none."""
     made = next((name for name, tasks in MADE_FOR.items() if task in tasks), "walker")
     return made if isinstance(design, str) and design == "auto" else design

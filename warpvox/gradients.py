@@ -18,14 +18,14 @@ PARTS = ("pos", "vel", "true_vel")
 
 
 class Gradients:
-    """Control steps as functions that torch differentiates: a state and actions in, a state out.
+    """Control steps that torch differentiates: functions from a state and actions to the next state.
 
     The states are those of the simulation, bit for bit. The reverse pass computes the control step once more, so that
     of each step only its first state is kept. In the air derivatives are those of the physics; contact with terrain is
     smoothed (see :mod:`warpvox.kernels.reverse`), and contacts between voxels have derivative 0.
 
-    A state is a float64 tensor ``[num_envs, 3, rows]``: positions, velocities and true velocities (the displacement of
-    the last sub-step / dt), in simulator units, x and y of the points alternately as in :meth:`Simulation.state`,
+    A state is a float64 tensor ``[num_envs, 3, columns]``: positions, velocities and true velocities (the displacement
+    of the last sub-step / dt), in simulator units, x and y of the points in turn as in :meth:`Simulation.state`,
     padded with 0.
 
     Args:
@@ -61,19 +61,19 @@ class Gradients:
 
     @staticmethod
     def check(sim: Simulation) -> None:
-        """Raise SimulationError where control steps of a simulation cannot be differentiated."""
+        """Raise SimulationError unless the control steps of a simulation can be differentiated."""
         if (got := getattr(sim, "arithmetic", sim)) != "fast":
             raise SimulationError(f"Gradients need a simulation (env.sim) with arithmetic='fast', got {got!r:.80}.")
         if sim.layout != "lanes":
             raise SimulationError(f"Gradients need a simulation with layout='lanes', got {sim.layout!r}.")
 
     def state(self) -> torch.Tensor:
-        """The present state of the simulation."""
+        """Return the present state of the simulation."""
         state = self.sim.state()
         return torch.stack([state[name] for name in PARTS], dim=1)
 
     def step(self, state: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
-        """The state after one control step from ``state``, in which the simulation is then.
+        """Do one control step from ``state``; return the state after it, which the simulation then has.
 
         An environment that is frozen or whose step is undone (:attr:`Simulation.unstable`) keeps its state, and so
         does its derivative. Actions are clipped to the simulation's range; beyond it their derivative is 0.
@@ -97,14 +97,15 @@ class Gradients:
         return _Step.apply(self, state, torch.as_tensor(actions).to(self.sim.device))
 
     def com(self, state: torch.Tensor, name: str) -> torch.Tensor:
-        """``[num_envs, 2]``: the centre of mass of an object in a state; SimulationError: it never moves."""
+        """Return an object's centre of mass in a state, ``[num_envs, 2]``; SimulationError: it never moves."""
         return self._mean(state, name, 0)
 
     def velocity(self, state: torch.Tensor, name: str) -> torch.Tensor:
-        """``[num_envs, 2]``: the velocity of its centre of mass."""
+        """Return the velocity of an object's centre of mass in a state, ``[num_envs, 2]``."""
         return self._mean(state, name, 1)
 
     def _mean(self, state: torch.Tensor, name: str, part: int) -> torch.Tensor:
+        """Return the mean of positions (``part`` 0) or velocities (1) of an object's points, ``[num_envs, 2]``."""
         mask = self.sim.rows_of(name)
         if not mask.any():
             raise SimulationError(f"The object {name!r} is made of fixed cells only: it never moves.")
@@ -114,7 +115,7 @@ class Gradients:
     # What autograd calls.
 
     def _forward(self, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The state after a step with the actions taken, and bool ``[num_envs]``: which environments have moved."""
+        """Do one step from ``state`` with the actions taken; return the new state and which environments have moved."""
         still = self.sim.frozen
         self.sim.set_state(self.sim.state() | _parts(state))
         self.sim.advance()
@@ -123,7 +124,7 @@ class Gradients:
     def _backward(
         self, state: torch.Tensor, actions: torch.Tensor, by_end: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Derivatives by a state and by actions from those by the state after the step."""
+        """Return derivatives by a state and by actions from derivatives by the state after the step."""
         sim = self.sim
         before = sim.state()
         taken = sim.actions
@@ -157,7 +158,7 @@ def _parts(state: torch.Tensor) -> dict[str, torch.Tensor]:
 
 
 class _Step(torch.autograd.Function):
-    """One control step."""
+    """One control step as a function of torch's autograd."""
 
     @staticmethod
     def forward(ctx: Any, gradients: Gradients, state: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
@@ -169,6 +170,7 @@ class _Step(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, by_end: torch.Tensor) -> tuple[None, torch.Tensor, torch.Tensor]:
+        """Return derivatives by state and actions; those of environments that have not moved pass through."""
         state, actions, moved, worlds = ctx.saved_tensors
         if not torch.equal(worlds, ctx.gradients.sim.world_numbers):
             raise SimulationError(

@@ -35,7 +35,7 @@ def key(
     form: str | None = None,
     nodes: Mapping[str, Any] | None = None,
 ) -> Any:
-    """A field that knows its meaning and valid values: ``low <= value <= high`` and ``value > above``.
+    """Return a dataclass field with a description and valid values: ``low <= value <= high`` and ``value > above``.
 
     Args:
         form: how a list of fixed length is written, such as ``[width,height]``.
@@ -51,14 +51,14 @@ def key(
 
 
 class _OfInit:
-    """The signature of a class, in place of that of ``__new__``."""
+    """The signature of a class as that of ``__init__``, not that of ``__new__``."""
 
     def __get__(self, _: object, kind: type) -> inspect.Signature:
         return inspect.signature(functools.partial(kind.__init__, None))
 
 
 class Settings:
-    """A base of dataclasses whose arguments and values are checked when one is made.
+    """Base of dataclasses that check their arguments and values when an object is made.
 
     Raises:
         ConfigError: an unknown argument, or a value of the wrong type or out of range.
@@ -73,7 +73,7 @@ class Settings:
 
     @classmethod
     def of(cls, values: Mapping[str, Any], origin: object = "The stored configuration") -> Self:
-        """The settings that a stored configuration holds; other keys are left out.
+        """Return the settings from a stored configuration; keys that are no fields are ignored.
 
         Raises:
             ConfigError: values that are not valid; ``origin``, such as the file that they are from, is named.
@@ -90,13 +90,13 @@ class Settings:
 
 
 def check_values(config: Any, prefix: str = "") -> None:
-    """Check choices and ranges of a dataclass, but for its parts. ConfigError: the first value that is not valid."""
+    """Raise ConfigError unless all values of a dataclass are valid choices in range; nested parts are not checked."""
     for item in dataclasses.fields(config):
         _check_value(prefix + item.name, getattr(config, item.name), item.metadata)
 
 
 def _check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
-    """Check choices and range of a value, and of all entries of a list; None is valid."""
+    """Raise ConfigError unless a value, or each entry of a list, is a valid choice in range; None is valid."""
     form = limits.get("form")
     if form and value is not None and len(value) != form.count(",") + 1:
         raise ConfigError(f"{name} must be {form}, got {value}.")
@@ -119,7 +119,9 @@ def _check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
 
 
 def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> None:
-    """Give the values of a dataclass the types of its fields, but for ``without``: numpy's numbers, tuples, mappings.
+    """Convert the values of a dataclass to the types of its fields, except the fields ``without``.
+
+    Numpy's numbers, tuples and mappings are converted.
 
     ConfigError: a value of another type, or a part that has no field of a name.
     """
@@ -136,12 +138,12 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
 
 @functools.lru_cache
 def _hints(kind: type) -> dict[str, Any]:
-    """The types of the fields of a dataclass."""
+    """Return the types of the fields of a dataclass."""
     return get_type_hints(kind)
 
 
 def flat(values: Mapping[str, Any], whole: Collection[str] = (), prefix: str = "") -> dict[str, Any]:
-    """Nested values by their dotted keys; the value of a key in ``whole`` is one, also if it is a dictionary."""
+    """Return nested values by dotted keys; the values of keys in ``whole`` are kept even if they are dictionaries."""
     found = {}
     for name, value in values.items():
         key = prefix + name
@@ -150,7 +152,7 @@ def flat(values: Mapping[str, Any], whole: Collection[str] = (), prefix: str = "
 
 
 def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
-    """The part of a configuration that ``usual`` is with some of its values changed."""
+    """Return the settings ``usual`` with some of their ``values`` replaced; errors begin with ``name``."""
     for wrong in values:
         if not isinstance(wrong, str):
             raise ConfigError(f"{name} takes settings by name, got {wrong!r:.80}.")
@@ -164,7 +166,7 @@ def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
 
 
 def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
-    """``value`` in the type of a field: a number of numpy's as one of Python's, a tuple as a list.
+    """Return ``value`` in the type of a field: numpy's numbers as Python's, tuples as lists.
 
     ConfigError: it is of another type; ``name``: of the field, ``none``: how the user writes None.
     """
@@ -201,7 +203,9 @@ def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
 
 
 def plain(value: Any, name: str) -> Any:
-    """``value`` as lists, mappings, texts and numbers, in place of arrays, tuples, paths and what has a body.
+    """Return ``value`` as lists, mappings, strings and numbers, converted from arrays, tuples, paths and the like.
+
+    An object with a body is replaced by the body.
 
     ConfigError: it is or holds anything else.
     """

@@ -17,7 +17,7 @@ _MIDDLE = LEVELS // 2
 
 
 def palette() -> np.ndarray:
-    """uint8 ``[colours, 3]``: what :func:`colour_index` points into; entries LEVELS * (type - 1) + level."""
+    """Return all colours of cells, uint8 ``[colours, 3]``; :func:`colour_index` gives indices into it."""
     knots = (0, _MIDDLE, LEVELS - 1)
     shades = []
     for material in MATERIALS.values():
@@ -27,7 +27,7 @@ def palette() -> np.ndarray:
 
 
 def colour_index(cells: np.ndarray, stretch: np.ndarray) -> np.ndarray:
-    """Entry of :func:`palette` for cells (types 1 to 5) that are stretched; shapes broadcast, int32."""
+    """Return the index in :func:`palette` of cells (types 1 to 5) that are stretched; shapes broadcast, int32."""
     wide = np.clip(stretch, ACTION_LOW, ACTION_HIGH) - 1
     level = _MIDDLE + wide * np.where(wide < 0, _MIDDLE / (1 - ACTION_LOW), _MIDDLE / (ACTION_HIGH - 1))
     actuated = np.isin(cells, ACTUATORS)
@@ -36,12 +36,12 @@ def colour_index(cells: np.ndarray, stretch: np.ndarray) -> np.ndarray:
 
 
 def cell_colour(cell: int) -> tuple[int, int, int]:
-    """The colour of a cell at rest."""
+    """Return the colour of a cell at rest."""
     return MATERIALS[Cell(cell)].colours[1]
 
 
 def body_svg(body: Design, cell: int = 8) -> str:
-    """A body, or other cells, as an ``<svg>`` element, a path a material; ``cell`` is the size of a cell in pixels.
+    """Return a body as an ``<svg>`` element with one path for each material; ``cell`` is the size of a cell in pixels.
 
     The paths have the classes ``c1`` to ``c4`` beside their colours and edges, so that a page can restyle them.
     """

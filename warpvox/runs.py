@@ -51,7 +51,7 @@ _LONGEST_NAME, LONGEST_BYTES = 100, 150
 
 @dataclass(frozen=True)
 class Run:
-    """A folder that training has left; ``checkpoint`` is set if a single file was named.
+    """The folder of a training; ``checkpoint`` is set if the user has named a single file.
 
     ``robot``: instead of a folder, a stored robot (``zoo:Walker-v0``).
     """
@@ -63,18 +63,21 @@ class Run:
 
     @property
     def is_many(self) -> bool:
-        """Whether its policy was trained on many bodies."""
+        """Whether the run's policy was trained on many bodies."""
         designs = self.config.get("designs")
         return isinstance(designs, Mapping) and designs.get("bodies") is not None
 
     @property
     def iterations(self) -> list[int]:
-        """Iterations with a checkpoint, ascending."""
+        """Iterations that have a checkpoint, ascending."""
         found = (re.fullmatch(r"model_(\d+)\.pt", file.name) for file in self.folder.iterdir())
         return sorted(int(match[1]) for match in found if match)
 
     def find_checkpoint(self, which: str) -> Path:
-        """The file that was named, or that of ``best`` (the last without an evaluation), ``last`` or an iteration."""
+        """Return the checkpoint's path for ``best`` (without an evaluation the last), ``last`` or an iteration.
+
+        If the run was named by a checkpoint, that one.
+        """
         which = str(which)
         if self.checkpoint is not None:
             if which != "best":
@@ -93,7 +96,7 @@ class Run:
 
 
 def without_services(stored: Mapping[str, Any]) -> dict[str, Any]:
-    """Stored settings but for those by which a program connects to a service: to have them, they are given again.
+    """Return stored settings without those that connect to a service, which the user has to give again.
 
     A logger may send figures to the user's own account, and who connects to a Ray cluster can be made to run code.
     """
@@ -104,7 +107,7 @@ def without_services(stored: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def search_as_now(stored: Mapping[str, Any], place: object) -> dict[str, Any]:
-    """The stored settings of a design search, without the keys that those of version 0.1.0 have besides.
+    """Return the stored settings of a design search without keys that only version 0.1.0 has.
 
     Raises:
         RunError: they ask for something that later versions do not have; ``place`` is where they are from.
@@ -137,7 +140,7 @@ def search_as_now(stored: Mapping[str, Any], place: object) -> dict[str, Any]:
 
 @contextmanager
 def new_folder(output_dir: str, command: str, task: str, name: str | None, config: str) -> Iterator[Path]:
-    """Make a run's folder with its ``config.yaml``; gone again if the block fails before any result."""
+    """Make a run's folder with its ``config.yaml``; remove it if the block fails before any result."""
     check_name(name)
     stamp = datetime.now().strftime(STAMP)
     if ":" in task:  # a task of the user's own, module:NAME, is known by its id
@@ -183,13 +186,13 @@ def check_name(name: str | None) -> None:
 
 
 def as_name(text: str) -> str:
-    """``text``, which may come from anywhere, as the name of a folder: letters, digits and . _ + - only."""
+    """Return ``text``, from any source, as the name of a folder: letters, digits and . _ + - only."""
     name = _NOT_IN_NAMES.sub("_", text).encode(errors="replace")[:_LONGEST_NAME].decode(errors="ignore")
     return name.strip(".")
 
 
 def _make_folder(parent: Path, stamp: str, ending: str = "") -> Path:
-    """A new folder; runs that start in the same second get a number."""
+    """Make a new folder and return it; runs that start in the same second get a number."""
     check_encodable(parent)
     for number in range(1, 1000):
         folder = parent / (stamp + (f"-{number}" if number > 1 else "") + ending)
@@ -215,7 +218,7 @@ def run_folder(
     known: Collection[str] = (),
     check: Callable[[], object] = lambda: None,
 ) -> AbstractContextManager[Path]:
-    """The folder of a run that is resumed, or a new one if there is none, with ``text`` as its ``config.yaml``.
+    """Return a context manager for a run's folder: ``folder`` to resume it, or a new one; it writes ``config.yaml``.
 
     Args:
         place: of a new one; None: it lies in ``output_dir`` and is named by the time.
@@ -237,7 +240,7 @@ def run_folder(
 
 @contextmanager
 def _going_on(folder: Path, config: str, check: Callable[[], object] = lambda: None) -> Iterator[Path]:
-    """The folder of a run that is resumed: ours alone, rid of what a killed process has left half written.
+    """Lock a run's folder, remove unfinished files, write ``config.yaml``, and yield the folder.
 
     ``check``: called before anything is written; until then another process may have gone on with the run.
     """
@@ -253,7 +256,7 @@ def _going_on(folder: Path, config: str, check: Callable[[], object] = lambda: N
 
 
 def keep_code(settings: Any, folder: Path) -> None:
-    """Copy the files that settings name as code into the folder of a run, for readers: nothing imports the copies."""
+    """Copy the files of code that settings name into the folder of a run; they are for readers, never imported."""
     for key, text in code_of(settings).items():
         place = text.rpartition(":")[0]
         if not place.endswith(".py"):
@@ -264,7 +267,7 @@ def keep_code(settings: Any, folder: Path) -> None:
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
-    """Content of ``summary.json``, but for what is damaged; nothing if there is none, or one that cannot be read."""
+    """Return the valid entries of ``summary.json``; none if the file is missing or cannot be read."""
     known = read_facts(folder / SUMMARY)
     fresh = known.get("fresh_seeds")
     judged = isinstance(fresh, dict) and all(is_number(fresh.get(name)) for name in ("mean", "low", "high", "episodes"))
@@ -274,7 +277,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
-    """Write ``summary.json``: ``content``, and which version of the program has made it."""
+    """Write ``summary.json``: ``content``, with version, commit and processor."""
     # The processor, and the GPU that this process has used
     processors = [processor_name()]
     torch = sys.modules.get("torch")
@@ -288,7 +291,7 @@ def write_summary(folder: Path, content: dict[str, Any]) -> None:
 
 @functools.cache
 def _commit() -> str | None:
-    """With ``-dirty`` where files were changed; None: an installed package, or no git."""
+    """Return the git commit, with ``-dirty`` if files were changed; None for an installed package or without git."""
     root = Path(__file__).resolve().parents[1]
     if not (root / ".git").exists():
         return None
@@ -302,7 +305,7 @@ def _commit() -> str | None:
 
 
 def check_unchanged(before: Mapping[str, Any], config: Any, changeable: Sequence[str]) -> None:
-    """Raise ConfigError if a resumed run is asked for something that would make it another one."""
+    """Raise ConfigError if a setting of a resumed run has changed that is not ``changeable``."""
     for key, old, new in _changes(before, config):
         if key not in changeable:
             raise ConfigError(
@@ -312,7 +315,7 @@ def check_unchanged(before: Mapping[str, Any], config: Any, changeable: Sequence
 
 
 def _changes(before: Mapping[str, Any], config: Any, prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Dotted keys that a configuration has another value of than a stored one, and both values."""
+    """Yield the dotted key, stored value and new value of every setting that has changed."""
     for item in dataclasses.fields(config):
         old = before.get(item.name)
         new = getattr(config, item.name)

@@ -17,7 +17,7 @@ Recorded = wp.Launch | Command
 
 
 class Sensing:
-    """The part of :class:`warpvox.Simulation` that senses; tensors that methods return are fresh."""
+    """The part of :class:`warpvox.Simulation` that senses; its methods return new tensors."""
 
     num_envs: int
     device: str
@@ -34,7 +34,7 @@ class Sensing:
 
     @contextmanager
     def sensing_anew(self) -> Iterator[dict[tuple[Any, ...], tuple[Recorded, list[torch.Tensor]]]]:
-        """Within, what is sensed has launches and buffers of its own; gives them: launch and buffers, by what it is."""
+        """Use separate launches and buffers for sensing inside the block; yields them by what they sense."""
         kept = self._sensors
         self._sensors = {}
         self._centres_are_new = False
@@ -50,23 +50,23 @@ class Sensing:
         return [buffer for _, buffers in self._sensors.values() for buffer in buffers]
 
     def forget_sensed(self) -> None:
-        """Sense again what is cached: for code that has moved the points itself."""
+        """Discard cached centres: for code that has moved points itself."""
         self._centres_are_new = False
 
     def object_positions(self, name: str) -> torch.Tensor:
-        """[num_envs, points, 2]: positions in simulator units, padded with 0."""
+        """Return positions of an object's points, [num_envs, points, 2], in simulator units, padded with 0."""
         return self._points(name, 0)
 
     def object_velocities(self, name: str) -> torch.Tensor:
-        """[num_envs, points, 2]: velocities of the integrator, padded with 0."""
+        """Return the integrator's velocities of an object's points, [num_envs, points, 2], padded with 0."""
         return self._points(name, 1)
 
     def relative_positions(self, name: str) -> torch.Tensor:
-        """[num_envs, 2, points]: x row and y row minus the centre of mass, padded with 0."""
+        """Return an object's points minus its centre of mass, [num_envs, 2, points]: x row, y row; padded with 0."""
         return self._points(name, 2).transpose(1, 2)
 
     def _sense(self, key: tuple, dim, shapes: list[tuple], *inputs):
-        """Run the kernel that a key begins with into its buffers; a recorded launch costs a fraction of a new one."""
+        """Run the kernel ``key[0]`` and return its buffers; its launch is recorded once for each ``key``."""
         if key not in self._sensors:
             buffers = [torch.zeros(shape, dtype=torch.float64, device=self.device) for shape in shapes]
             kind = wp.vec2d if key[0] in ("centres", "extents") else None
@@ -77,6 +77,7 @@ class Sensing:
         return buffers
 
     def _points(self, name: str, what: int) -> torch.Tensor:
+        """Return positions (``what`` 0), velocities (1) or positions minus centre (2): [num_envs, points, 2]."""
         objects = self._objects
         inputs = [objects.index(name), what]
         shape = (self.num_envs, objects.num_points[name], 2)
@@ -93,14 +94,15 @@ class Sensing:
         return out
 
     def com(self, name: str) -> torch.Tensor:
-        """float64 [num_envs, 2]: centre of mass of an object that can move (B.1)."""
+        """Return the centre of mass of an object that can move, float64 [num_envs, 2] (B.1)."""
         return self._centres()[0][:, self._objects.moving(name)].clone()
 
     def velocity(self, name: str) -> torch.Tensor:
-        """float64 [num_envs, 2]: velocity of the centre of mass (B.1)."""
+        """Return the velocity of an object's centre of mass, float64 [num_envs, 2] (B.1)."""
         return self._centres()[1][:, self._objects.moving(name)].clone()
 
     def _centres(self) -> list[torch.Tensor]:
+        """Return centres of mass and their velocities, [num_envs, objects, 2] each; sensed once a step."""
         shape = (self.num_envs, len(self.object_names), 2)
         if self._centres_are_new:
             return self._sensors["centres",][1]
@@ -108,23 +110,24 @@ class Sensing:
         return self._sense(("centres",), shape[:2], [shape, shape])
 
     def orientation(self, name: str) -> torch.Tensor:
-        """float64 [num_envs]: orientation in [0, 2 pi), counter-clockwise since time 0 (B.1)."""
+        """Return the orientation, float64 [num_envs] in [0, 2 pi), counter-clockwise since time 0 (B.1)."""
         return self._of_object("orientations", name)
 
     def extent(self, name: str) -> torch.Tensor:
-        """float64 [num_envs, 2]: width and height of the box about all points of an object that can move."""
+        """Return width and height of the box about all points of an object that can move: float64 [num_envs, 2]."""
         return self._of_object("extents", name, 2)
 
     def hull_area(self, name: str) -> torch.Tensor:
-        """float64 [num_envs]: area of the convex hull of all points of an object that can move (B.6.1)."""
+        """Return the area of the convex hull of an object that can move, float64 [num_envs] (B.6.1)."""
         return self._of_object("hulls", name)
 
     def _of_object(self, kernel: str, name: str, *sizes: int) -> torch.Tensor:
+        """Run a sensing kernel for one object; return float64 [num_envs, *sizes]."""
         index = self._objects.moving(name)
         return self._sense((kernel, index), self.num_envs, [(self.num_envs, *sizes)], index)[0].clone()
 
     def floor_scan(self, name: str, reach: int, objects: Sequence[str] | None = None) -> torch.Tensor:
-        """float64 [num_envs, 2 reach + 1]: depth of the terrain below an object's centre of mass.
+        """Return the depth of the terrain below an object's centre of mass, float64 [num_envs, 2 reach + 1].
 
         Window i, from -reach to reach voxels beside it and one voxel wide, holds the distance down to the highest
         point of the listed objects (None: all that never move) below the centre; 5 voxels (0.5) where there is none.
@@ -132,10 +135,11 @@ class Sensing:
         return self._scan(name, reach, objects, -1)
 
     def ceiling_scan(self, name: str, reach: int, objects: Sequence[str] | None = None) -> torch.Tensor:
-        """float64 [num_envs, 2 reach + 1]: the same upward."""
+        """Return the height of the terrain above an object's centre of mass, as :meth:`floor_scan` does below."""
         return self._scan(name, reach, objects, 1)
 
     def _scan(self, name: str, reach: int, objects: Sequence[str] | None, up: int) -> torch.Tensor:
+        """Return the scan down (``up`` -1) or up (1) from an object's centre of mass, [num_envs, 2 reach + 1]."""
         listed = tuple(objects) if objects is not None else None
         if listed not in self._scans:
             self._scans[listed] = self._objects.scan_tables(listed)

@@ -42,7 +42,7 @@ if hasattr(os, "register_at_fork"):  # a child has no threads but the one that f
 
 
 class Simulation(Sensing):
-    """Worlds stepped together, one environment each.
+    """Worlds that are stepped together, one environment each.
 
     Args:
         worlds: one :class:`World` per environment; they are copied.
@@ -138,7 +138,7 @@ class Simulation(Sensing):
         raise SimulationError("A simulation cannot be copied or pickled: another's set_state() takes its state().")
 
     def step(self, actions) -> None:
-        """One control step of every environment that is not frozen.
+        """Do one control step in every environment that is not frozen.
 
         Args:
             actions: torch or numpy ``[num_envs, num_actions]``, target lengths of the actuators in units of their
@@ -152,7 +152,7 @@ class Simulation(Sensing):
         self.advance()
 
     def take(self, actions: object, mask: torch.Tensor | None = None) -> None:
-        """The first half of :meth:`step`: check the actions and keep them for :meth:`advance`.
+        """Check the actions and store them for :meth:`advance`: the first half of :meth:`step`.
 
         Where ``mask`` (bool ``[num_envs]``) is False, those taken before remain; None: all are taken.
         """
@@ -167,25 +167,28 @@ class Simulation(Sensing):
 
     @property
     def actions(self) -> torch.Tensor:
-        """``[num_envs, num_actions]``: the actions taken last, as they were given."""
+        """The actions that were taken last, as they were given: ``[num_envs, num_actions]``, a copy."""
         return self.action_buffer.clone()
 
     def advance(self) -> None:
-        """The second half of :meth:`step`; on CUDA it goes to torch's current stream, and a graph may capture it."""
+        """Step the physics with the actions that :meth:`take` has stored: the second half of :meth:`step`.
+
+        On CUDA it goes to torch's current stream, and a graph may capture it.
+        """
         if not self._launches:
             self._launches = self.record_shares(partial(step_stage.record_step, self._state, self.physics.substeps))
         self.place_actions()
         self.run(self._launches)
 
     def place_actions(self) -> None:
-        """Clip the actions taken and sort them into the buffers, as :meth:`advance` does first."""
+        """Clip the actions taken and copy them into the kernels' arrays; :meth:`advance` does so first."""
         if self._take is None:
             self._take = step_stage.record_actions(self._state, self._action_array, *self.action_range)
         if self.num_actions:
             self._take.launch()
 
     def run(self, launches: Sequence[Recorded]) -> None:
-        """Launch commands that change the points, each for some of the packs: side by side, if there are several."""
+        """Run commands that change points, each on its share of the packs, in parallel if there are several."""
         jobs = [self._pool.submit(launch.launch) for launch in launches[1:]]
         launches[0].launch()
         for job in jobs:
@@ -193,11 +196,11 @@ class Simulation(Sensing):
         self._centres_are_new = False
 
     def begin_threads(self) -> None:
-        """Begin the threads that :meth:`run` hands work to; a forked process does so by itself."""
+        """Start the threads that :meth:`run` uses; a forked process does so by itself."""
         self._pool = ThreadPoolExecutor(self.threads)
 
     def record_shares(self, record: Callable[[int, int], Recorded]) -> list[Recorded]:
-        """Commands for :meth:`run`, from what records one for the packs from a first on and for how many.
+        """Split the packs into shares; return a command for each, ``record(first pack, number of packs)``.
 
         On the CPU a launch runs on one core and lets go of the GIL: each thread gets a share of the packs.
         """
@@ -243,22 +246,22 @@ class Simulation(Sensing):
         self.invalidate()
 
     def invalidate(self) -> None:
-        """Discard what is derived from the points (contact candidates, centres); call it after writing to them."""
+        """Discard contact candidates and centres, computed from the points; call it after writing to points."""
         self._views["drift"].fill_(STALE)
         self._centres_are_new = False
 
     @property
     def buffers(self) -> Buffers:
-        """The arrays of the kernels, and where environments lie in them: for tools that launch kernels themselves."""
+        """The arrays of the kernels, with the place of each environment: for code that launches kernels itself."""
         return self._state
 
     def array(self, name: str) -> torch.Tensor:
-        """An array of :mod:`warpvox.kernels.state`, not a copy; call :meth:`invalidate` after writing to it."""
+        """Return an array of :mod:`warpvox.kernels.state`, no copy; call :meth:`invalidate` after writing to it."""
         check_choice("The name of an array", name, self._state.arrays, SimulationError)
         return wp.to_torch(self._state.arrays[name])
 
     def set_frozen(self, mask: torch.Tensor) -> None:
-        """Freeze (True) or unfreeze environments: a frozen one keeps its state and its time.
+        """Freeze environments where ``mask`` is True, unfreeze the others; a frozen one keeps state and time.
 
         Args:
             mask: bool ``[num_envs]``.
@@ -269,29 +272,31 @@ class Simulation(Sensing):
         return check_mask(mask, self.design_index, SimulationError)
 
     def _chosen(self, mask: torch.Tensor | None) -> torch.Tensor:
+        """Return ``mask``, checked, or all True for None."""
         return torch.ones_like(self.design_index, dtype=torch.bool) if mask is None else self._check_mask(mask)
 
     def _of_environments(self, name: str) -> torch.Tensor:
+        """Return an array ``[pack, lane]`` by environment, ``[num_envs]``."""
         return self._views[name].view(-1).index_select(0, self.slot)
 
     @property
     def frozen(self) -> torch.Tensor:
-        """bool [num_envs]: environments that keep their state."""
+        """Which environments keep their state in steps: bool [num_envs]."""
         return self._of_environments("frozen") == 1
 
     @property
     def time(self) -> torch.Tensor:
-        """int64 [num_envs]: complete control steps since the reset."""
+        """Number of complete control steps since the reset, int64 [num_envs]."""
         return self._of_environments("time").long()
 
     @property
     def unstable(self) -> torch.Tensor:
-        """bool [num_envs]: the last step was stopped (self-folding or divergence) and undone."""
+        """Where the last step was stopped and undone, by self-folding or divergence: bool [num_envs]."""
         return (self._of_environments("status") & STOPPED) != 0
 
     @property
     def diverged(self) -> torch.Tensor:
-        """bool [num_envs]: the last step was stopped because it diverged; such an environment is unstable, too.
+        """Where the last step was stopped because it diverged, bool [num_envs]; these are unstable, too.
 
         A step diverges with values that are not finite, speeds above 1e4 (units of inner time) or coordinates beyond
         1e6; see :mod:`warpvox.kernels.state`. The step is undone; if it began with non-finite values, which only
@@ -301,28 +306,28 @@ class Simulation(Sensing):
 
     @property
     def overflow(self) -> torch.Tensor:
-        """bool [num_envs]: the last step met more contact candidates than there is room for, and left some out."""
+        """Where the last step met more contact candidates than there is room for and left some out: bool [num_envs]."""
         return (self._of_environments("status") & OVERFLOW) != 0
 
     @property
     def worlds(self) -> list[World]:
-        """The different worlds; ``design_index`` says which of them an environment has."""
+        """The distinct worlds; ``design_index`` has the index of each environment's world."""
         return [entry.world for entry in self._batch.entries]
 
     @property
     def num_designs(self) -> int:
-        """Number of different worlds."""
+        """Number of distinct worlds."""
         return len(self._batch.entries)
 
     @property
     def action_mask(self) -> torch.Tensor:
-        """bool [num_designs, num_actions]: which actions a design has."""
+        """Which actions a distinct world has, bool [num_designs, num_actions]."""
         counts = [sum(count for _, count in entry.actuators) for entry in self._batch.entries]
         return torch.arange(self.num_actions, device=self.device) < torch.tensor(counts, device=self.device)[:, None]
 
     @property
     def action_columns(self) -> list[dict[str, slice]]:
-        """For each design where the actions of its robots lie, ``{name: slice}``."""
+        """Columns of each robot's actions, ``{name: slice}``, for every distinct world."""
         columns: dict[Actuators, dict[str, slice]] = {}  # designs of one size have one entry
         for sizes in {entry.actuators for entry in self._batch.entries}:
             columns[sizes] = {}
@@ -333,7 +338,7 @@ class Simulation(Sensing):
         return [columns[entry.actuators] for entry in self._batch.entries]
 
     def robot_actions(self, name: str) -> torch.Tensor:
-        """[num_envs, num_actions]: the actions of a robot in the last step, clipped, its own first.
+        """Return a robot's actions in the last step, clipped, its own first: [num_envs, num_actions].
 
         Behind its own, and before the first step of an episode, entries are 1: at rest.
         """
@@ -346,22 +351,22 @@ class Simulation(Sensing):
         return own.masked_fill(~known, 1.0)
 
     def _places_of_actions(self, name: str) -> torch.Tensor:
-        """long [num_envs, 2]: first and last column, exclusive, of a robot's actions."""
+        """Return begin and end of a robot's columns in the actions, long [num_envs, 2]."""
         self._objects.index(name)
         places = [columns.get(name, slice(0, 0)) for columns in self.action_columns]
         return torch.tensor([(at.start, at.stop) for at in places], device=self.device)[self.design_index]
 
     def num_points(self, name: str) -> int:
-        """Points of an object, the most over the designs."""
+        """Return the number of an object's points, the most over the designs."""
         self._objects.index(name)
         return self._objects.num_points[name]
 
     def point_mask(self, name: str) -> torch.Tensor:
-        """bool [num_designs, points]: which points a design's object has."""
+        """Return which points an object has in each design, bool [num_designs, points]."""
         return self._objects.point_mask(name)
 
     def voxel_corners(self, name: str, design: int = 0) -> np.ndarray:
-        """int32 [voxels, 4]: points at the top left, top right, bottom right and bottom left of every voxel."""
+        """Return each voxel's points at top left, top right, bottom right and bottom left: int32 [voxels, 4]."""
         self._objects.index(name)
         source = self.worlds[design].objects.get(name)
         if source is None:
@@ -370,13 +375,14 @@ class Simulation(Sensing):
         return np.array(list(mesh(source, self.physics).corners.values()), dtype=np.int32)
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Everything that changes, a row for every environment: what :meth:`set_state` takes back.
+        """Return everything that changes, with a row for every environment, for :meth:`set_state`.
 
         Positions and velocities list the points as observations do, x and y alternately, padded with 0.
         """
         return self._read(slice(None))
 
     def _read(self, envs: torch.Tensor | slice) -> dict[str, torch.Tensor]:
+        """Return :meth:`state` of some environments."""
         pack, lane = (index[envs] for index in self._env)
         state = {}
         for name in STATE_FIELDS:
@@ -390,17 +396,20 @@ class Simulation(Sensing):
 
     @property
     def rows(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """long and bool [num_envs, rows]: where the entries of :meth:`state` lie in the arrays, and which are real."""
+        """Row in the kernels' arrays of each column of positions in :meth:`state`, and whether the column is real.
+
+        Long and bool ``[num_envs, columns]``; a column is the x or the y of a point, or padding.
+        """
         return self._rows, self._has_row
 
     def rows_of(self, name: str) -> torch.Tensor:
-        """bool [num_envs, rows]: which entries of the positions in :meth:`state` belong to an object."""
+        """Return bool ``[num_envs, columns]``: which columns of the positions in :meth:`state` belong to an object."""
         points = self._objects.point_range[:, self._objects.index(name), :, None]
         point = torch.arange(self._rows.shape[1], device=self.device) // 2
         return (point >= points[:, 0]) & (point < points[:, 1])
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Restore what :meth:`state` gave: of the same worlds, or of environments of theirs picked row by row.
+        """Restore a :meth:`state` of the same worlds, or one made of rows of environments with the same worlds.
 
         Rows may be longer or shorter than this simulation's by what is only padding: the most points of a world
         depend on which worlds there are.
@@ -430,7 +439,7 @@ class Simulation(Sensing):
         self._write(state, torch.arange(self.num_envs, device=self.device))
 
     def _write(self, state: dict[str, torch.Tensor], envs: torch.Tensor) -> None:
-        """Put a state with a row for each of some environments into them; their other points stay as they are."""
+        """Write ``state``, with a row for each of ``envs``, into these environments."""
         pack, lane = (index[envs] for index in self._env)
         rows = self._rows[envs]
         real = self._has_row[envs]
@@ -447,7 +456,7 @@ class Simulation(Sensing):
         self.invalidate()
 
     def set_worlds(self, worlds: Sequence[World], mask: torch.Tensor) -> None:
-        """Replace the worlds of environments by worlds that differ in the bodies of robots alone, and reset them.
+        """Give environments worlds that differ in the bodies of robots only, and reset them.
 
         No array moves and no kernel is compiled. ``worlds``, ``designs`` and ``design_index`` are updated.
 
@@ -486,7 +495,7 @@ class Simulation(Sensing):
         self._write(before, others)
 
     def _follow_worlds(self) -> None:
-        """Update everything that depends on where the points of the environments' worlds lie."""
+        """Update everything that depends on the environments' worlds, after these have changed."""
         self.designs.forget()
         self.design_index.copy_(torch.as_tensor(self._batch.index))
         numbers = np.array([int.from_bytes(entry.key[:8], "little", signed=True) for entry in self._batch.entries])
@@ -509,7 +518,7 @@ STATE_FIELDS = ("pos", "vel", "true_vel", "frozen", "status", "time")
 def checked_actions(
     actions: object, shape: tuple[int, int], device: str | None = None, counts: torch.Tensor | None = None
 ) -> torch.Tensor:
-    """``actions`` as a tensor ``[num_envs, num_actions]``, on ``device`` if one is given.
+    """Return ``actions`` as a tensor ``[num_envs, num_actions]``, on ``device`` if one is given.
 
     Raises:
         ActionError: they are no plain numbers of this ``shape``; on the CPU also values that are not finite, where they

@@ -37,7 +37,7 @@ HANGUP: int | None = getattr(signal, "SIGHUP", None)
 
 
 def stop_signals() -> tuple[int, ...]:
-    """The signals that ask a process to end, Ctrl-C aside.
+    """Return the signals that ask a process to end, Ctrl-C excepted.
 
     SIGTERM, and SIGHUP where there is one, unless this process ignores it (``nohup``).
     """
@@ -49,7 +49,7 @@ def stop_signals() -> tuple[int, ...]:
 
 @contextmanager
 def safe_start(move: bool = True) -> Iterator[None]:
-    """Interpreters that are started within the block import from the current folder only if this one does.
+    """Keep interpreters that start within the block from importing from the current folder, unless this one does.
 
     ``python -c`` and ``python -m``, by which libraries start theirs, look into the current folder first, and Ray has
     its workers do so. Python 3.11 and later can be told not to by :data:`SAFE_PATH`. For Python 3.10 and for Ray the
@@ -104,7 +104,7 @@ def path_lock(path: Path, wait: bool = False) -> Iterator[None]:
 
 
 def flush_to_disk(path: Path) -> None:
-    """Have the disk hold what was written to a file, or the names in a folder. OSError: the disk has failed."""
+    """Make the disk store what was written to a file, or the names in a folder. OSError: the disk has failed."""
     if WINDOWS and path.is_dir():
         return  # NTFS keeps a journal of names; folders cannot be opened
     handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
@@ -118,18 +118,18 @@ def flush_to_disk(path: Path) -> None:
 
 
 def unquoted(argument: str) -> str:
-    """An argument of the command line without the single quotes that cmd.exe, unlike other shells, leaves about it."""
+    """Return an argument of the command line without the single quotes around it, which cmd.exe leaves there."""
     return argument[1:-1] if WINDOWS and len(argument) > 1 and argument[0] == argument[-1] == "'" else argument
 
 
 def usable_cores() -> int:
-    """Cores that this process may use: its affinity's, but no more than its control groups (containers) allow for."""
+    """Return the number of cores that this process may use, by its affinity and its control groups (containers)."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min([cores, *_quotas()])
 
 
 def _quotas(root: Path = Path("/")) -> Iterator[int]:
-    """Cores that each limited control group allows for, rounded up."""
+    """Yield the cores that each limited control group allows, rounded up."""
     for names, folder in _control_groups(root, "cpu", ["cpu.max"], ["cpu.cfs_quota_us", "cpu.cfs_period_us"]):
         with suppress(OSError):
             quota, period = " ".join((folder / name).read_text() for name in names).split()
@@ -145,7 +145,7 @@ def is_device_name(name: str) -> bool:
 
 
 def processor_name() -> str:
-    """The name that the processor gives itself."""
+    """Return the name that the processor gives itself."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):
@@ -154,12 +154,12 @@ def processor_name() -> str:
 
 
 def has_display(*variables: str) -> bool:
-    """Whether windows can be shown: elsewhere than on Windows and macOS one of these variables must name a display."""
+    """Return whether windows can be shown: on Windows, on macOS, or if one of ``variables`` names a display."""
     return sys.platform in ("win32", "darwin", "cygwin") or any(os.environ.get(name) for name in variables)
 
 
 def available_memory() -> int | None:
-    """Bytes that this process can still allocate without swapping; None where the system does not report it.
+    """Return the bytes that this process can still allocate without swapping; None if the system does not say.
 
     On Linux the least of what the machine has available, what is left below the limits of its control groups
     (containers, jobs of clusters) and below its limit of addresses (``ulimit -v``).
@@ -169,6 +169,7 @@ def available_memory() -> int | None:
 
 
 def _linux_memory(root: Path = Path("/")) -> int | None:
+    """Return the bytes of memory that the machine has available, or None."""
     with suppress(OSError):
         found = re.search(r"^MemAvailable:\s+(\d+) kB", (root / "proc/meminfo").read_text(), re.MULTILINE)
         if found:
@@ -179,7 +180,7 @@ def _linux_memory(root: Path = Path("/")) -> int | None:
 
 
 def _left_of_groups(root: Path = Path("/")) -> int | None:
-    """Bytes that are left below the limits of the control groups."""
+    """Return the bytes left below the memory limits of the control groups; None without limits."""
     files = ["memory.max", "memory.current", "inactive_file"]
     older = ["memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"]
     found = (_left_of_group(folder, *names) for names, folder in _control_groups(root, "memory", files, older))
@@ -187,7 +188,7 @@ def _left_of_groups(root: Path = Path("/")) -> int | None:
 
 
 def _control_groups(root: Path, controller: str, new: list[str], old: list[str]) -> Iterator[tuple[list[str], Path]]:
-    """Folders of the control groups that the process is in, each with ``new`` (version 2) or ``old`` (version 1)."""
+    """Yield each control group's folder with the names of its files: ``new`` (version 2) or ``old`` (version 1)."""
     try:
         lines = (root / "proc/self/cgroup").read_text().splitlines()
     except OSError:
@@ -209,6 +210,7 @@ def _control_groups(root: Path, controller: str, new: list[str], old: list[str])
 
 
 def _left_of_group(folder: Path, limit: str, used: str, cache: str) -> list[int]:
+    """Return the bytes left below the limit of a control group, in a list; an empty list without a limit."""
     try:
         most = (folder / limit).read_text().strip()
         now = (folder / used).read_text().strip()
@@ -222,6 +224,7 @@ def _left_of_group(folder: Path, limit: str, used: str, cache: str) -> list[int]
 
 
 def _left_of_addresses() -> int | None:
+    """Return the bytes left below the process's limit of addresses (``ulimit -v``); None without one."""
     try:
         import resource
 

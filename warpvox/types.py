@@ -22,6 +22,8 @@ OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
 
 
 class _Axes(dict[str, int]):
+    """The columns of x and y in positions."""
+
     def __missing__(self, axis: str) -> int:
         check_choice("axis", axis, self, TaskError)
         raise KeyError(axis)
@@ -48,7 +50,7 @@ class Cell(IntEnum):
 
 @dataclass(frozen=True)
 class Material:
-    """The material of a cell.
+    """The name, look and stiffness of a cell type.
 
     Attributes:
         cell: its number in bodies and worlds.
@@ -142,7 +144,7 @@ class Physics(Settings):
 
     @property
     def label(self) -> str:
-        """The preset's name and the constants that differ from it: ``evogym, gravity=80.0``."""
+        """The preset's name followed by the constants that differ from it: ``evogym, gravity=80.0``."""
         base = _PRESETS.get(self.name, _PRESETS["evogym"])
         values = [(field.name, getattr(self, field.name)) for field in fields(self) if field.name != "name"]
         return ", ".join([self.name, *(f"{name}={value}" for name, value in values if value != getattr(base, name))])
@@ -159,12 +161,12 @@ class Physics(Settings):
 
     @staticmethod
     def presets() -> tuple[str, ...]:
-        """Names of the presets."""
+        """Return the names of the presets."""
         return tuple(_PRESETS)
 
     @staticmethod
     def preset(name: str, **changes: object) -> Physics:
-        """A preset by name, with constants changed by keyword.
+        """Return a preset by name, with constants changed by keyword.
 
         Raises:
             ConfigError: unknown preset or constant, or a value out of range.
@@ -173,7 +175,7 @@ class Physics(Settings):
         return replace(_PRESETS[name], **changes) if changes else _PRESETS[name]
 
     def stiffness(self, cell: int) -> tuple[float, float]:
-        """Stiffness of a cell's sides and of its diagonals; an empty cell's is that of a rigid one."""
+        """Return the stiffness of a cell's sides and of its diagonals; an empty cell counts as rigid."""
         material = MATERIALS.get(Cell(cell), MATERIALS[Cell.RIGID])
         return getattr(self, f"{material.stiffness}_main"), getattr(self, f"{material.stiffness}_structural")
 

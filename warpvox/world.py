@@ -88,17 +88,17 @@ class WorldObject:
 
     @functools.cached_property
     def num_actuators(self) -> int:
-        """Number of actuator cells."""
+        """Number of cells that are actuators."""
         return int(np.count_nonzero(np.isin(self.grid, ACTUATORS)))
 
     @property
     def is_robot(self) -> bool:
-        """Whether the object holds an actuator."""
+        """Whether the object has an actuator."""
         return self.num_actuators > 0
 
     @functools.cached_property
     def is_static(self) -> bool:
-        """Whether the object is made of fixed cells only, so that nothing of it ever moves."""
+        """Whether the object consists of fixed cells, so that it never moves."""
         return bool(np.isin(self.grid, (int(Cell.EMPTY), int(Cell.FIXED))).all())
 
     def moved(self, x: int, y: int) -> WorldObject:
@@ -198,7 +198,8 @@ class World:
             if not is_integer(height):
                 raise WorldError(f"grid_height must be an integer, got {height!r:.80}.")
             if right <= width and top <= height and width * height <= LARGEST_GRID:
-                trial.width, trial.height = max(trial.width, width), max(trial.height, height)
+                trial.width = max(trial.width, width)
+                trial.height = max(trial.height, height)
                 check_size(trial.width, trial.height)
         except WorldError as error:
             raise WorldError(f"{origin}: {error}") from None
@@ -283,7 +284,7 @@ class World:
         return f"World({self.width}x{self.height}: {objects or 'no objects'})"
 
     def _repr_html_(self) -> str:
-        """A drawing, for notebooks."""
+        """Return a drawing as HTML, for notebooks."""
         return body_svg(self.grid())
 
     def __str__(self) -> str:
@@ -297,6 +298,7 @@ class World:
         return self.objects[name]
 
     def _put(self, obj: WorldObject) -> WorldObject:
+        """Put ``obj`` into the world; raise WorldError if it overlaps others or the world becomes too large."""
         width = max(self.width, obj.x + obj.width)
         height = max(self.height, obj.y + obj.height)
         check_size(width, height, f" with '{obj.name}'")
@@ -308,6 +310,7 @@ class World:
         return obj
 
     def _check_free(self, obj: WorldObject) -> None:
+        """Raise WorldError if the box of ``obj`` overlaps other objects."""
         for other in self.objects.values():
             if other.name == obj.name:
                 continue
@@ -374,6 +377,11 @@ def _check_pairs(name: str, grid: np.ndarray, connections: object) -> np.ndarray
 
 
 def _load_json(source: object) -> tuple[Mapping[str, Any], str]:
+    """Return the dictionary of a world file (path, text or dictionary), and the subject for error messages.
+
+    Raises:
+        WorldError: there is no such file, or it holds no JSON object.
+    """
     if isinstance(source, Mapping):
         return source, "The world"
     if isinstance(source, str) and source.lstrip().startswith("{"):
@@ -401,6 +409,7 @@ def _load_json(source: object) -> tuple[Mapping[str, Any], str]:
 
 
 def _object_to_json(obj: WorldObject, world_width: int) -> dict[str, object]:
+    """Return an object as EvoGym's world files have it."""
     rows, columns = np.nonzero(obj.grid)
     flat = np.flatnonzero(obj.grid).tolist()
     index = {

@@ -1,4 +1,4 @@
-"""Policies as files for other programs: ONNX and TorchScript, each compared with the policy before it is kept.
+"""Export of policies to ONNX and TorchScript; each file is compared with the policy before it is kept.
 
 Both also contain :func:`warpvox.algos.checkpoints.policy.policy_bytes`, from which :func:`read_exported` rebuilds the
 policy: reading such a file never runs the program in it.
@@ -29,21 +29,21 @@ from warpvox.io.reading import Unreadable, read_bytes
 from warpvox.io.writing import atomic_path, check_suffix
 
 CARD = "warpvox.pt"
-"""Name of the entry that holds the policy as a checkpoint does; ONNX has text alone, there it is in base64."""
+"""Name of the entry that holds the policy as a checkpoint; in ONNX, which stores text only, it is in base64."""
 OLD_CARD = "warpvox.json"
 """Name of the entry in files of warpvox 0.1."""
 LARGEST = 1 << 28
-"""Bytes that the policy in a file may have."""
+"""Maximum length of the policy in a file, in bytes."""
 ROWS = (1, 64)
-"""Random observations that a file is compared on, one batch each."""
+"""Sizes of the two batches of random observations that a file is compared on."""
 TOLERANCE = 1e-5
-"""How far actions may lie apart: runtimes sum products in other orders; ranges are 1.0 wide."""
+"""Largest allowed difference of actions, whose range is 1.0 wide: runtimes sum products in different orders."""
 
 Runner = Callable[[np.ndarray], np.ndarray]
 
 
 def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
-    """Write a policy as TorchScript; returns in words how it was checked.
+    """Write a policy as TorchScript; return in words how it was checked.
 
     ``torch.jit.load(path)(obs)``, or ``torch::jit::load`` in C++, takes ``[..., num_obs]``; of a policy for voxels
     ``[batch, num_obs]``.
@@ -53,26 +53,28 @@ def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
         StorageError: it cannot be written.
     """
     check_suffix("A file of TorchScript", path, (".pt", ".pth", ".ts"), RunError)
-    policy, whole = _copied(policy), io.BytesIO()
+    policy = _copied(policy)
+    whole = io.BytesIO()
     with atomic_path(path, follow=True) as temporary, _quiet():
         if policy.spec.voxels is None and policy.spec.gait is None:
             program = torch.jit.script(policy)
         else:  # networks of the user's may not be scriptable
             program = torch.jit.trace(policy, torch.zeros(2, policy.num_obs))
         torch.jit.save(program, whole, _extra_files={CARD: policy_bytes(policy)})
-        temporary.write_bytes(whole.getbuffer())  # of a full disk torch's own writer says little
+        temporary.write_bytes(whole.getbuffer())  # torch's own writer gives unclear errors for a full disk
         module = torch.jit.load(str(temporary))
         return _compare(policy, lambda obs: module(torch.from_numpy(obs)).numpy(), temporary, path)
 
 
 def _copied(policy: Policy) -> Policy:
+    """Return a copy of the policy on the CPU. RunError: it is recurrent, which is not exported."""
     if policy.spec.rnn is not None:
         raise RunError("A recurrent policy is not exported: warpvox.load_policy() gives it as a torch module.")
     return copy.deepcopy(policy).cpu()
 
 
 def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
-    """Write a policy as one ONNX file; returns in words how it was checked.
+    """Write a policy as one ONNX file; return in words how it was checked.
 
     Input ``obs`` float32 ``[batch, num_obs]``, output ``actions`` float32 ``[batch, num_actions]``. Compared by
     ONNX Runtime where it is installed, else by the reference evaluator of the package onnx.
@@ -90,14 +92,14 @@ def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
     with atomic_path(path, follow=True) as temporary, _quiet():
         program = torch.onnx.export(
             policy,
-            (torch.zeros(2, policy.num_obs),),  # of one row torch may take the number of rows for fixed
+            (torch.zeros(2, policy.num_obs),),  # with one row torch may treat the number of rows as fixed
             input_names=["obs"],
             output_names=["actions"],
             dynamic_shapes={"obs": {0: torch.export.Dim("batch")}},
             dynamo=True,
             verbose=False,
         )
-        assert program is not None  # as of torch's earlier exporter
+        assert program is not None  # only torch's earlier exporter returns None
         model = program.model_proto
         onnx.helper.set_model_props(model, {CARD: base64.b64encode(policy_bytes(policy)).decode()})
         onnx.checker.check_model(model)
@@ -107,11 +109,11 @@ def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
 
 
 POLICY_WRITERS = {"onnx": ("policy.onnx", write_onnx), "jit": ("policy.pt", write_script)}
-"""Format: file, and what writes it."""
+"""File name and writing function of each format."""
 
 
 def read_exported(path: Path, network: str | None = None) -> Policy | None:
-    """The policy that a file of :func:`write_onnx` or :func:`write_script` holds; None: it is another kind of file.
+    """Return the policy in a file of :func:`write_onnx` or :func:`write_script`; None: another kind of file.
 
     ``network``: as for :func:`warpvox.algos.checkpoints.policy.read_policy`.
     """
@@ -123,6 +125,7 @@ def read_exported(path: Path, network: str | None = None) -> Policy | None:
 
 
 def _card_of_onnx(path: Path) -> bytes:
+    """Return the policy's bytes in an ONNX file; RunError: it cannot be read or has none."""
     if find_spec("onnx") is None:
         raise RunError(f"To read {path} the package onnx is needed: pip install 'warpvox[export]'.")
     import onnx
@@ -140,7 +143,7 @@ def _card_of_onnx(path: Path) -> bytes:
 
 
 def _card_of_script(path: Path) -> bytes | None:
-    """The policy in an archive of TorchScript; None: there is none."""
+    """Return the policy's bytes in a TorchScript file; None: it has none."""
     if not zipfile.is_zipfile(path):
         return None
     try:
@@ -157,33 +160,38 @@ def _card_of_script(path: Path) -> bytes | None:
 
 
 def _check_age(path: Path, names: Container[str]) -> None:
+    """Raise RunError if a file was exported by warpvox 0.1.0."""
     if OLD_CARD in names:
         raise RunError(f"{path} was exported by warpvox 0.1.0: export the policy again from its run.")
 
 
 def _onnx_runner(path: Path) -> tuple[str, Runner]:
-    """The library that runs ONNX files here, by its name."""
+    """Return the name of the library that runs ONNX files here, and a function that runs this one."""
     run: Callable[..., Any]
     if find_spec("onnxruntime") is not None:
         import onnxruntime
 
-        name, run = "ONNX Runtime", onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"]).run
+        name = "ONNX Runtime"
+        run = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"]).run
     else:
         from onnx.reference import ReferenceEvaluator
 
-        name, run = "onnx's reference evaluator", ReferenceEvaluator(str(path)).run
+        name = "onnx's reference evaluator"
+        run = ReferenceEvaluator(str(path)).run
     return name, lambda obs: run(None, {"obs": obs})[0]
 
 
 def _compare(policy: Policy, run: Runner, written: Path, path: object) -> str:
-    """Raise RunError unless a file acts as the policy does and describes this very policy; returns how far it is off.
+    """Raise RunError unless a written file acts like the policy and holds it; return the largest difference in words.
 
-    ``run``: the program in the file ``written``, which is to become ``path``.
+    ``run`` calls the program in the temporary file ``written``, which will be renamed to ``path``.
     """
-    generator, apart = torch.Generator().manual_seed(0), 0.0
+    generator = torch.Generator().manual_seed(0)
+    apart = 0.0
     for rows in ROWS:
         obs = policy.network.random_obs(rows, generator)
-        theirs, ours = run(obs.numpy()), policy.act(obs.numpy())
+        theirs = run(obs.numpy())
+        ours = policy.act(obs.numpy())
         if theirs.shape != ours.shape or not np.isfinite(theirs).all():
             raise RunError(f"{path} is not kept: it gives {theirs.shape} where the policy gives {ours.shape} actions.")
         apart = max(apart, float(np.abs(theirs - ours).max()))
@@ -198,7 +206,7 @@ def _compare(policy: Policy, run: Runner, written: Path, path: object) -> str:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Without torch's remarks about packages that a policy does not need, and about its own future."""
+    """Within the block, silence torch's warnings about optional packages and future changes."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)

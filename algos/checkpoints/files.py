@@ -1,4 +1,4 @@
-"""Checkpoints: files that hold a policy and everything needed to rebuild it, written whole or not at all."""
+"""Checkpoint files: they hold a policy and all that is needed to rebuild it, and are written atomically."""
 
 import io
 import zipfile
@@ -27,18 +27,18 @@ from warpvox.runs import BEST
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
 
 MAX_BYTES = 1 << 32
-"""Length of a checkpoint. The state of 65,536 environments takes a tenth."""
+"""Maximum length of a checkpoint; the state of 65,536 environments takes a tenth of it."""
 MAX_ENTRIES = 1 << 16
-"""Tensors of a checkpoint."""
+"""Maximum number of entries in a checkpoint."""
 MAX_PICKLE_BYTES = 1 << 26
-"""Length of what a checkpoint holds beside tensors."""
+"""Maximum length of a checkpoint's content without its tensors."""
 RNN = {"rnn_type": "lstm", "rnn_hidden_dim": 256, "rnn_num_layers": 1}
-"""Settings of rsl-rl's ``RNNModel``, with its defaults."""
+"""Settings of rsl-rl's ``RNNModel`` with their defaults."""
 
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """All it takes to rebuild a policy before its weights are loaded.
+    """Description of a policy, from which it is rebuilt before its weights are loaded.
 
     ``action_scale``, ``action_center``: of actions, center + scale * output.
     ``action_step``: actions in float64 are multiples of it; 0: they are float32.
@@ -65,30 +65,30 @@ class PolicySpec:
 
     @property
     def is_mlp(self) -> bool:
-        """True for fully connected layers alone."""
+        """True if the policy has fully connected layers only."""
         return self.voxels is None and self.gait is None and self.rnn is None
 
     @property
     def has_feedback(self) -> bool:
-        """True where actions depend on more than the body and the time."""
+        """True if actions depend on more than the body and the time."""
         return self.gait is None
 
 
 def actions_of(outputs: torch.Tensor, scale: float) -> torch.Tensor:
-    """Outputs of a policy as actions in [0.6, 1.6]."""
+    """Convert the outputs of a policy to actions in [0.6, 1.6]."""
     return (ACTION_CENTER + scale * outputs).clamp(ACTION_LOW, ACTION_HIGH)
 
 
 def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
-    """Write tensors, numbers, texts, lists and dictionaries of them to ``path``, atomically."""
-    # By way of memory: of a full disk torch's own writer says neither what has happened nor where.
+    """Write ``content`` (tensors, numbers, texts, lists and dictionaries) to ``path``, atomically."""
+    # Write to memory first: torch's own writer gives unclear errors for a full disk.
     whole = io.BytesIO()
     torch.save(content, whole)
     write_bytes(path, whole.getbuffer(), make_folders=False)
 
 
 def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
-    """Read what :func:`save_checkpoint` wrote, which takes no more memory than the file takes room.
+    """Read what :func:`save_checkpoint` wrote; uses no more memory than the file is long.
 
     torch loads tensors and plain values alone (``weights_only``). What they mean is checked by :func:`check_like`.
     """
@@ -132,7 +132,7 @@ def _check_entries(size: int, entries: Sequence[zipfile.ZipInfo]) -> None:
 
 @contextmanager
 def damaged(path: Path | None, hint: str = "") -> Iterator[None]:
-    """Turn whatever the content of a checkpoint raises where it is taken over into one sentence; ``hint``: another.
+    """Within the block, convert errors about the content of the checkpoint ``path`` to a RunError that names it.
 
     Without a ``path`` nothing comes from a file, and errors stay as they are.
     """
@@ -148,19 +148,19 @@ def damaged(path: Path | None, hint: str = "") -> Iterator[None]:
 
 
 def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
-    """Read a checkpoint of a policy; RunError: no such file, or a damaged or other one."""
+    """Read the checkpoint of a policy; RunError: no such file, or one that is damaged or of another kind."""
     return checked_checkpoint(read_tensors(path, device), path)
 
 
 def checked_checkpoint(content: dict[str, Any], path: Path) -> dict[str, Any]:
-    """``content`` of the file ``path``; RunError: it holds no policy."""
+    """Return ``content`` of the file ``path``; RunError: it holds no policy."""
     if "policy" not in content or "actor_state_dict" not in content:
         raise RunError(f"{path} is not a checkpoint of warpvox: it holds no policy.")
     return content
 
 
 def with_code(spec: PolicySpec, network: str | None) -> PolicySpec:
-    """``spec`` whose network, if it is code of the user's, is that which the user has named."""
+    """Return ``spec`` with the user's ``network`` in place of the code that a file names; RunError: none was named."""
     if not isinstance(spec.voxels, dict) or not is_code(spec.voxels.get("network")):
         return spec
     if not isinstance(network, Code):
@@ -170,7 +170,7 @@ def with_code(spec: PolicySpec, network: str | None) -> PolicySpec:
 
 
 def check_sizes(spec: PolicySpec) -> None:
-    """Raise ValueError or TypeError if a network as ``spec`` describes it cannot be."""
+    """Raise ValueError or TypeError if a network as ``spec`` describes it is impossible."""
     for name in ("action_scale", "action_center", "action_step", "obs_eps"):
         value = getattr(spec, name)
         if type(value) not in (int, float) or not abs(value) < WIDEST:
@@ -195,7 +195,7 @@ def check_sizes(spec: PolicySpec) -> None:
 
 
 def check_spec(spec: PolicySpec, weights: object) -> None:
-    """Raise ValueError or TypeError unless ``weights`` are of the network of ``spec``; exploration may be missing."""
+    """Raise ValueError or TypeError unless ``weights`` fit the network of ``spec``; exploration may be missing."""
     check_sizes(spec)
     weights = checked_weights(weights)
     expected = build_actor(spec, "meta").state_dict()
@@ -206,7 +206,8 @@ def check_spec(spec: PolicySpec, weights: object) -> None:
         if want != got or expected[name].is_floating_point() != weights[name].is_floating_point():
             raise ValueError(f"the weights are those of another network: {name!s:.40} is {got}, not {want}")
     if spec.gait is not None:
-        cells, last = weights["cells"].long(), spec.gait["rows"] * spec.gait["columns"]
+        cells = weights["cells"].long()
+        last = spec.gait["rows"] * spec.gait["columns"]
         if not bool((cells[1:] > cells[:-1]).all() & (cells >= 0).all() & (cells < last).all()):
             raise ValueError(f"the cells of a gait must rise, from 0 to {last - 1}; got {cells.tolist()!r:.100}")
         if not bool((weights["period"] > 0).all()):
@@ -217,7 +218,7 @@ def check_spec(spec: PolicySpec, weights: object) -> None:
 
 
 def checked_weights(weights: object) -> dict[str, torch.Tensor]:
-    """``weights`` of a network, if that is what they are; otherwise ValueError says why not."""
+    """Return ``weights`` if they are plain finite tensors by name; ValueError says why they are not."""
     is_plain = lambda one: isinstance(one, torch.Tensor) and not one.is_meta and not one.is_quantized  # noqa: E731
     if not isinstance(weights, dict) or not all(map(is_plain, weights.values())):
         raise ValueError("the weights are no tensors")
@@ -229,7 +230,7 @@ def checked_weights(weights: object) -> dict[str, torch.Tensor]:
 
 
 def build_actor(spec: PolicySpec, device: str = "cpu") -> MLPModel | GaitModel:
-    """The network that ``spec`` describes, with weights that are to be replaced."""
+    """Build the network that ``spec`` describes; the weights are to be replaced."""
     with own_torch(), Generators(0), torch.device(device):
         if spec.gait is not None:
             return GaitModel(spec.num_actions, **spec.gait)
@@ -244,20 +245,20 @@ def build_actor(spec: PolicySpec, device: str = "cpu") -> MLPModel | GaitModel:
 
 
 def spec_of(values: Mapping[str, Any]) -> PolicySpec:
-    """The specification stored in a checkpoint. TypeError: it has other entries, or is none."""
+    """Return the specification stored in a checkpoint. TypeError: it is not one, or has other entries."""
     if not isinstance(values, Mapping):
         raise TypeError(f"it is described by {values!r:.40}")
     return PolicySpec(**values)
 
 
 def spec_for(ppo: Ppo, num_obs: int, num_actions: int, **kind: Any) -> PolicySpec:
-    """The specification of a policy that is trained by ``ppo``; ``kind``: its other entries."""
+    """Return the specification of a policy trained with the settings ``ppo``; ``kind``: further entries."""
     sizes = num_obs, num_actions, list(ppo.hidden), ppo.activation
     return PolicySpec(*sizes, ppo.normalize_obs, ppo.action_scale, **kind)
 
 
 def check_fits(ours: PolicySpec, pretrained: PolicySpec) -> None:
-    """Raise RunError unless a pretrained policy has the sizes of ``ours``, which is one for other environments."""
+    """Raise RunError unless a pretrained policy has the sizes of ``ours``, made for the present environments."""
     names = ["action_scale", "normalize_obs"]
     names += ["num_obs", "num_actions", "hidden", "activation", "rnn"] if ours.voxels is None else []
     sizes = [(name, getattr(ours, name), getattr(pretrained, name)) for name in names]
@@ -271,8 +272,8 @@ def check_fits(ours: PolicySpec, pretrained: PolicySpec) -> None:
 
 
 def spec_dict(spec: PolicySpec) -> dict[str, Any]:
-    """The form in which a checkpoint stores a specification."""
+    """Return a specification as a checkpoint stores it."""
     values = {name: value for name, value in asdict(spec).items() if value is not None}
-    if spec.voxels is not None:  # of code the name alone, as a plain text
+    if spec.voxels is not None:  # code is stored by its name, as plain text
         values["voxels"] |= {"network": str(spec.voxels["network"])}
     return values

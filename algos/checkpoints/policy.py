@@ -1,4 +1,4 @@
-"""Trained policies as plain torch modules, and the one form in which files hold them."""
+"""Trained policies as plain torch modules, and their form in files."""
 
 import copy
 import io
@@ -31,12 +31,13 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 
 class Layers(nn.Module):
-    """Fully connected layers behind normalised observations; TorchScript compiles them.
+    """Fully connected layers behind normalised observations, which TorchScript can compile.
 
     Its state has the names of rsl-rl's ``MLPModel``, but no exploration.
     """
 
     def __init__(self, spec: PolicySpec) -> None:
+        """Make the layers that ``spec`` describes, with weights to be replaced."""
         super().__init__()
         self.obs_normalizer = nn.Identity()
         if spec.normalize_obs:
@@ -44,14 +45,14 @@ class Layers(nn.Module):
         self.mlp = nn.Sequential(*MLP(spec.num_obs, spec.num_actions, list(spec.hidden), spec.activation))
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
-        """Outputs ``[..., num_actions]`` of observations ``[..., num_obs]``."""
+        """Return outputs ``[..., num_actions]`` for observations ``[..., num_obs]``."""
         dtype = self.mlp[0].weight.dtype
         rows = obs.to(dtype)  # pyright: ignore[reportCallIssue, reportArgumentType]
-        scaled = self.obs_normalizer(rows).reshape(obs.shape)  # of a single observation it makes a row
+        scaled = self.obs_normalizer(rows).reshape(obs.shape)  # the normaliser turns a single observation into a row
         return self.mlp(scaled)
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
-        """Observations ``[rows, num_obs]`` farther apart than those of training."""
+        """Draw observations ``[rows, num_obs]`` that vary more than those of training."""
         first = cast(nn.Linear, self.mlp[0])
         obs = 3 * torch.randn((rows, first.in_features), generator=generator)
         normalizer = self.obs_normalizer
@@ -61,29 +62,30 @@ class Layers(nn.Module):
 
 
 class Actor(nn.Module):
-    """The very model of a checkpoint: a network for voxels, an open-loop gait or recurrent layers."""
+    """Model of a checkpoint that is not an MLP: a network for voxels, an open-loop gait or recurrent layers."""
 
     def __init__(self, spec: PolicySpec) -> None:
+        """Make the model that ``spec`` describes, with weights to be replaced."""
         super().__init__()
         self.num_obs = spec.num_obs
         self.num_actions = spec.num_actions
         self.model: Any = build_actor(spec)
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
-        """Outputs ``[..., num_actions]`` of observations ``[..., num_obs]``."""
+        """Return outputs ``[..., num_actions]`` for observations ``[..., num_obs]``."""
         dtype = next(value.dtype for value in self.state_dict().values() if value.is_floating_point())
         rows = obs.to(dtype).reshape(-1, obs.shape[-1])
         return self.model({OBS_GROUP: rows}).reshape((*obs.shape[:-1], self.num_actions))
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
-        """Observations ``[rows, num_obs]`` of random bodies or at random times."""
+        """Draw observations ``[rows, num_obs]`` of random bodies or at random times."""
         if isinstance(self.model, VoxelModel):
             return self.model.layout.random_obs(rows, generator)
         return torch.randint(0, 1000, (rows, self.num_obs), generator=generator).float()
 
 
 class Policy(nn.Module):
-    """A trained policy without exploration: observations as an environment gives them to actions that it takes.
+    """A trained policy without exploration: maps observations to actions that an environment takes.
 
     Normalises the observations as in training, and gives target lengths of the actuators in [0.6, 1.6]. A plain module
     for ``torch.jit.script``, ``torch.jit.trace`` and ``torch.onnx``; its parameters ask for no gradients until
@@ -95,15 +97,15 @@ class Policy(nn.Module):
 
     Args:
         spec: sizes and kind of the network.
-        state: of the network, as the actor of a checkpoint has it; the numbers are copied.
-        metadata: what is known about the training, by name.
+        state: of the network, as the actor of a checkpoint; the values are copied.
+        metadata: facts about the training, by name.
 
     Attributes:
         num_obs, num_actions: sizes.
         metadata: for instance ``task``, ``rules``, ``obs`` and ``design`` of the run.
     """
 
-    # TorchScript would compile the ones, and read the others
+    # TorchScript would compile these properties and read their values.
     __jit_unused_properties__: ClassVar = ["actor", "design"]
     __jit_ignored_attributes__: ClassVar = ["actor", "design"]
 
@@ -120,7 +122,7 @@ class Policy(nn.Module):
         self.step = float(spec.action_step)
         self.low = ACTION_LOW
         self.high = ACTION_HIGH
-        if self.step > 0.0:  # the outermost multiples in the range
+        if self.step > 0.0:  # round the limits to multiples of the step inside the range
             self.low = math.ceil(ACTION_LOW / self.step) * self.step
             self.high = math.floor(ACTION_HIGH / self.step) * self.step
         with own_torch(), Generators(0):
@@ -130,7 +132,7 @@ class Policy(nn.Module):
         self.eval().requires_grad_(False)
 
     def __call__(self, obs: torch.Tensor | np.ndarray, *more: Any) -> Any:
-        """:meth:`forward` of a tensor, :meth:`act` of an array.
+        """Return actions: by :meth:`forward` for a tensor, by :meth:`act` for an array.
 
         Raises:
             ConfigError: observations of another width.
@@ -141,7 +143,7 @@ class Policy(nn.Module):
         return self.act(obs) if isinstance(obs, np.ndarray) else super().__call__(obs, *more)
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
-        """Observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32.
+        """Map observations ``[..., num_obs]`` to actions ``[..., num_actions]``, float32.
 
         In float64 a policy whose actions are multiples of a step gives float64.
         """
@@ -153,12 +155,12 @@ class Policy(nn.Module):
 
     @property
     def actor(self) -> Any:
-        """The module that has the state of a checkpoint's actor."""
+        """Module whose state is that of a checkpoint's actor."""
         return self.network if isinstance(self.network, Layers) else self.network.model
 
     @property
     def design(self) -> Design | dict[str, Design] | None:
-        """The body that it was trained for, or bodies by the names of robots; None: no single one is known.
+        """Body that the policy was trained for, or bodies by robot names; None: no single one is known.
 
         It never raises, as TorchScript reads all properties.
         """
@@ -170,32 +172,32 @@ class Policy(nn.Module):
         return load_design(body)
 
     def in_float64(self) -> "Policy":
-        """A copy whose network runs in float64, at the beginning of episodes."""
+        """Return a copy whose network runs in float64, with recurrent layers at the start of episodes."""
         if self.spec.rnn is None:
             return copy.deepcopy(self).double()
         memory = self.actor.get_hidden_state()
-        self.reset()  # it may have a history of derivatives, which cannot be copied
+        self.reset()  # hidden states may have an autograd history, which cannot be copied
         copied = copy.deepcopy(self).double()
         self.actor.reset(None, memory)
         return copied
 
     def reset(self, done: torch.Tensor | None = None) -> None:
-        """Begin new episodes, where ``done`` (bool ``[n]``) says so or everywhere; only recurrent layers remember."""
+        """Clear the memory of recurrent layers, where ``done`` (bool ``[n]``) is true or everywhere."""
         if self.spec.rnn is not None:
             self.actor.reset(done)
 
     def act(self, obs: np.ndarray) -> np.ndarray:
-        """:meth:`forward` for numpy arrays, as gymnasium's environments have them."""
+        """Return actions as a NumPy array for NumPy observations, as Gymnasium's environments use them."""
         with torch.no_grad():
             device = next(iter(self.state_dict().values())).device
             return self(torch.as_tensor(np.asarray(obs), device=device)).cpu().numpy()
 
     def fits(self, num_obs: int) -> bool:
-        """Return whether it takes so many observations; a gait for the time alone reads the last of any number."""
+        """Return whether the policy takes ``num_obs`` observations; a gait for the time alone takes any number."""
         return self.num_obs == num_obs or (self.spec.gait is not None and self.num_obs == 1)
 
     def check_sizes(self, num_obs: int, num_actions: int) -> None:
-        """Raise RunError unless environments have so many observations and actions."""
+        """Raise RunError unless the policy fits environments of these sizes."""
         if not self.fits(num_obs) or self.num_actions != num_actions:
             raise RunError(
                 f"The policy has {self.num_obs} observations and {self.num_actions} actions; the task and design have"
@@ -206,7 +208,7 @@ class Policy(nn.Module):
 def read_policy(
     path: Path, device: str = "cpu", network: str | None = None, metadata: Mapping[str, Any] | None = None
 ) -> Policy:
-    """The policy of a checkpoint, or of what :func:`policy_bytes` has made.
+    """Read the policy in a checkpoint, or in a file with the content of :func:`policy_bytes`.
 
     Args:
         network: ``FILE.py:Class`` or ``module:Class`` of a network that is not warpvox's own; a checkpoint that needs
@@ -222,7 +224,7 @@ def read_policy(
 def policy_of(
     content: Mapping[str, Any], source: object, network: str | None = None, metadata: Mapping[str, Any] | None = None
 ) -> Policy:
-    """The policy in the content of a checkpoint; ``source`` names the file in errors, otherwise :func:`read_policy`."""
+    """Return the policy in the content of a checkpoint; ``source`` names the file in errors."""
     try:
         spec = spec_of(content["policy"])
         known = content.get("metadata", {}) if metadata is None else metadata
@@ -240,7 +242,7 @@ def policy_of(
 
 
 def policy_bytes(policy: Policy) -> bytes:
-    """A policy as the content of a file that :func:`read_policy` reads."""
+    """Return a policy as the content of a file that :func:`read_policy` reads."""
     whole = io.BytesIO()
     state = {name: value.detach().cpu() for name, value in policy.actor.state_dict().items()}
     content = {"policy": spec_dict(policy.spec), "actor_state_dict": state, "metadata": policy.metadata}

@@ -1,4 +1,4 @@
-"""Exports of an archive: tables for analysis, bodies in EvoGym's formats."""
+"""Exports of an archive: tables for analysis, and bodies in EvoGym's formats."""
 
 import json
 from pathlib import Path
@@ -15,7 +15,7 @@ COLUMNS = {
     "diverged": "bool", "reused": "int64", "policy": "string", "seconds": "float64", "curve_steps": ["int64"],
     "curve_values": ["float64"],
 }  # fmt: skip
-"""Of the tables, with Arrow's types; bodies are JSON in both, lists are JSON in CSV and lists in Parquet."""
+"""Columns of the tables, with Arrow's types; bodies are JSON text, lists are JSON text in CSV and lists in Parquet."""
 
 
 def write_csv(archive: Archive, path: Path) -> Path:
@@ -62,7 +62,7 @@ def write_parquet(archive: Archive, path: Path) -> Path:
 
 
 def _write_designs(archive: Archive, folder: Path, suffix: str) -> Path:
-    """Write every evaluated body to a file of its own, in the folders that EvoGym's own searches leave.
+    """Write every evaluated body to a file of its own, in the same folders as EvoGym's searches.
 
     ``generation_<n>/structure/<id>.npz`` (or ``.json``) and, per generation, ``output.txt`` with a line
     ``<id> <fitness>`` for each design, best first.
@@ -81,6 +81,7 @@ def _write_designs(archive: Archive, folder: Path, suffix: str) -> Path:
 
 
 def _row(record: Record) -> dict[str, Any]:
+    """Return the columns :data:`COLUMNS` of one record."""
     item = record.candidate
     known = vars(record) | vars(item) | {"body": body_text(item.body), "parents": list(item.parents)}
     known |= dict(zip(("rows", "columns"), item.body.shape, strict=True))

@@ -1,4 +1,4 @@
-"""The end of a search whose designs were compared without a training for each: its best get one."""
+"""The last stage of a search that compares designs without training each: the best ones are trained."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -8,14 +8,14 @@ from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Outcom
 
 
 class Finalists:
-    """A search, and after it a last generation with the best of its designs; a :class:`Search` itself.
+    """Search that runs another one and then proposes its best designs again, as a last generation.
 
-    These are candidates of their own, with the body of the design that is their parent and the origin
-    :data:`FINALIST`. The search is not told of their fitness.
+    These finalists are new candidates with the same body as their parent and the origin :data:`FINALIST`. The inner
+    search is not told their fitness.
 
     Args:
-        search: must not have been asked yet.
-        count: designs of the last generation, of different bodies; there are fewer if the search has found no more.
+        search: the inner search; must not have been asked yet.
+        count: number of finalists, of different bodies; there are fewer if the search has found no more.
     """
 
     def __init__(self, search: Search, count: int) -> None:
@@ -25,13 +25,14 @@ class Finalists:
         self._asked: list[Candidate] = []
 
     def ask(self) -> list[Candidate]:
+        """Return the inner search's next generation, then once the finalists, then an empty list."""
         if self._asked and self._asked[0].origin == FINALIST:
             return []
         self._asked = self.search.ask() or self._finalists()
         return self._asked
 
     def _finalists(self) -> list[Candidate]:
-        """The best designs, as candidates of the last generation."""
+        """Return candidates with the best different bodies, for the last generation."""
         best: dict[bytes, Candidate] = {}
         for candidate, _ in sorted(self._known, key=lambda pair: (-pair[1], pair[0].id)):
             best.setdefault(candidate.body.tobytes(), candidate)
@@ -42,11 +43,13 @@ class Finalists:
         return finalists
 
     def tell(self, fitness: Sequence[float]) -> None:
+        """Tell the fitness of the last candidates to the inner search; that of finalists is ignored."""
         if self._asked[0].origin != FINALIST:
             self.search.tell(fitness)
             self._known += zip(self._asked, fitness, strict=True)
 
     def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
+        """Restore the state after ``history``; the inner search replays all generations but the finalists."""
         searched = [pair for pair in history if pair[0][0].origin != FINALIST]
         self.search.replay(searched)
         self._known = [pair for generation in searched for pair in zip(*generation, strict=True)]
@@ -55,9 +58,9 @@ class Finalists:
 
 @dataclasses.dataclass(frozen=True)
 class TwoStages:
-    """Evaluates all candidates by gaits, and finalists by more gaits and a training of their own.
+    """Evaluates candidates by gaits, and finalists by more gaits and a training each.
 
-    Of finalists the better of both counts. Gaits come from the parents; the trainings begin with new networks.
+    A finalist gets the better of both results. Gaits start from those of the parents, trainings with new networks.
     """
 
     gaits: DesignEvaluator
@@ -65,6 +68,7 @@ class TwoStages:
     training: DesignEvaluator
 
     def evaluate(self, candidates: Sequence[Candidate], parents: Parents, report: Report = None) -> list[Outcome]:
+        """Evaluate ``candidates``, which are all finalists or none, and return their outcomes."""
         if candidates[0].origin != FINALIST:
             return self.gaits.evaluate(candidates, parents, report)
 

@@ -1,4 +1,4 @@
-"""Episodes of many gaits at once, of several designs."""
+"""Simulation of many gaits of several designs at once."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -18,7 +18,7 @@ from warpvox.types import ACTION_SCALE, Cell
 
 
 def continued(state: Any, sources: torch.Tensor, episodes: int) -> Any:
-    """The state in which gaits go on from the episodes of others of their design: ``sources``, ``[designs, gaits]``."""
+    """Return ``state`` rearranged: gait ``k`` of design ``d`` continues from the episodes of gait ``sources[d, k]``."""
     device = sources.device
     gaits = sources + sources.shape[1] * torch.arange(len(sources), device=device)[:, None]
     rows = gaits[:, :, None] * episodes + torch.arange(episodes, device=device)
@@ -34,10 +34,10 @@ def play(
     last: int | None = None,
     noise: Draws | None = None,
 ) -> torch.Tensor:
-    """Step episodes that have begun; arguments as for :func:`actions_of_gaits`.
+    """Step the environments through the control steps ``first`` to ``last`` of ``gaits``; return the mean returns.
 
     Args:
-        noise: on the actions, of as many copies as ``episodes``: the same for all gaits; None: there is none.
+        noise: random numbers of noise on the actions, for ``episodes`` copies, equal for all gaits; None: no noise.
 
     Returns:
         The mean return of each gait so far, float64 ``[designs, gaits]`` on the CPU.
@@ -62,7 +62,7 @@ def actions_of_gaits(
     first: int = 0,
     last: int | None = None,
 ) -> Iterator[torch.Tensor]:
-    """Actions ``[num_envs, num_actions]`` of one control step after the other, as the stored policies have them.
+    """Yield the actions ``[num_envs, num_actions]`` of each control step, as stored policies compute them.
 
     Environments are those of a design, gait by gait, one after another.
 
@@ -85,7 +85,7 @@ def actions_of_gaits(
             cells = np.stack([gait.amplitude, gait.phase, gait.rest])[:, :, driven]
             values[:, :own, place, k, :, : cells.shape[-1]] = cells[:, :, None]
     parts = [torch.as_tensor(one.reshape(stages, env.num_envs, -1), device=env.device) for one in (*timing, *values)]
-    # Those of many control steps are computed at once, if environments are few.
+    # With few environments, compute the actions of many control steps at once.
     together = max(1, 2**20 // (env.num_envs * env.num_actions))
     for begin in itertools.count(first, together):
         end = min(begin + together, last)

@@ -1,4 +1,4 @@
-"""Gaits that grow: a beam search over the motions of an episode, stage by stage."""
+"""Beam search for gaits: the motions of an episode are chosen stage by stage."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ def beam_search(
     episodes: int,
     noise: Draws | None,
 ) -> tuple[list[tuple[float, Gait]], np.ndarray]:
-    """Search for gaits of some designs, all of them side by side, in one go through the episode.
+    """Search gaits for several designs side by side, stage by stage through one episode; return the best of each.
 
     The beginnings of episodes found so far are each continued for a stage by several motions, from copies of the state
     of the simulation, and the best of what follows are the next beginnings. This takes as many control steps as
@@ -69,9 +69,10 @@ def beam_search(
 
 @dataclass(frozen=True)
 class _Beginning:
-    """The beginning of an episode: where it was played, its motions, and whether they are those of the best known gait.
+    """The first part of an episode.
 
-    The latter is continued whatever its value.
+    ``place``: index of the gait that played it; ``begun``: its motions; ``is_known``: they are those of the best known
+    gait, which is continued whatever its value.
     """
 
     place: int = 0
@@ -80,21 +81,22 @@ class _Beginning:
 
 
 class _Search:
-    """The beam search of one design.
+    """State of the beam search of one design.
 
     Attributes:
-        beginnings: what is continued; empty when all episodes have ended.
-        sources: for each continuation the place of what it continues.
+        beginnings: parts of episodes to continue; empty when all episodes have ended.
+        sources: for each continuation, the index of the gait whose episode it continues.
         best: the best mean return of an episode that has ended, and its gait.
     """
 
     def __init__(self, body: np.ndarray, count: int, known: Sequence[Gait], rng: np.random.Generator) -> None:
+        """Start the search for gaits of ``body`` with ``count`` gaits at a time and the ``known`` ones, best first."""
         self.body = body
         self.count = count
         self.rng = rng
         self.plan = motions_of(known[0]) if known else ()
         self.motions = [motion for gait in known for _, motion in motions_of(gait)]
-        # One beginning of an episode in eight is continued after each stage.
+        # After each stage, one in eight beginnings of episodes is kept.
         self.kept = max(1, round(0.125 * count))
         self.beginnings = [_Beginning(is_known=bool(known))]
         self.sources: list[int] = []
@@ -103,8 +105,8 @@ class _Search:
         self._gaits: list[Gait] = []
 
     def continued(self, first: int, last: int) -> list[Gait]:
-        """Motions to be tried from control step ``first`` to ``last``, which is not among them."""
-        if not self.beginnings:  # environments that have ended stay as they are
+        """Return the gaits to try from control step ``first`` up to but excluding ``last``; sets ``sources``."""
+        if not self.beginnings:  # all episodes have ended: the environments stay as they are
             self.sources = list(range(self.count))
             return self._gaits
         each, more = divmod(self.count, len(self.beginnings))
@@ -114,9 +116,13 @@ class _Search:
         for rank, beginning in enumerate(self.beginnings):
             for number in range(each + (rank < more)):
                 is_known = beginning.is_known and number == 0
-                added = self._plan(first, last) if is_known else self._motions(beginning.begun, number, first, last)
+                added = (
+                    self._known_motions(first, last)
+                    if is_known
+                    else self._continuation(beginning.begun, number, first, last)
+                )
                 self.sources.append(beginning.place)
-                # A motion that goes on is not begun again.
+                # A motion that continues unchanged gets no new entry.
                 begun = beginning.begun
                 goes_on = bool(begun) and begun[-1][1] is added[0][1]
                 begun += added[1:] if goes_on else added
@@ -125,28 +131,28 @@ class _Search:
         return self._gaits
 
     def choose(self, values: Sequence[float], ended: Sequence[bool]) -> None:
-        """Keep the best of what was tried: ``values`` are mean returns so far, ``ended``: all episodes have ended."""
+        """Keep the best continuations as ``beginnings``, and update ``best`` by those that have ended."""
         if not self.beginnings:
             return
         for tried in self._tried:
             value = values[tried.place]
             if ended[tried.place] and (self.best is None or value > self.best[0]):
                 self.best = value, gait_of(tried.begun)
-        going = [tried for tried in self._tried if not ended[tried.place]]
-        going.sort(key=lambda tried: (not tried.is_known, -values[tried.place]))
-        # A quarter of these at most continue the same beginning, or all would descend from one.
+        active = [tried for tried in self._tried if not ended[tried.place]]
+        active.sort(key=lambda tried: (not tried.is_known, -values[tried.place]))
+        # At most a quarter of them may continue the same beginning, so that not all descend from one.
         most = max(2, round(0.25 * self.kept))
         chosen: list[_Beginning] = []
         children = dict.fromkeys(self.sources, 0)
-        for tried in going:
+        for tried in active:
             parent = self.sources[tried.place]
             if len(chosen) < self.kept and children[parent] < most:
                 children[parent] += 1
                 chosen.append(tried)
         self.beginnings = chosen
 
-    def _motions(self, begun: _Begun, number: int, first: int, last: int) -> _Begun:
-        """The ``number``-th continuation of a beginning."""
+    def _continuation(self, begun: _Begun, number: int, first: int, last: int) -> _Begun:
+        """Choose the ``number``-th continuation of a beginning: the same motion, a mutant, a known or a random one."""
         rng = self.rng
         body = self.body
         if begun and number == 0:
@@ -155,7 +161,7 @@ class _Search:
         # A tenth follow the known gait, three tenths are mutants of the present motion, a quarter are motions
         # of known gaits or mutants of them, a tenth are mutants of an earlier motion, the others are random.
         if self.plan and kind < 0.1:
-            return self._plan(first, last)
+            return self._known_motions(first, last)
         if begun and kind < 0.4:
             motion = mutate_motion(rng, begun[-1][1], body, first)
         elif self.motions and kind < 0.65:
@@ -168,8 +174,8 @@ class _Search:
             motion = draw_motion(rng, body)
         return ((first, motion),)
 
-    def _plan(self, first: int, last: int) -> _Begun:
-        """The motions of the best known gait."""
+    def _known_motions(self, first: int, last: int) -> _Begun:
+        """Return the motions of the best known gait between control steps ``first`` and ``last``."""
         present = max(place for place, (begin, _) in enumerate(self.plan) if begin <= first)
         later = tuple((begin, motion) for begin, motion in self.plan[present + 1 :] if begin < last)
         return ((first, self.plan[present][1]), *later)

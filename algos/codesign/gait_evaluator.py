@@ -1,4 +1,4 @@
-"""Evaluation of designs without a policy: a few gaits are tried with each, and handed on to its descendants."""
+"""Evaluation of designs by open-loop gaits, which children inherit from their parents."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from warpvox.types import ACTION_SCALE, Cell
 
 
 class GaitSearch(Protocol):
-    """How many gaits are tried, and which: see the fields of the evaluation ``gaits``."""
+    """Settings of the search for gaits: see the fields of the evaluation ``gaits``."""
 
     gaits: int
     rounds: int
@@ -37,7 +37,7 @@ class GaitSearch(Protocol):
 
 @dataclass(frozen=True)
 class GaitEvaluator:
-    """The fitness of a design is the best return of some open-loop gaits, and the best gait is its policy.
+    """Evaluates designs by trying open-loop gaits: the best return is the fitness, the best gait the policy.
 
     The first ones are those of its parents with mutants of the best parent's; random ones, if it has none. In each
     further round mutants of the best so far are tried. Passes of a :func:`beam_search` may come before the rounds. It
@@ -58,6 +58,7 @@ class GaitEvaluator:
     known: Mapping[bytes, Gait] = field(default_factory=dict)
 
     def evaluate(self, candidates: Sequence[Candidate], parents: Parents, report: Report = None) -> list[Outcome]:
+        """Search gaits for ``candidates`` and return their outcomes."""
         most = max(self.settings.gaits, self.settings.beam if self.settings.passes else 0)
         hint = (
             f"Take less at once: {most} gaits are tried with each of {len(candidates)} designs (evaluation.gaits,"
@@ -67,12 +68,13 @@ class GaitEvaluator:
             return self._search(candidates, parents, report)
 
     def _search(self, candidates: Sequence[Candidate], parents: Parents, report: Report) -> list[Outcome]:
+        """Run the beam searches and rounds for all candidates side by side, and return their outcomes."""
         settings = self.settings
         bodies = [candidate.body for candidate in candidates]
         # 0x6A17 keeps the random numbers of gaits apart from those of environments and searches.
         rngs = [np.random.default_rng([0x6A17, self.seed, candidate.id]) for candidate in candidates]
         env = self._environments(candidates, settings.beam if settings.passes else settings.gaits)
-        inherited = [self._inherited(candidate, parents, env.max_episode_steps) for candidate in candidates]
+        inherited = [self._inherited_gaits(candidate, parents, env.max_episode_steps) for candidate in candidates]
         noise = None
         if self.factory.fitness != NOMINAL:  # on the actions, the same for all gaits
             noise = Draws(self.seed, SEARCHED, self.episodes, env.device)
@@ -114,7 +116,7 @@ class GaitEvaluator:
                         gait = best[place][1]
                         gaits.append([mutate_gait(rng, gait, candidate.body, steps) for _ in range(settings.gaits)])
                     else:
-                        gaits.append(self._first(rng, inherited[place], candidate, steps))
+                        gaits.append(self._first_gaits(rng, inherited[place], candidate, steps))
                 found, taken = self._play(env, bodies, gaits, noise)
 
             # The best so far
@@ -127,18 +129,18 @@ class GaitEvaluator:
 
         outcomes = []
         for place, (value, gait) in enumerate(best):
-            state, spec = _stored(gait, bodies[place], env.obs_columns[place].values())
+            state, spec = _as_policy(gait, bodies[place], env.obs_columns[place].values())
             outcomes.append(Outcome(value, curves[place], spent[place], state, spec=spec))
         return outcomes
 
     def _environments(self, candidates: Sequence[Candidate], count: int) -> VoxelVecEnv:
-        """``count`` of each design, times the episodes of a gait."""
+        """Make the environments of ``count`` gaits for each candidate, ``episodes`` for each gait."""
         bodies = [candidate.body for candidate in candidates]
         seeds = [candidate_seed(self.seed, candidate.id) for candidate in candidates]
         return self.factory.make(bodies, count * self.episodes, seeds, auto_reset=False, shared=True)
 
-    def _inherited(self, candidate: Candidate, parents: Parents, steps: int) -> list[Gait]:
-        """The gaits that a candidate begins with: those of its parents, the best first, or the one it is known by."""
+    def _inherited_gaits(self, candidate: Candidate, parents: Parents, steps: int) -> list[Gait]:
+        """Return the gaits that a candidate starts with: its known gait, or its parents', best parent first."""
         if candidate.origin == START:
             known = self.known.get(candidate.body.tobytes())
             return [] if known is None else [with_stages(known, self.settings.stages, steps)]
@@ -149,10 +151,10 @@ class GaitEvaluator:
             gaits.append(Gait(**{name: parent.policy[name].numpy() for name in Gait.__dataclass_fields__}))
         return gaits
 
-    def _first(
+    def _first_gaits(
         self, rng: np.random.Generator, inherited: Sequence[Gait], candidate: Candidate, steps: int
     ) -> list[Gait]:
-        """The gaits that a design tries first: those that it has inherited, some new ones, and mutants."""
+        """Return the gaits of a design's first round: inherited ones, new ones, and mutants."""
         body = candidate.body
         stages = self.settings.stages
         count = self.settings.gaits
@@ -173,7 +175,7 @@ class GaitEvaluator:
     def _play(
         self, env: VoxelVecEnv, bodies: Sequence[Design], gaits: Sequence[Sequence[Gait]], noise: Draws | None
     ) -> tuple[list[tuple[float, Gait]], np.ndarray]:
-        """The best gait of each design with its mean return, and the control steps ``[designs]`` that it took."""
+        """Play gaits; return each design's best one with its mean return, and the control steps ``[designs]``."""
         # All gaits of a design have the same episodes.
         env.reset(seed=[self.seed] * len(bodies))
         first_gait = torch.zeros(len(bodies), self.settings.gaits, dtype=torch.int64, device=env.device)
@@ -187,8 +189,8 @@ class GaitEvaluator:
         return found, env.state()["length"].view(len(bodies), -1).sum(1).cpu().numpy()
 
 
-def _stored(gait: Gait, body: Design, columns: Iterable[slice]) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """The state of a gait as a policy, and what that is built by; ``columns``: of the terms of the observation."""
+def _as_policy(gait: Gait, body: Design, columns: Iterable[slice]) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    """Return a gait as the state of a policy and its specification; ``columns``: of the terms of the observation."""
     driven = np.flatnonzero(body >= Cell.H_ACT)
     num_obs = sum(part.stop - part.start for part in columns) + 1  # with the time
     stages, rows, width = gait.phase.shape

@@ -1,4 +1,4 @@
-"""Open-loop gaits as a design search evolves them: random ones, and mutants."""
+"""Open-loop gaits and their variation in a design search: random gaits, mutants, single motions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,14 +9,14 @@ from warpvox.design import Design
 from warpvox.types import Cell
 
 _PERIODS = (5.0, 40.0)
-"""Control steps of a travelling wave."""
+"""Shortest and longest period of a travelling wave, in control steps."""
 SHORTEST, LONGEST = 3.0, 400.0
-"""Control steps; limits of mutated periods."""
+"""Limits of mutated periods, in control steps."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gait:
-    """Motion without feedback, for any body of a grid: a sinusoid for each cell, another one in each stage.
+    """Motion without feedback, for any body in a grid: in each stage a sinusoid for each cell.
 
     In control step t, of stage s, the action of an actuator in cell c is
     ``1.1 + 0.5 * clip(rest[s, c] + amplitude[s, c] * sin(2 pi t / period[s] + phase[s, c]), -1, 1)``.
@@ -36,20 +36,21 @@ class Gait:
     rest: np.ndarray
 
     def __post_init__(self) -> None:
+        """Round all values to float32, and store them as float64."""
         for name, values in vars(self).items():
             object.__setattr__(self, name, values.astype(np.float32).astype(np.float64))
 
 
 Motion = tuple[float, np.ndarray, np.ndarray, np.ndarray]
-"""Of one stage: period, amplitude, phase and rest."""
+"""Motion of one stage: period, amplitude, phase and rest."""
 
 
 def motions_of(gait: Gait) -> tuple[tuple[int, Motion], ...]:
-    """The motions of a gait, with the control steps in which they begin."""
+    """Return the motions of a gait, each with the control step in which it begins."""
     found = []
     for stage, begin in enumerate(map(int, gait.begin)):
         is_last = stage == len(gait.begin) - 1
-        # A stage that the next one begins with has no control step of its own.
+        # Skip a stage that has no control step, because the next one begins at the same one.
         if is_last or int(gait.begin[stage + 1]) > begin:
             motion = (gait.period.tolist()[stage], gait.amplitude[stage], gait.phase[stage], gait.rest[stage])
             found.append((begin, motion))
@@ -57,14 +58,14 @@ def motions_of(gait: Gait) -> tuple[tuple[int, Motion], ...]:
 
 
 def gait_of(motions: Sequence[tuple[int, Motion]]) -> Gait:
-    """The inverse of :func:`motions_of`."""
+    """Make a gait from its motions; the inverse of :func:`motions_of`."""
     begins = [begin for begin, _ in motions]
     periods, amplitudes, phases, rests = zip(*(motion for _, motion in motions), strict=True)
     return Gait(np.array(begins), np.array(periods), np.array(amplitudes), np.array(phases), np.array(rests))
 
 
 def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -> Gait:
-    """A random gait: each stage a wave or a pose, or one motion for the whole episode.
+    """Draw a random gait: a wave or a pose in each stage, or one motion for the whole episode.
 
     Stages are short at the beginning of the episode as often as at its end, which alone counts in some tasks.
     """
@@ -81,7 +82,7 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
 
 
 def with_stages(gait: Gait, stages: int, steps: int) -> Gait:
-    """The same motion in more stages: the longest one is divided in two, again and again."""
+    """Return a gait with the same motion in ``stages`` stages, made by halving the longest stage repeatedly."""
     begin = [int(time) for time in gait.begin]
     source = list(range(len(gait.begin)))  # the stage whose motion each of the new ones has
     while len(begin) < stages:
@@ -94,7 +95,7 @@ def with_stages(gait: Gait, stages: int, steps: int) -> Gait:
 
 
 def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
-    """A random wave or pose."""
+    """Draw a random wave or pose."""
     vertical = body == Cell.V_ACT
 
     # A pose: each actuator at its longest or shortest; as often all of a kind alike as each at random
@@ -106,7 +107,7 @@ def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
         return period, np.zeros(body.shape), rng.uniform(0, 2 * np.pi, body.shape), rest
 
     # A wave that travels through the body in some direction, or round its centre
-    x, y = _places(body)
+    x, y = _cell_positions(body)
     # From a sine to nearly a square wave: values are cut at -1 and 1.
     gain = np.full(body.shape, _log_uniform(rng, (1.0, 4.5)))
     if rng.random() < 0.25:
@@ -120,33 +121,33 @@ def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
 
 
 def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
-    """A gait that differs from ``gait`` in one to three ways, in one stage or in all of them."""
+    """Return a mutant of ``gait`` with one to three changes, each to one stage or to all."""
     stages = len(gait.begin)
-    # In three mutants of ten one stage begins another motion: what happens before it stays as it was.
+    # Three mutants of ten get another motion in one stage, which leaves earlier stages as they were.
     if stages > 1 and rng.random() < 0.3:
-        gait = _with_motion(rng, gait, body, steps)
+        gait = _replace_motion(rng, gait, body, steps)
         if rng.random() < 0.5:
             return gait
     for _ in range(rng.integers(1, 4)):
         chosen = np.zeros(stages, bool)
         chosen[rng.integers(stages)] = True
         chosen |= rng.random() < 0.4
-        gait = replace(gait, **_change(rng, gait, body, steps, chosen))
+        gait = replace(gait, **_draw_change(rng, gait, body, steps, chosen))
     return gait
 
 
 def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design, begin: int) -> Motion:
-    """A motion from control step ``begin`` on that differs from ``motion`` in one to three ways."""
+    """Return a mutant of ``motion`` with one to three changes; it begins at control step ``begin``."""
     gait = gait_of([(begin, motion)])
     everywhere = np.ones(1, bool)
     for _ in range(rng.integers(1, 4)):
-        gait = replace(gait, **_change(rng, gait, body, begin, everywhere))
+        gait = replace(gait, **_draw_change(rng, gait, body, begin, everywhere))
     return motions_of(gait)[0][1]
 
 
-def _with_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
-    """Another motion in one stage or from there on: a random one, or that of some stage."""
-    # Where, and which motion
+def _replace_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
+    """Return ``gait`` with another motion, random or from another stage, in one stage or all from there on."""
+    # Stage to change, and its new motion
     stages = len(gait.begin)
     first, source = rng.integers(stages, size=2)
     chosen = slice(first, None if rng.random() < 0.5 else first + 1)
@@ -157,7 +158,7 @@ def _with_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int)
     for name, values in zip(("period", "amplitude", "phase", "rest"), motion, strict=True):
         fields[name][chosen] = values
 
-    # When it begins
+    # Sometimes another beginning
     if first and rng.random() < 0.5:
         limits = (*gait.begin, steps)
         low = limits[first - 1]
@@ -166,9 +167,9 @@ def _with_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int)
     return Gait(**fields)
 
 
-def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chosen: np.ndarray) -> dict:
-    """The changed fields of ``gait``; ``chosen``: stages that change, bool ``[stages]``."""
-    # Mutations are as often small as large.
+def _draw_change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chosen: np.ndarray) -> dict:
+    """Draw one change of ``gait`` and return the changed fields; ``chosen``: stages that change, bool ``[stages]``."""
+    # Small and large mutations are equally likely.
     size = _log_uniform(rng, (0.02, 1.0))
     cells = chosen[:, None, None] * (rng.random(body.shape) < rng.choice([0.08, 0.3, 1.0]))
     noise = size * cells * rng.normal(size=body.shape)
@@ -177,7 +178,7 @@ def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chos
         factor = np.exp(0.5 * size * rng.normal() * chosen)
         period = np.clip(gait.period * factor, SHORTEST, LONGEST)
         turns = gait.begin / gait.period - gait.begin / period
-        turns -= turns.round()  # the wave begins its stage as before: a long time would magnify a small change
+        turns -= turns.round()  # keep the phase at the stage's beginning: long times would magnify a small change
         return {"period": period, "phase": gait.phase + 2 * np.pi * turns[:, None, None]}
     if kind == 1:
         begin = gait.begin.copy()
@@ -185,7 +186,7 @@ def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chos
         begin[1:] += rng.integers(-2, 3, len(begin) - 1)
         return {"begin": np.sort(np.clip(begin.round(), 0.0, steps))}
     if kind == 2:  # another direction or length of the wave
-        x, y = _places(body)
+        x, y = _cell_positions(body)
         turn = rng.normal() * x + rng.normal() * y + 2 * rng.normal() * (body == Cell.V_ACT)
         return {"phase": gait.phase + size * chosen[:, None, None] * turn}
     if kind == 3:
@@ -200,12 +201,13 @@ def _change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chos
     return {"rest": np.where(few, rng.choice([-1.0, 1.0], body.shape), gait.rest)}
 
 
-def _places(body: Design) -> tuple[np.ndarray, np.ndarray]:
-    """x (to the right) and y (up) of each cell, from the middle of the body's voxels."""
+def _cell_positions(body: Design) -> tuple[np.ndarray, np.ndarray]:
+    """Return x (to the right) and y (up) of each cell, relative to the mean position of the body's voxels."""
     rows, columns = np.nonzero(body)
     row, column = np.mgrid[: body.shape[0], : body.shape[1]]
     return column - columns.mean(), rows.mean() - row
 
 
 def _log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
+    """Draw a number between ``limits`` whose logarithm is uniformly distributed."""
     return float(np.exp(rng.uniform(*np.log(limits))))

@@ -1,4 +1,4 @@
-"""Weight inheritance between different bodies: inputs and outputs are matched by their position in the grid."""
+"""Weight inheritance between different bodies: inputs and outputs are matched by their grid position."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from warpvox.types import Cell
 
 @dataclass(frozen=True)
 class BodyLayout:
-    """Meaning of the columns of a design's observations and actions.
+    """Meaning of each entry of a design's observations and actions.
 
     ``columns`` name an axis and a corner of the body's grid, or an entry of a term that is not about points;
-    ``actuators`` give the cell and its type. Equal names mean the same thing in different bodies.
+    ``actuators`` give the row, column and type of a cell. Equal names mean the same thing in different bodies.
     """
 
     columns: tuple[tuple, ...]
@@ -28,17 +28,17 @@ class BodyLayout:
 
     @staticmethod
     def of(env: VoxelVecEnv, design: int) -> BodyLayout:
-        """The layout of one of the designs of ``env``."""
+        """Return the layout of the design with index ``design`` in ``env``."""
         body = env.designs[design]
         first_env = design * env.num_envs // env.num_designs
         mesh = env.sim.designs[int(env.sim.design_index[first_env])].body(ROBOT)
         assert mesh is not None  # every world of a task has its robot
 
-        # The mesh has the grid that its world holds; bodies are compared by their own.
+        # The mesh is placed in the world's grid: shift its cells to the body's own grid.
         row_shift = int(np.flatnonzero(np.any(body != Cell.EMPTY, 1))[0]) - min(row for row, _ in mesh.cells)
         column_shift = int(np.flatnonzero(np.any(body != Cell.EMPTY, 0))[0]) - min(column for _, column in mesh.cells)
 
-        # Where the points are: row and column of a corner
+        # Row and column of the corner that each point lies at
         corners = {}
         for (row, column), points in mesh.corners.items():
             around = ((row, column), (row, column + 1), (row + 1, column + 1), (row + 1, column))
@@ -99,7 +99,7 @@ def copy_weights(
         if key in state:
             _copy(state[key].T, policy[key].T, inputs, None, key)
     if "obs_normalizer.count" in state:
-        # A child still adapts its normaliser to its own observations.
+        # Limit the count, so that the child's normaliser still adapts to its own observations.
         state["obs_normalizer.count"].copy_(policy["obs_normalizer.count"].clamp(max=4096))
 
     actor.load_state_dict(state)
@@ -108,7 +108,7 @@ def copy_weights(
 
 
 def _matches(child: tuple[tuple, ...], parent: tuple[tuple, ...]) -> tuple[list[int], list[int]]:
-    """Indices of shared names: in the child, in the parent."""
+    """Return the indices of names that both have: in the child, and in the parent."""
     where = {name: k for k, name in enumerate(parent)}
     mine = [k for k, name in enumerate(child) if name in where]
     theirs = [where[child[k]] for k in mine]
@@ -116,7 +116,7 @@ def _matches(child: tuple[tuple, ...], parent: tuple[tuple, ...]) -> tuple[list[
 
 
 def _copy(own: torch.Tensor, old: torch.Tensor | None, rows: tuple | None, columns: tuple | None, name: str) -> None:
-    """Copy what matches; rows or columns of None must agree."""
+    """Copy the matched rows and columns of ``old`` into ``own``; None: the sizes must agree and all are copied."""
     free = [axis for axis, pairs in enumerate((rows, columns)) if pairs is None and axis < own.ndim]
     if old is None or old.ndim != own.ndim or any(old.shape[axis] != own.shape[axis] for axis in free):
         found = "nothing" if old is None else list(old.shape)

@@ -34,15 +34,16 @@ from warpvox.errors import DivergenceError, RunError, SearchError
 
 @dataclass
 class Loop:
-    """Runs a search to its end, or until it is interrupted.
+    """Asks the search for designs, evaluates them and stores the results, until the search ends or is interrupted.
 
     Attributes:
         search: must not have been asked yet.
-        archive: new or of an experiment to go on with; open for writing.
-        policies: where policies go; None: they are not kept.
-        batch: designs trained together; None: all of a generation.
-        reuse: a body that was evaluated before is not trained again.
-        inherit: a training may start from the policies of the parents.
+        archive: a new one or that of a search to resume; open for writing.
+        policies: stores the policies; None: they are not kept.
+        batch: number of designs evaluated together; None: all of a generation.
+        reuse: copy the result of a body that was evaluated before instead of evaluating it again.
+        inherit: give the evaluator the policies of the parents.
+        generation: number of the current generation.
     """
 
     search: Search
@@ -58,7 +59,7 @@ class Loop:
     generation: int = field(default=0, init=False)
 
     def run(self) -> None:
-        """Go on until the search has spent its evaluations.
+        """Run generations until the search has spent its evaluations.
 
         The first interrupt waits until the evaluation next reports; the batch under way is evaluated again, to the
         same bits, when the search goes on.
@@ -72,7 +73,7 @@ class Loop:
             self._replay()
 
             while candidates := self.search.ask():
-                # Ask: the proposals are stored, or compared with those of the search that is resumed.
+                # Store the proposals; a resumed search compares them with the stored ones.
                 self._store_proposals(candidates)
 
                 # Evaluate what has no result yet, and store each batch when it is finished.
@@ -89,9 +90,9 @@ class Loop:
                     self._store(batch, outcomes, now - began)
                     began = now
                     if interrupt:
-                        interrupt.stop()
+                        interrupt.raise_interrupt()
 
-                # Bodies that were evaluated before take that result.
+                # Copy the results of bodies that were evaluated before.
                 copied = {number: original for number, original in originals.items() if number not in finished}
                 self.archive.finish([self._copy(number, original) for number, original in copied.items()])
                 self._rank_diverged()
@@ -106,10 +107,10 @@ class Loop:
 
                 self.generation += 1
                 if interrupt:
-                    interrupt.stop()
+                    interrupt.raise_interrupt()
 
     def _replay(self) -> None:
-        """Restore the state of the search from the archive."""
+        """Restore the state of the search and ``generation`` from the finished generations in the archive."""
         history = []
         for row in self.archive.generations():
             if row["evaluated"] == row["designs"]:
@@ -127,7 +128,7 @@ class Loop:
         self.generation = len(history)
 
     def _store_proposals(self, candidates: Sequence[Candidate]) -> None:
-        """Store the candidates of a new generation. RunError: a search that is resumed proposes others than before."""
+        """Store new ``candidates``, or raise RunError if a resumed search proposes others than it has stored."""
         stored = self.archive.records(self.generation)
         if stored:
             proposed = [_identity(candidate) for candidate in candidates]
@@ -147,10 +148,10 @@ class Loop:
     def _unfinished_batches(
         self, candidates: Sequence[Candidate], originals: Mapping[int, int], finished: Container[int]
     ) -> list[Batch]:
-        """The batches in which some candidate has no result yet.
+        """Return the batches in which at least one candidate has no result yet.
 
-        Batches are cut before those with results are left out: a generation that is resumed trains the same designs
-        together.
+        All candidates are cut into batches before finished batches are dropped, so that a resumed generation trains the
+        same designs together.
         """
         fresh = [candidate for candidate in candidates if candidate.id not in originals]
         unfinished = []
@@ -160,37 +161,38 @@ class Loop:
         return unfinished
 
     def _evaluate(self, work: Sequence[Batch], interrupt: Interrupt) -> Iterator[tuple[Batch, list[Outcome]]]:
-        """Yield the batches with their outcomes, as they finish."""
+        """Evaluate the batches in ``work``; yield each with its outcomes when it is finished."""
 
-        def report(place: int, event: dict[str, Any]) -> None:
+        def report(index: int, event: dict[str, Any]) -> None:
             for listener in self.listeners:
-                listener.progress(work[place].candidates, event)
+                listener.progress(work[index].candidates, event)
             if interrupt:
-                interrupt.stop()
+                interrupt.raise_interrupt()
 
-        for place, outcomes in self.executor.run(work, self._parents(work), report):
-            batch = work[place]
+        for index, outcomes in self.executor.run(work, self._parents(work), report):
+            batch = work[index]
             yield batch, checked_outcomes(outcomes, len(batch.candidates))
 
     def _store(self, batch: Batch, outcomes: Sequence[Outcome], seconds: float) -> None:
-        """Store the outcomes of a batch that has taken so many seconds."""
+        """Store the outcomes of a batch and their policies; ``seconds``: wall time that the batch has taken."""
         results = []
         for candidate, outcome in zip(batch.candidates, outcomes, strict=True):
             file = sha256 = None
             if self.policies is not None and outcome.policy is not None:
-                # the policy first: the archive never names a missing file
+                # Write the policy first, so that the archive never names a missing file.
                 file, sha256 = self.policies.save(candidate, outcome)
             results.append(Finished(candidate.id, outcome, file, sha256))
         self.archive.finish(results, seconds=seconds)
         self._notify_finished([result.id for result in results])
 
     def _notify_finished(self, numbers: Sequence[int]) -> None:
+        """Pass the records of the candidates with these ids to the listeners."""
         records = [self.archive.record(number) for number in numbers]
         for listener in self.listeners:
             listener.finished(records)
 
     def _rank_diverged(self) -> None:
-        """Rank diverged candidates below all others. DivergenceError: the whole generation diverged."""
+        """Give diverged candidates the worst fitness so far. DivergenceError: all of the generation diverged."""
         records = self.archive.records(self.generation)
         if all(record.diverged for record in records) and (len(records) > 1 or not self.archive.best()):
             raise DivergenceError(
@@ -201,39 +203,39 @@ class Loop:
         self.archive.rank_diverged(self.generation)
 
     def _originals(self, candidates: Sequence[Candidate]) -> dict[int, int]:
-        """The candidates whose body was proposed before, with the id of the first that had it."""
+        """Return, for each candidate whose body was proposed before, the id of the first with that body."""
         if not self.reuse:
             return {}
-        first: dict[str, int] = {}
+        first_ids: dict[str, int] = {}
         for record in self.archive.records():
             if record.candidate.generation < self.generation:
-                first.setdefault(body_text(record.candidate.body), record.id)
+                first_ids.setdefault(body_text(record.candidate.body), record.id)
         originals = {}
         for candidate in candidates:
             if candidate.origin == FINALIST:  # its body was evaluated in another way
                 continue
-            original = first.setdefault(body_text(candidate.body), candidate.id)
+            original = first_ids.setdefault(body_text(candidate.body), candidate.id)
             if original != candidate.id:
                 originals[candidate.id] = original
         return originals
 
     def _copy(self, number: int, original: int) -> Finished:
-        """The result of a candidate whose body is that of ``original``."""
+        """Return a result for candidate ``number``: that of ``original``, which has the same body."""
         record = self.archive.record(original)
-        # nothing was spent: the sum of all steps is what the experiment has cost
+        # 0 steps, because none were simulated: all steps must sum to the cost of the experiment
         fitness = -math.inf if record.diverged else cast(float, record.fitness)
         outcome = Outcome(fitness, steps=0, stopped=bool(record.stopped))
         return Finished(number, outcome, record.policy, record.policy_sha256, reused=original)
 
     def _parents(self, work: Sequence[Batch]) -> Parents:
-        """The parents of all candidates whose policies are known."""
+        """Return the parents of all candidates in ``work`` whose policies are stored; empty without inheritance."""
         if not self.inherit or self.policies is None:
             return {}
         numbers = {number for batch in work for candidate in batch.candidates for number in candidate.parents}
         parents = {}
         for number in sorted(numbers):
             record = self.archive.record(number)
-            # of its own generation a search that is resumed would know more policies than one that was not interrupted
+            # Earlier generations only: a resumed search would know more policies of its own than an uninterrupted one.
             if record.policy is not None and record.candidate.generation < self.generation:
                 policy = self.policies.load(record.policy)
                 parents[number] = Parent(record.candidate.body, policy, cast(float, record.fitness))
@@ -241,7 +243,7 @@ class Loop:
 
 
 def _identity(candidate: Candidate) -> tuple[int, str, tuple[int, ...], str]:
-    """The parts of a candidate that a search which is resumed must propose again."""
+    """Return the parts of a candidate that must be equal when a resumed search proposes it again."""
     return candidate.id, body_text(candidate.body), tuple(candidate.parents), candidate.origin
 
 
@@ -272,10 +274,10 @@ class Executor(Protocol):
 
 
 class LocalExecutor(Executor):
-    """Evaluates in this process, in order.
+    """Evaluates batches one after another in this process.
 
     Args:
-        alone: whether other threads that train or evaluate wait meanwhile.
+        alone: make other threads of this process that train or evaluate wait meanwhile.
     """
 
     def __init__(self, evaluator: DesignEvaluator, alone: bool = True) -> None:
@@ -283,14 +285,14 @@ class LocalExecutor(Executor):
         self.alone = alone
 
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
-        for place, batch in enumerate(work):
+        for index, batch in enumerate(work):
             with own_torch() if self.alone else nullcontext():
-                outcomes = self.evaluator.evaluate(batch.candidates, parents, partial(report, place))
-            yield place, outcomes
+                outcomes = self.evaluator.evaluate(batch.candidates, parents, partial(report, index))
+            yield index, outcomes
 
 
 def batches(candidates: Sequence[Candidate], size: int | None) -> list[Batch]:
-    """The candidates of a generation cut into batches that are trained together; None: one batch.
+    """Cut ``candidates`` into batches of ``size`` that are trained together; None: a single batch.
 
     The cut depends on nothing but the candidates, so that a resumed experiment, or one on other machines, trains the
     same designs together.

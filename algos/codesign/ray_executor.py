@@ -1,4 +1,4 @@
-"""Evaluation on many processes and machines by Ray; the batch of a lost worker is evaluated again."""
+"""Evaluation of designs in many processes and on many machines by Ray; batches of lost workers are repeated."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ from warpvox.errors import ConfigError, RunError, WarpvoxError, first_line
 from warpvox.system import safe_start
 
 POLL_SECONDS = 0.5
-"""How often progress is asked for."""
+"""Seconds between two requests for progress."""
 MAX_ATTEMPTS = 3
-"""How often a batch may lose its worker before the batch itself is suspected."""
+"""Number of workers that a batch may end before it is given up."""
 WORKER_TIMEOUT = 600.0
-"""How long to wait for a first or a new worker while there is none."""
+"""Seconds to wait for a worker while there is none."""
 
 
 class _Worker:
-    """Ray actor: evaluates in one thread and reports progress in another; in the folder ``here``, if it is there."""
+    """Ray actor that evaluates batches in one thread and reports progress in another, in the folder ``here``."""
 
     def __init__(self, make: Callable[[], DesignEvaluator], here: Path) -> None:
+        """Change to the folder ``here`` if it exists; ``make`` builds the evaluator at the first evaluation."""
         # Relative paths mean what they mean in the program; other machines may lack its folder.
         with suppress(OSError):
             os.chdir(here)
@@ -39,30 +40,31 @@ class _Worker:
         self._events: deque[dict[str, Any]] = deque(maxlen=100)
 
     def ready(self) -> int:
-        """The process is up; its id."""
+        """Return the process id; Ray answers the call once the process is running."""
         return os.getpid()
 
     def evaluate(self, candidates: Sequence[Candidate], parents: Parents) -> list[Outcome]:
-        self._events.clear()  # what nobody has asked for of the batch before
-        # made in this thread: some settings of torch belong to the thread that sets them
+        """Build the evaluator at the first call, and return the outcomes of ``candidates``."""
+        self._events.clear()  # drop unread events of the batch before
+        # Build it in this thread: some settings of torch belong to the thread that sets them.
         self._evaluator = self._evaluator or self._make()
         return self._evaluator.evaluate(candidates, parents, self._events.append)
 
     def events(self) -> list[dict[str, Any]]:
-        """Reports since the last call."""
+        """Return the progress events since the last call, and forget them."""
         return [self._events.popleft() for _ in range(len(self._events))]
 
 
 class RayExecutor:
-    """Spreads batches over workers, each a process with an evaluator of its own.
+    """Distributes batches over workers, each a process with its own evaluator.
 
     Results do not depend on the workers: a batch is evaluated whole, by its candidates' seeds.
 
     Args:
         make: builds the evaluator in a worker; must be picklable.
-        workers: how many; None: one a GPU if they are given GPUs, else as many as there are CPUs for.
+        workers: number of workers; None: one for each GPU if workers use GPUs, else as many as the CPUs allow.
         address: of a running cluster (``auto`` or ``host:port``); None: start Ray on this machine.
-        cpus, gpus: what a worker takes; no number of GPUs: one if the cluster has any.
+        cpus, gpus: CPUs and GPUs of each worker; ``gpus=None``: one GPU if the cluster has any, else none.
     """
 
     def __init__(
@@ -85,11 +87,16 @@ class RayExecutor:
         return len(self._workers)
 
     def _start_worker(self) -> _Handle:
+        """Start a worker process and return its handle."""
         actor = self._class.remote(self._make, Path.cwd())
         return _Handle(actor, actor.ready.options(concurrency_group="watch").remote())
 
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
-        """RunError: there is no worker for too long, or a batch has lost too many of them."""
+        """Yield the index of each batch in ``work`` with its outcomes, as workers finish.
+
+        Raises:
+            RunError: no worker was available for too long, or a batch has ended too many workers.
+        """
         waiting = deque(range(len(work)))
         losses = Counter()
         idle_since = time.monotonic()
@@ -122,7 +129,7 @@ class RayExecutor:
                     yield place, outcomes
 
     def _assign(self, work: Sequence[Batch], parents: Parents, waiting: deque[int]) -> None:
-        """Give batches to workers that are up and idle: one that is not up might never get a node."""
+        """Give waiting batches to workers that have started and are idle; replace workers that failed to start."""
         for number, worker in enumerate(self._workers):
             if not waiting:
                 return
@@ -140,7 +147,7 @@ class RayExecutor:
             worker.task = method.remote(list(batch.candidates), own)
 
     def _collect(self, worker: _Handle) -> list[Outcome] | None:
-        """The outcomes of a finished task; None and a new worker if it was lost."""
+        """Return the outcomes of a worker's finished task; if the worker was lost, replace it and return None."""
         errors = self._ray.exceptions
         task = worker.task
         worker.place = worker.task = worker.news = None
@@ -155,7 +162,7 @@ class RayExecutor:
             return None
 
     def _events(self, worker: _Handle) -> list[dict[str, Any]]:
-        """Progress of a busy worker; nothing if it does not answer, in which case its task reports the error."""
+        """Return the progress events of a busy worker; empty if there are none or it does not answer."""
         if worker.news is None:
             worker.news = worker.actor.events.options(concurrency_group="watch").remote()
         if not self._is_done(worker.news):
@@ -168,15 +175,20 @@ class RayExecutor:
             worker.news = None
 
     def _is_done(self, reference: Any) -> bool:
+        """Return whether the result of a Ray task is available."""
         return bool(self._ray.wait([reference], timeout=0)[0])
 
     def close(self) -> None:
-        """End the workers, and Ray itself where it was started here."""
+        """Stop the workers, and Ray itself if it was started here."""
         self._ray.shutdown()
 
 
 class _Handle:
-    """The driver's view of a worker: the actor, the future of its start, the batch it works on."""
+    """A worker as the main process sees it.
+
+    ``actor``: Ray's handle; ``up``: future of its start; ``place``: index of the batch that it evaluates (None: idle);
+    ``task`` and ``news``: futures of the evaluation and of the next progress events.
+    """
 
     def __init__(self, actor: Any, up: Any) -> None:
         self.actor = actor
@@ -187,7 +199,7 @@ class _Handle:
 
 
 def connect(address: str | None, workers: int | None, cpus: int, gpus: float | None) -> tuple[Any, int, float]:
-    """Connect to a cluster, or start Ray here; returns the module, the number of workers, and the GPUs of each.
+    """Connect to a Ray cluster or start Ray here; return the module, the number of workers, and the GPUs of each.
 
     Args:
         workers, address, cpus, gpus: as for :class:`RayExecutor`, which also says what is raised.
@@ -208,7 +220,7 @@ def connect(address: str | None, workers: int | None, cpus: int, gpus: float | N
 
 
 def _start(address: str | None, cpus: int) -> Any:
-    """Connect to a cluster, or start Ray here with at least ``cpus`` CPUs; returns the module."""
+    """Connect to a Ray cluster or start Ray here with at least ``cpus`` CPUs; return the module."""
     # Ray gives its workers a low priority and reports usage, unless told otherwise before it starts
     os.environ.setdefault("RAY_worker_niceness", "0")
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")

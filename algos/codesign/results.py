@@ -1,4 +1,4 @@
-"""Pictures and figures that a design search leaves in its folder, kept up to date while it runs; its result."""
+"""The results of a design search: report, pictures and summary in its folder, and the object that it returns."""
 
 import dataclasses
 import time
@@ -38,27 +38,29 @@ from warpvox.view.render import Film
 from warpvox.view.rollout import record
 
 FRESH = 64
-"""Episodes of a winner that its search never met, in tasks that draw at random."""
+"""Number of episodes with fresh seeds that a winner is evaluated in, where episodes differ."""
 
 
 class Results(Listener):
-    """Keeps ``generations/<n>.png``, ``report.html`` and ``summary.json`` up to date."""
+    """Keeps ``generations/<n>.png``, ``report.html`` and ``summary.json`` of a running search up to date."""
 
     def __init__(self, folder: Path, archive: Archive, settings: Codesign) -> None:
+        """Continue the time and the results of a ``summary.json`` in ``folder``, if there is one."""
         self.folder = folder
         self.archive = archive
         self.settings = settings
         summary = read_summary(folder)
         self.fresh = summary.get("fresh_seeds")
-        self._began = time.monotonic() - summary.get("elapsed_seconds", 0.0)  # as if it had not been interrupted
+        self._began = time.monotonic() - summary.get("elapsed_seconds", 0.0)  # continue the time of a resumed search
 
     def told(self, generation: int, fresh: bool) -> None:
+        """Draw the best designs; for a newly finished generation also write report and summary."""
         self.draw(generation, keep=not fresh)
         if fresh:
             self.write("running")
 
     def draw(self, generation: int, keep: bool = True) -> Path:
-        """The best designs up to and including a generation as PNG; ``keep``: one that is there already stays."""
+        """Draw the best designs up to ``generation`` as PNG and return its path; ``keep``: leave an existing file."""
         path = self.folder / "generations" / f"{generation:03}.png"
         best = self.archive.best(self.settings.top, generation)
         if not best or (keep and path.is_file()):
@@ -68,7 +70,7 @@ class Results(Listener):
         return save_png(draw_bodies([record.candidate.body for record in best], captions, title), path)
 
     def write(self, status: str) -> dict[str, Any]:
-        """Write report and summary; returns the summary."""
+        """Write report and summary; return the summary."""
         rows = self.archive.generations()
         best = next(iter(self.archive.best()), None)
         steps = sum(row["steps"] or 0 for row in rows)
@@ -95,7 +97,7 @@ class Results(Listener):
         return summary
 
     def _screening(self) -> dict[str, Any]:
-        """Notes on designs that were compared without a training for each."""
+        """Return summary entries about the designs that were compared without training each."""
         screened = [record for record in self.archive.records() if record.candidate.origin != FINALIST]
         known = [record.fitness for record in screened if record.fitness is not None]
         return {
@@ -106,7 +108,7 @@ class Results(Listener):
         }
 
     def report(self, summary: Mapping[str, Any]) -> None:
-        """Write the report alone."""
+        """Write ``report.html`` from the archive and ``summary``."""
         facts = {
             "task": self.settings.task,
             "search": self.settings.search.title,
@@ -122,7 +124,7 @@ class Results(Listener):
         write_text(self.folder / REPORT, report_page(self.archive, facts, self.folder))
 
     def film(self, settings: Any) -> None:
-        """Have each of the best act for an episode, and write it beside its policy; one that is there already stays.
+        """Write a short animation of each of the best designs beside its policy, unless it exists.
 
         Designs without a policy, or whose policy is gone or damaged, are left out. ``settings`` have the code that the
         user has named.
@@ -132,8 +134,8 @@ class Results(Listener):
             file = policy.with_name(FILM)
             if file.is_file() or not policy.is_file():
                 continue
-            with suppress(WarpvoxError):  # of this design alone
-                # At most 300 control steps, of which every fifth is shown for 0.1 s
+            with suppress(WarpvoxError):  # skip this design only
+                # At most 300 control steps; every fifth is shown for 0.1 s
                 rollout = record(*load_result(find_run(str(file.parent), ""), settings), 300)
                 film = Film(rollout, 0, (320, 150), hud=False, voxels=13.0)
                 first, *more = film.frames(range(0, rollout.num_frames, 5))
@@ -142,7 +144,7 @@ class Results(Listener):
 
 
 def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
-    """Mean return of a search's best design over episodes that its training never met.
+    """Evaluate the best design in episodes with a seed that its search has not used; return the mean return.
 
     Each design is judged by few episodes, always the same, and the best of many is chosen by them: that return is too
     good for what else the task, or the noise of ``fitness=robust``, may draw.
@@ -155,7 +157,7 @@ def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
         return {}
     if not any(best.policy for best in results.archive.best()):
         return {}
-    seed = 1000 + (settings.seed == 1000)  # which the search has compared its designs by
+    seed = 1000 + (settings.seed == 1000)  # not the seed that the search compared its designs with
     device = settings.device if settings.executor == "local" else "cpu"
     how: dict[str, Any] = {"protocol": NOMINAL if settings.fitness == NOMINAL else "noise"} | own_code(settings)
     play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **how)
@@ -164,12 +166,12 @@ def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
 
 
 def fresh_text(facts: Mapping[str, Any]) -> str:
-    """The return of a winner in episodes of fresh seeds, in words."""
+    """Return the winner's mean return over fresh seeds as text, from the summary's ``fresh_seeds``."""
     return f"{fresh_interval(facts)} in {facts['episodes']} episodes"
 
 
 def evaluated_text(summary: Mapping[str, Any]) -> str:
-    """How many designs a search has evaluated, in words; its finalists are counted by themselves."""
+    """Return the number of evaluated designs as text; finalists are counted separately."""
     finalists = summary.get("finalists", 0)
     text = counted(summary["evaluations"] - finalists, "designs")
     return f"{text} and {counted(finalists, 'finalists')}" if finalists else text
@@ -177,12 +179,13 @@ def evaluated_text(summary: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Found:
-    """A design search that has been made.
+    """The result of a design search that has ended.
 
     Attributes:
-        folder: its archive, policies and report; as ``warpvox play run=FOLDER`` takes it.
-        settings: with what their names stood for.
-        summary: what ``summary.json`` says: ``status``, ``evaluations``, ``steps``, ``best_fitness``, ...
+        folder: archive, policies and report of the search, as ``warpvox play run=FOLDER`` takes it.
+        settings: with names replaced by values.
+        summary: content of ``summary.json``: ``status``, ``evaluations``, ``steps``, ``best_fitness``, ...
+        kept: keeps a temporary folder alive; None: ``folder`` is not temporary.
     """
 
     folder: Path
@@ -192,7 +195,7 @@ class Found:
 
     @cached_property
     def designs(self) -> list[Record]:
-        """All designs with a result, the best first: body, fitness, learning curve, ancestors.
+        """All designs with a result, best first: body, fitness, learning curve, ancestors.
 
         Equal bodies come once, but for a finalist and the design that it comes from.
         """
@@ -201,26 +204,26 @@ class Found:
 
     @property
     def best(self) -> Record:
-        """The best design."""
+        """Design with the best fitness."""
         return self.designs[0]
 
     @property
     def design(self) -> Design:
-        """The body of the best design."""
+        """Body of the best design."""
         return self.best.design
 
     @property
     def policy_source(self) -> Path:
-        """The folder, which stands for the policy of the best design."""
+        """Folder of the search, which stands for the policy of its best design."""
         return self.folder
 
     @property
     def policy(self) -> Policy:
-        """The policy of the best design, on the CPU; see :func:`warpvox.load_policy`."""
+        """Policy of the best design, on the CPU; see :func:`warpvox.load_policy`."""
         return self.policy_of(self.best.id)
 
     def policy_of(self, design: int, device: str = "cpu") -> Policy:
-        """The policy of a design, by its id."""
+        """Load the policy of the design with the id ``design``."""
         from warpvox.algos.training.loading import load_policy
 
         with Archive.read(self.folder / ARCHIVE) as archive:
@@ -228,7 +231,7 @@ class Found:
 
     @property
     def curve(self) -> dict[str, np.ndarray]:
-        """``evaluations`` and ``steps`` spent, int64, and the ``best`` return by then, float64; ``[n]`` each.
+        """Progress of the search: ``evaluations`` and ``steps`` (int64), ``best`` return (float64); ``[n]`` each.
 
         The best return never falls, and ends at that of :attr:`best`. Finalists are evaluations, too; where the other
         designs were only compared by a common policy, the curve begins with the finalists, once there are some.
@@ -238,7 +241,7 @@ class Found:
 
     @property
     def report(self) -> Path:
-        """The page ``report.html``."""
+        """Path of the page ``report.html``."""
         return self.folder / REPORT
 
     def __repr__(self) -> str:
@@ -247,7 +250,7 @@ class Found:
         return f"Found({self.settings.task}, {evaluated_text(self.summary)}, {best}, {where})"
 
     def _repr_html_(self) -> str:
-        """The best bodies with their returns, and the curve, for notebooks."""
+        """Return the best bodies with their returns, and the curve, as HTML, for notebooks."""
         with Archive.read(self.folder / ARCHIVE) as archive:
             best = archive.best(5)
         cells = "".join(

@@ -1,4 +1,4 @@
-"""Robots that searches and trainings leave, and those that a design search begins with (``start``)."""
+"""Stored robots made from searches and trainings, and the robots that a search starts from (``start``)."""
 
 import shutil
 from collections.abc import Sequence
@@ -17,17 +17,17 @@ from warpvox.errors import ConfigError, RunError
 from warpvox.runs import ZOO
 
 _COPIES = Path("training") / "start"
-"""In a search's folder: a search that is resumed does not depend on a zoo or on other files."""
+"""Copies of the robots in a search's folder: a resumed search does not depend on other files."""
 
 
 def read_start(settings: Codesign, folder: Path | None = None) -> list[Robot]:
-    """The robots that the first generation contains.
+    """Load the robots that the first generation contains, from ``settings.start`` or their copies in ``folder``.
 
     Args:
         folder: of the search, which has copies; None: there are none yet.
     """
     if folder is not None:
-        # Files of another kind of name are not of the search.
+        # The search names its copies by numbers.
         copies = [path for path in (folder / _COPIES).glob("*.npz") if path.stem.isdecimal()]
         return [read_robot(path) for path in sorted(copies, key=lambda path: int(path.stem))]
 
@@ -50,14 +50,14 @@ def read_start(settings: Codesign, folder: Path | None = None) -> list[Robot]:
 
 
 def keep_start(robots: Sequence[Robot], folder: Path) -> None:
-    """Copy the robots into the folder of a new search, in place of those of one that could not begin there."""
+    """Copy the robots into the folder of a new search, replacing copies that an earlier attempt left there."""
     shutil.rmtree(folder / _COPIES, ignore_errors=True)
     for number, robot in enumerate(robots):
         save_robot(folder / _COPIES / f"{number}.npz", robot)
 
 
 def robots_of(source: str | Path, top: int = 1) -> list[Robot]:
-    """The robots that a design search or a training has left, the best first; nothing is known of them but this.
+    """Return the best designs of a search, or the robot of a training, as stored robots, best first.
 
     Args:
         source: folder of a design search, of a design in one (``designs/17``) or of a training, or a checkpoint in the
@@ -90,7 +90,7 @@ def robots_of(source: str | Path, top: int = 1) -> list[Robot]:
 
 
 def _robots_of_search(folder: Path, records: Sequence[Record]) -> list[Robot]:
-    """The robots of some designs of a search."""
+    """Return designs of the search in ``folder`` as stored robots."""
     run = find_codesign(str(folder), "")
     robots = []
     for record in records:
@@ -101,4 +101,5 @@ def _robots_of_search(folder: Path, records: Sequence[Record]) -> list[Robot]:
 
 
 def _robot(task: str, body: np.ndarray, checkpoint: Path) -> Robot:
+    """Return a fully connected robot with the policy of a checkpoint."""
     return Robot(task, body, full_connections(body).T, read_policy(checkpoint))

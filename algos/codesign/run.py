@@ -1,4 +1,4 @@
-"""A design search from its settings: everything is checked, then the loop runs with its archive in a folder."""
+"""A design search from its settings: checks everything, then runs the loop with its archive in a folder."""
 
 import copy
 import dataclasses
@@ -48,16 +48,16 @@ from warpvox.types import Cell
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """A design search that was checked, and can be run.
+    """A design search whose settings have been checked, ready to run.
 
     Attributes:
-        settings: with what their names stand for: settings, constants and, where it is this machine's, the device.
-        place: its folder; None: a new one in ``output_dir``, named by the time.
-        resumed: whether a search is there, which is gone on with.
+        settings: with names replaced by values: settings, constants and, for ``executor=local``, the device.
+        place: folder of the search; None: a new one in ``output_dir``, named by the time.
+        resumed: True if ``place`` holds a search, which is continued.
         start: robots that the first generation contains.
-        known: what the evaluation knows from before the search.
-        search: proposes designs; it has not been asked yet.
-        evaluator: evaluates them; None: the one that the settings name.
+        known: data from before the search that the evaluator needs, see :meth:`Evaluation.begins_with`.
+        search: proposes designs; has not been asked yet.
+        evaluator: evaluates designs; None: the one that the settings name.
     """
 
     settings: Codesign
@@ -76,7 +76,7 @@ def plan_codesign(
     search: Search | None = None,
     evaluator: DesignEvaluator | None = None,
 ) -> Plan:
-    """Find mistakes before anything is written.
+    """Check all settings and return the plan of the search; nothing is written.
 
     Args:
         place: as in :class:`Plan`.
@@ -122,12 +122,12 @@ def plan_codesign(
 
 
 def environments(settings: Codesign) -> int:
-    """Environments that are stepped together at most; 1: not known."""
+    """Return the largest number of environments that are stepped together; 1 if it is not known."""
     return max((batch.designs * batch.envs for batch in settings.evaluation.workloads(settings)), default=1)
 
 
 def _ask_for_memory(settings: Codesign) -> None:
-    """Raise MemoryLimitError, with what fits, where a search would take too much with bodies that fill their grid."""
+    """Raise MemoryLimitError, naming what would fit, if designs that fill their grid need too much memory."""
     spec = get_task(settings.task).under(settings.rules)
     grid = None if settings.dtype == "float64" else tuple(settings.shape)
     sim = dataclasses.replace(sim_of(settings), grid=grid).resolved(environments(settings))
@@ -146,7 +146,7 @@ def _ask_for_memory(settings: Codesign) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class SearchRun:
-    """A design search that is under way, as listeners see it.
+    """A running design search, as listeners see it.
 
     Attributes:
         folder: of the run.
@@ -173,7 +173,7 @@ def run_codesign(
     executor: Executor | None = None,
     finish: Callable[[Found], object] = lambda _: None,
 ) -> Found:
-    """Make a search, or go on with one.
+    """Run the design search of ``plan``, new or resumed, and return its result.
 
     Args:
         executor: where designs are evaluated; None: where the settings say.
@@ -195,7 +195,7 @@ def run_codesign(
                 opened.callback(executor.close)
             workers = cast(Any, executor).size if settings.executor == "ray" else 0
 
-            # What is stored of the settings. A search that is resumed must have the same.
+            # Settings that the archive stores: those of a resumed search must be equal.
             previous = {}
             if resumed is not None:
                 with Archive.read(resumed / ARCHIVE) as archive:
@@ -209,7 +209,7 @@ def run_codesign(
             if resumed is not None:
                 _check_same(previous, fixed, resumed)
 
-            # Its folder, from here on files are written. A search that could not begin may have left some.
+            # Folder: files are written from here on. `left`: an earlier attempt may have left these.
             left = (CONFIG, "log.txt", "training", "code", "designs", f"{ARCHIVE}.lock")
             folder = opened.enter_context(run_folder(resumed, written, "codesign", to_yaml(written), plan.place, left))
             if resumed is None:
@@ -256,7 +256,7 @@ def run_codesign(
 def _run_to_end(
     run: SearchRun, loop: Loop, results: Results, settings: Codesign, listeners: Sequence[Listener]
 ) -> dict[str, Any]:
-    """Run the loop, and sum up however it ends. Listeners that were begun are ended."""
+    """Run the loop, evaluate the winner, write the summary and return it; notify listeners however it ends."""
     status = "failed"
     summary: dict[str, Any] = {}
     begun = []
@@ -265,7 +265,7 @@ def _run_to_end(
             listener.begun(run)
             begun.append(listener)
         loop.run()
-        # before it is done: what goes on with a search leaves alone those that are
+        # before the status is done: a search that is done is not resumed
         results.fresh = evaluate_winner(results, settings)
         status = "done"
     except KeyboardInterrupt:
@@ -273,7 +273,7 @@ def _run_to_end(
         raise
     finally:
         try:
-            # a search that has failed may have failed because nothing can be written; that is the error to report
+            # if the search failed because nothing can be written, that first error is the one to report
             with suppress(StorageError, RunError) if status == "failed" else nullcontext():
                 summary = results.write(status)
         finally:
@@ -283,7 +283,7 @@ def _run_to_end(
 
 
 def _check_same(previous: Mapping[str, Any], values: Mapping[str, Any], folder: Path) -> None:
-    """Raise RunError unless the search in ``folder``, which has the settings ``previous``, has these values."""
+    """Raise RunError if ``values`` differ from ``previous``, the settings in ``folder``, but for CHANGEABLE keys."""
     before = flat(previous)
     now = flat(values)
     for key in now | before:
@@ -294,7 +294,7 @@ def _check_same(previous: Mapping[str, Any], values: Mapping[str, Any], folder: 
 
 
 def _batch_size(settings: Codesign, workers: int, previous: Mapping[str, Any]) -> int | None:
-    """How many designs are evaluated together, see the key ``batch``; None: a whole generation.
+    """Return how many designs are evaluated together, see the key ``batch``; None: a whole generation.
 
     Args:
         workers: of Ray; 0: this process.
@@ -303,21 +303,21 @@ def _batch_size(settings: Codesign, workers: int, previous: Mapping[str, Any]) -
     if settings.batch is not None or previous:
         return settings.batch or previous.get("batch")
 
-    # A killed search repeats what its last batch has taken: 20 million control steps are about ten minutes of a core.
+    # A killed search repeats its last batch: at most 20 million control steps, about ten minutes of a core.
     size = settings.search.population
     cost = settings.evaluation.cost(settings, get_task(settings.task))
     if cost is not None:
         size = min(size, max(1, int(20e6 / max(cost[0], 1))))
 
-    # All workers have something to do.
+    # Small enough that every worker gets a batch
     if workers:
         size = min(size, math.ceil(settings.search.population / workers))
     return None if size == settings.search.population else size
 
 
 def _config_of_design(settings: Codesign, task: str, candidate: Candidate, outcome: Outcome) -> str:
-    """The text of ``config.yaml`` beside the policy of a design: that of a training which ``warpvox play`` can show."""
-    # What the training of a design has from its search
+    """Return the text of ``config.yaml`` beside a design's policy: of a training that can be played."""
+    # Settings that a design's training shares with its search
     shared = (
         "rules", "seed", "device", "dtype", "arithmetic", "threads", "torch_threads", "output_dir", "fitness"
     )  # fmt: skip
@@ -334,7 +334,7 @@ def _config_of_design(settings: Codesign, task: str, candidate: Candidate, outco
         "ppo": dataclasses.asdict(training.ppo),
     }
 
-    # A policy for voxels is of an evaluation of the user's own.
+    # Only evaluations of the user's own give voxel policies.
     voxels = (outcome.spec or {}).get("voxels")
     if voxels is not None:
         values |= {"policy": voxels["network"], "network": voxels["settings"], "obs": observed_by(outcome.spec)}
@@ -342,17 +342,17 @@ def _config_of_design(settings: Codesign, task: str, candidate: Candidate, outco
             bodies = [candidate.body.tolist()]
             values["designs"] = {"bodies": bodies, "refresh": "none", "held_out": bodies}
 
-    # It is played in simulations like those that have found its fitness.
+    # Play it in simulations like those that gave its fitness.
     values |= settings.evaluation.run_of(settings, candidate, outcome)
     values.setdefault("lanes", lanes_for(episodes_of(values["eval_envs"], settings.fitness)))
     return to_yaml(Training(**values)) + END
 
 
 def _make_executor(plan: Plan) -> Executor:
-    """Where designs are evaluated, by the settings."""
+    """Return the executor that the settings choose: this process, or workers of Ray."""
     settings = plan.settings
     if settings.executor == "local":
-        # code of the user's may wait for threads of its own, in which it trains
+        # `alone` would deadlock code of the user's that waits for its own training threads.
         evaluator = _make_evaluator(settings, plan.known, plan.evaluator)
         return LocalExecutor(evaluator, alone=not isinstance(settings.evaluation, Custom))
     from warpvox.algos.codesign.ray_executor import RayExecutor
@@ -364,7 +364,7 @@ def _make_executor(plan: Plan) -> Executor:
 
 
 def _make_evaluator(settings: Codesign, known: Any, evaluator: DesignEvaluator | None) -> DesignEvaluator:
-    """The evaluator that was given, or that of the settings; called in the process that evaluates."""
+    """Return ``evaluator``, or build the one of the settings; called in the process that evaluates."""
     start_warp()
     if evaluator is not None:
         return evaluator
@@ -373,7 +373,7 @@ def _make_evaluator(settings: Codesign, known: Any, evaluator: DesignEvaluator |
 
 
 def _make_evaluator_on_worker(settings: Codesign, known: Any, evaluator: DesignEvaluator | None) -> DesignEvaluator:
-    """The evaluator of a process that does nothing else."""
+    """Set torch's threads and seed in a worker process, and return the evaluator."""
     torch.set_num_threads(settings.torch_threads)
     torch.manual_seed(settings.seed)
     return _make_evaluator(settings, known, evaluator)

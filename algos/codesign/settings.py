@@ -1,4 +1,4 @@
-"""The settings of a design search: what it looks for, how it proposes, how it compares, where it runs."""
+"""The settings of a design search: task, search algorithm, evaluation and executor."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -48,8 +48,8 @@ EVALUATIONS: dict[str, type[Evaluation]] = {}
 class Workload:
     """Designs that are simulated together, for estimates of memory.
 
-    ``envs`` environments for each of ``designs``; ``key`` with its ``value`` sets ``envs``; ``ppo``: of a policy that
-    learns.
+    ``envs`` environments for each of ``designs`` designs; setting ``key`` to ``value`` gives ``envs``. ``ppo``: of the
+    policy that learns; None: nothing learns.
     """
 
     designs: int
@@ -61,9 +61,9 @@ class Workload:
 
 @dataclass
 class Evaluation(Settings):
-    """The base of all evaluations, and of your own: ``build`` says how designs are evaluated, the rest has defaults.
+    """Base class of evaluations, also of your own: ``build`` makes the evaluator, all other methods have defaults.
 
-    Settings are fields made by :func:`warpvox.keys.key`. ``search`` are always the settings of the design search.
+    Settings are fields made by :func:`warpvox.keys.key`. The argument ``search`` is always the settings of the search.
 
     Raises:
         ConfigError: a setting out of range.
@@ -76,18 +76,18 @@ class Evaluation(Settings):
     """Number of best designs that are evaluated once more at the end of a search (origin ``finalist``)."""
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """The evaluator, made in the process that evaluates; ``known`` is what :meth:`begins_with` has returned."""
+        """Return the evaluator; called in the process that evaluates, with what :meth:`begins_with` returned."""
         raise NotImplementedError
 
     def check(self, search: Codesign) -> None:
-        """Find settings that do not go together.
+        """Check that the settings go together; nothing to check by default.
 
         Raises:
             ConfigError: which, and what would.
         """
 
     def resolved(self, search: Codesign, folder: Path | None) -> Evaluation:
-        """A copy with what its names stand for; ``folder``: of a search that is resumed.
+        """Return a copy with names replaced by values; ``folder``: that of a resumed search.
 
         Raises:
             WarpvoxError: what is named does not exist, or does not fit the task and the bodies.
@@ -95,35 +95,35 @@ class Evaluation(Settings):
         return self
 
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
-        """Knowledge from before the search that the evaluator needs, such as gaits of ``start``; can be pickled."""
+        """Return picklable data from before the search that ``build`` needs, such as gaits of ``start``."""
         return None
 
     def inherits(self, search: Codesign) -> bool:
-        """Return whether candidates are evaluated with the policies of their parents at hand."""
+        """Return whether the evaluator gets the policies of the candidates' parents."""
         return False
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float] | None:
-        """About how many control steps a design takes, and all finalists; None: not known beforehand."""
+        """Return estimates of the control steps of a design and of all finalists together; None: not known."""
         return None
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        """The largest batches that are simulated, for estimates of memory; none: not known."""
+        """Return the largest batches that are simulated, for estimates of memory; empty: not known."""
         return []
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
-        """Settings of a training run that differ from the search's own for the policy of a design, to play it by."""
+        """Return settings to play a design's policy with, where they differ from those of the search."""
         return {}
 
 
 def register_evaluation(kind: type[Kind]) -> type[Kind]:
-    """Make an evaluation known by its ``name``."""
+    """Add a class to :data:`EVALUATIONS` under its ``name``; a decorator."""
     EVALUATIONS[kind.name] = kind
     return kind
 
 
 @dataclass
 class Codesign(Settings):
-    """All settings of a design search.
+    """Settings of a design search.
 
     Raises:
         ConfigError: a value that is not valid.
@@ -181,6 +181,7 @@ class Codesign(Settings):
     output_dir: str = key("outputs", "folder that runs are written to")
 
     def __post_init__(self) -> None:
+        """Convert names and mappings to settings, robots to their names, and check all values."""
         if isinstance(self.search, str | Mapping):
             self.search = _chosen("search", "algorithm", self.search, ALGORITHMS)
         if isinstance(self.evaluation, str | Mapping):
@@ -193,13 +194,13 @@ class Codesign(Settings):
         super().__post_init__()
 
     def factory(self, obs: str = "task") -> EnvFactory:
-        """Makes the environments; ``device`` may still be auto."""
+        """Return a factory of environments with these settings; ``device`` may still be ``auto``."""
         from warpvox.algos.env_factory import EnvFactory
 
         return EnvFactory(self.task, self.rules, obs, sim=sim_of(self), fitness=self.fitness)
 
     def resolved(self, folder: Path | None = None) -> Codesign:
-        """A copy with what its names stand for: settings of the evaluation, and all constants.
+        """Return a copy with names replaced by values: settings of the evaluation, physics constants.
 
         Raises:
             WarpvoxError: see :meth:`Evaluation.resolved`.
@@ -209,7 +210,7 @@ class Codesign(Settings):
 
 
 def _start_name(robot: Any) -> str:
-    """The name, in a configuration, of a robot that a search begins with: one of the zoo, a run, a design or a body.
+    """Return the text that names ``robot`` in ``start``: ``zoo:`` and a file, a path, or the cells as JSON.
 
     ConfigError: a robot that is in no file, or nothing of the kind.
     """
@@ -233,7 +234,7 @@ def _start_name(robot: Any) -> str:
 
 
 def _chosen(group: str, name: str, values: str | Mapping[str, Any], kinds: Mapping[str, type]) -> Any:
-    """The settings that the name of a kind stands for, or values with it as their ``name``."""
+    """Return an instance of the class in ``kinds`` that ``values`` names, with the other values as settings."""
     given = {name: values} if isinstance(values, str) else dict(values)
     check_choice(group, given.get(name), kinds)
     return kinds[given[name]](**given)

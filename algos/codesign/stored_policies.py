@@ -1,4 +1,4 @@
-"""The policies that a design search leaves: every evaluated design is a small run of its own, which can be played."""
+"""The policies of a design search: each evaluated design gets a folder laid out like a training run."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -24,13 +24,13 @@ from warpvox.io.writing import check_folder, write_text, writing
 from warpvox.runs import BEST
 
 _DESIGNS = "designs"
-"""The folder of all policies."""
+"""Folder, in that of a search, with one folder for each design."""
 
 
 class StoredPolicies:
-    """Writes and reads ``designs/<id>/`` in a run's folder: ``model_best.pt`` and the ``config.yaml`` to play it by.
+    """Writes and reads ``designs/<id>/`` in a search's folder: ``model_best.pt`` and ``config.yaml`` to play it.
 
-    ``config`` gives the text of the latter.
+    ``config`` returns the text of ``config.yaml`` for a candidate and its outcome.
     """
 
     def __init__(self, folder: Path, ppo: Ppo, config: Callable[[Candidate, Outcome], str]) -> None:
@@ -41,7 +41,7 @@ class StoredPolicies:
             (folder / _DESIGNS).mkdir(exist_ok=True)
 
     def save(self, candidate: Candidate, outcome: Outcome) -> tuple[str, str]:
-        """Write the policy of an outcome; returns its path relative to the run's folder, and its SHA-256."""
+        """Write the policy of an outcome; return its path relative to the search's folder, and its SHA-256."""
         check_folder(self.folder / _DESIGNS)
         policy = outcome.policy or {}
         place = Path(_DESIGNS) / str(candidate.id)
@@ -58,7 +58,7 @@ class StoredPolicies:
         return (place / BEST).as_posix(), policy_sha256(policy)
 
     def load(self, path: str) -> dict[str, Any]:
-        """The policy that :meth:`save` has written to ``path``. RunError: it is damaged."""
+        """Return the policy that :meth:`save` wrote to ``path``. RunError: the file is damaged."""
         content = load_checkpoint(self.folder / path)
         with damaged(self.folder / path):
             spec = spec_of(content["policy"])
@@ -70,7 +70,7 @@ class StoredPolicies:
 
 
 def policy_sha256(policy: Mapping[str, torch.Tensor]) -> str:
-    """SHA-256 of a policy's tensors with their names, types and shapes; the file around them does not matter."""
+    """Return the SHA-256 of a policy's tensors: names, types, shapes and values, but not the file around them."""
     total = hashlib.sha256()
     for name, value in policy.items():
         array = value.detach().cpu().contiguous().numpy()

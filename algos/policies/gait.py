@@ -1,4 +1,4 @@
-"""An open-loop gait as a policy: the actions follow from the time alone, which ``obs=timed`` observes last."""
+"""Open-loop gaits as policies: actions depend on the time alone, the last entry of observations with ``obs=timed``."""
 
 import math
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 
 
 class GaitModel(nn.Module):
-    """The motion that :class:`warpvox.algos.codesign.gaits.Gait` states, for one body; used as rsl-rl's actors are.
+    """Plays the motion of a :class:`warpvox.algos.codesign.gaits.Gait` for one body, as an rsl-rl actor.
 
     Its state are the fields of the gait and ``cells``, long ``[actuators]``: their places in the grid, counted row by
     row, in the order of actions.
@@ -32,13 +32,13 @@ class GaitModel(nn.Module):
         self.register_buffer("cells", torch.zeros(actuators, dtype=torch.int64))
 
     def forward(self, obs: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        """Outputs float64 ``[n, actuators]`` in [-1, 1] of the group of observations ``[n, num_obs]``."""
+        """Return outputs float64 ``[n, actuators]`` in [-1, 1] for observations ``[n, num_obs]``."""
         values = (value.flatten(1)[:, self.cells] for value in (self.amplitude, self.phase, self.rest))
         return gait_outputs(obs[OBS_GROUP][:, -1:].double(), self.begin, self.period, *values)
 
 
 def phase_at(time: torch.Tensor, period: torch.Tensor) -> torch.Tensor:
-    """Radians, 0 to 2 pi, of an oscillation of ``period`` at ``time``, both in control steps."""
+    """Return the phase in radians, 0 to 2 pi, of an oscillation; ``time`` and ``period`` are control steps."""
     # of the time within its period, which is exact, float32 keeps all digits, too
     return 2 * math.pi * torch.remainder(time, period) / period
 
@@ -51,7 +51,7 @@ def gait_outputs(
     phase: torch.Tensor,
     rest: torch.Tensor,
 ) -> torch.Tensor:
-    """Outputs of the actuators at ``time`` ``[..., 1]``: ``[..., actuators]`` in [-1, 1].
+    """Return the outputs of the actuators at ``time`` ``[..., 1]``: ``[..., actuators]`` in [-1, 1].
 
     Of many times at once, ``[times, 1, 1]``, it is ``[times, n, actuators]``.
 

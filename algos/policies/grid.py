@@ -1,4 +1,4 @@
-"""``policy=grid``: weights shared between voxels, and a summary of the whole body; made for a CPU."""
+"""The network of ``policy=grid``: weights shared between voxels, and a summary of the whole body; fast on a CPU."""
 
 import torch
 from torch import nn
@@ -7,12 +7,12 @@ from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelLayout
 
 
 def weight(inputs: int, outputs: int, gain: float) -> nn.Parameter:
-    """``[inputs, outputs]``, orthogonal."""
+    """Return an orthogonal parameter ``[inputs, outputs]``."""
     return nn.Parameter(nn.init.orthogonal_(torch.empty(inputs, outputs), gain))
 
 
 class GridNetwork(nn.Module):
-    """All voxels are encoded by the same weights; a summary of the body gives what each of them is steered by.
+    """Encodes all voxels by the same weights, and combines each with a summary of the body into its action.
 
     ::
 
@@ -32,7 +32,8 @@ class GridNetwork(nn.Module):
         super().__init__()
         width = (width + 1) // 2 if critic else width
         self.critic = critic
-        self.moving, self.fixed = weight(MOVING, width, 1.0), weight(FEATURES - MOVING, width, 0.5)
+        self.moving = weight(MOVING, width, 1.0)
+        self.fixed = weight(FEATURES - MOVING, width, 0.5)
         self.pool = nn.Linear(layout.cells * width + layout.rest, summary)
         self.hidden = nn.Linear(summary, summary if critic else heads)
         if critic:
@@ -43,7 +44,7 @@ class GridNetwork(nn.Module):
             self.local = nn.Parameter(torch.randn(heads) * 0.02)
 
     def forward(self, cells: torch.Tensor, rest: torch.Tensor) -> torch.Tensor:
-        """Inputs ``[rows, cells, 26]`` and ``[rows, k]`` to ``[rows, cells]``, or ``[rows]`` of a critic."""
+        """Return one output for each cell ``[rows, cells]``, or a critic's value ``[rows]``."""
         count = cells.shape[1]
         flat = cells.reshape(-1, FEATURES)
         weights = torch.addmm(flat.new_ones(1), flat[:, MOVING:], self.fixed)

@@ -1,4 +1,4 @@
-"""How the observations of ``obs="voxel"`` and the actions of a body lie in the inputs of a policy."""
+"""Arrangement of observations with ``obs="voxel"`` and of actions in the inputs and outputs of a policy."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ INPUTS = {
     "type": slice(18, 22),
     "neighbours": slice(22, 26),
 }
-"""Where the features of a voxel lie in the inputs of a policy; all are 0 for a cell without a voxel.
+"""Indices of a voxel's features among the inputs of a policy; all are 0 for a cell without a voxel.
 
 ``shift``: x and y of the voxel's centre less those at rest, the mean over the body's voxels taken off; ``shape``: for x
 and for y how far the corners are spread horizontally, vertically and crosswise; ``velocity``, ``shape_velocity``: of
@@ -34,25 +34,25 @@ one of (rigid, soft, horizontal actuator, vertical actuator) is 1; ``neighbours`
 (above, right, below, left).
 """
 MOVING = 16
-"""The first so many inputs change in an episode."""
+"""Number of a voxel's inputs, the first ones, that change during an episode."""
 FEATURES = 26
-"""Inputs of a voxel."""
+"""Number of inputs of a voxel."""
 CLOCK = (7.0, 14.0, 28.0)
-"""Periods, in control steps, of the sines and cosines that a policy gets for the time; a network may have others."""
+"""Default periods, in control steps, of the sines and cosines of the time in a policy's inputs."""
 _SPREADS = ((1, 1, 1, 1), (-1, 1, 1, -1), (1, 1, -1, -1), (1, -1, 1, -1))
 """Signs of the corners (top left, top right, bottom right, bottom left) in centre and shape."""
 
 
 @dataclass(frozen=True)
 class VoxelLayout:
-    """The bodies that a policy is made for.
+    """Sizes of the bodies, observations and actions that a voxel policy is made for.
 
     Attributes:
-        rest: what a policy gets besides voxels: the entries of an observation after the grid, the clock in place of
-            the time.
-        actions: entries of an action; a body has so many actuators at most.
-        timed: whether an observation ends with the time (``obs="timed_voxel"``).
-        periods: of the clock, in control steps.
+        rest: number of inputs besides those of voxels: entries of an observation after the grid, with the sines and
+            cosines of the clock in place of the time.
+        actions: entries of an action, the most actuators that a body may have.
+        timed: True if an observation ends with the time (``obs="timed_voxel"``).
+        periods: of the clock's sines and cosines, in control steps.
     """
 
     rows: int
@@ -63,11 +63,12 @@ class VoxelLayout:
     periods: tuple[float, ...] = CLOCK
 
     def __post_init__(self) -> None:
+        """Convert ``periods`` to a tuple of floats."""
         object.__setattr__(self, "periods", tuple(map(float, self.periods)))
 
     @property
     def scaled(self) -> int:
-        """Entries of ``rest`` that are observed, without those of the clock."""
+        """Number of entries in ``rest`` that are observed, without those of the clock."""
         return self.rest - 2 * len(self.periods) * self.timed
 
     @property
@@ -79,8 +80,8 @@ class VoxelLayout:
         return self.cells * NUM_FEATURES + self.scaled + self.timed
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
-        """Observations ``[rows, num_obs]`` of random bodies that move at random."""
-        # features of the voxels: what says yes or no is 0 or 1, as it is in an environment
+        """Draw observations ``[rows, num_obs]`` of random bodies with random motions."""
+        # features of the voxels, with flags of 0 or 1 as in an environment
         cells = 0.1 * torch.randn((rows, self.cells, NUM_FEATURES), generator=generator)
         kinds = torch.randint(0, 5, (rows, self.cells), generator=generator)
         cells[..., OBSERVED["type"]] = functional.one_hot(kinds, 5).to(cells.dtype)
@@ -92,7 +93,7 @@ class VoxelLayout:
         return torch.cat([cells.flatten(1), rest, time.float()], dim=1)
 
     def dict(self) -> dict[str, Any]:
-        """The layout as stored in a checkpoint; without the usual periods."""
+        """Return the layout as stored in a checkpoint; without ``periods`` if they are the default."""
         own = asdict(self) | {"periods": list(self.periods)}
         if self.periods == CLOCK:
             del own["periods"]
@@ -100,7 +101,7 @@ class VoxelLayout:
 
 
 def layout_of(env: VoxelVecEnv, periods: tuple[float, ...] = CLOCK) -> VoxelLayout:
-    """The layout of environments with ``obs="voxel"`` or ``obs="timed_voxel"``; ``periods`` are those of the clock."""
+    """Return the layout of environments with ``obs="voxel"`` or ``"timed_voxel"``; ``periods``: of the clock."""
     if len(env.voxels) != 1:
         what = "several robots" if env.voxels else 'not obs="voxel"'
         raise ConfigError(f"A policy for voxels needs environments of one robot with obs=voxel; these have {what}.")
@@ -108,13 +109,14 @@ def layout_of(env: VoxelVecEnv, periods: tuple[float, ...] = CLOCK) -> VoxelLayo
     cells = grid.rows * grid.columns
     if grid.place != slice(0, cells * NUM_FEATURES):
         raise ConfigError("A policy for voxels needs the grid at the beginning of an observation.")
-    rest, timed = env.num_obs - cells * NUM_FEATURES, is_timed(env.obs_columns[0])
+    rest = env.num_obs - cells * NUM_FEATURES
+    timed = is_timed(env.obs_columns[0])
     rest += (2 * len(periods) - 1) * timed
     return VoxelLayout(grid.rows, grid.columns, rest, env.num_actions, timed, periods)
 
 
 class VoxelInputs(nn.Module):
-    """A policy's inputs from observations; nothing of a cell without a voxel gets through.
+    """Converts observations to a policy's inputs; those of a cell without a voxel are 0.
 
     Its tables are buffers, so that they lie where the policy is: a step brings nothing to the device.
     """
@@ -131,12 +133,12 @@ class VoxelInputs(nn.Module):
         self.register_buffer("periods", torch.tensor(layout.periods, dtype=torch.float64), persistent=False)
 
     def clock(self, time: torch.Tensor) -> torch.Tensor:
-        """Sines, then cosines, ``[rows, 2 * len(periods)]`` of control steps ``[rows, 1]`` since the episode began."""
+        """Return sines, then cosines ``[rows, 2 * len(periods)]`` of the time ``[rows, 1]`` in control steps."""
         phase = phase_at(time, self.periods.to(time.dtype))
         return torch.cat([phase.sin(), phase.cos()], dim=1)
 
     def forward(self, obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """The contents of observations ``[rows, num_obs]``.
+        """Split observations ``[rows, num_obs]`` into features, voxel mask and actions.
 
         Returns:
             Features of the voxels ``[rows, cells, 26]`` (:data:`INPUTS`, not scaled yet), 1 where there is a voxel
@@ -149,7 +151,7 @@ class VoxelInputs(nn.Module):
         types = cells[..., OBSERVED["type"]]
         present = 1 - types[..., :1]
         features = cells @ self.transform.to(obs.dtype)
-        # not a product: what is not finite in an absent cell must not get through either
+        # masked, not multiplied: values that are not finite in an absent cell must become 0, too
         features = features.masked_fill_(present == 0, 0.0)
         count = present.sum(1, keepdim=True).clamp(min=1)
         place = self.places.to(obs.dtype) * present
@@ -166,7 +168,7 @@ class VoxelInputs(nn.Module):
 
 
 def input_transform() -> torch.Tensor:
-    """``[25, 26]``: from the features of an observed cell to the inputs of a policy; columns of ``place`` are 0."""
+    """Return the matrix ``[25, 26]`` from an observed cell's features to inputs; columns of ``place`` are 0."""
     axes = [(0, 0), (1, 0), *((axis, spread) for axis in (0, 1) for spread in (1, 2, 3))]
     columns = [[_SPREADS[spread][k // 2] / 4 * (k % 2 == axis) for k in range(8)] for axis, spread in axes]
     corners = torch.tensor(columns).T
@@ -179,6 +181,6 @@ def input_transform() -> torch.Tensor:
 
 
 def rest_places(layout: VoxelLayout) -> torch.Tensor:
-    """``[cells, 2]``: x to the right and y upward of the cells' centres, in voxels."""
+    """Return x (right) and y (up) of the cells' centres ``[cells, 2]``, in voxels."""
     y, x = torch.meshgrid(-torch.arange(layout.rows), torch.arange(layout.columns), indexing="ij")
     return torch.stack([x.flatten(), y.flatten()], dim=1).float()

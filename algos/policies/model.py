@@ -1,4 +1,4 @@
-"""A network for voxels as an rsl-rl model: inputs, scaling, the order of actions, and their distribution."""
+"""Voxel networks as rsl-rl models: inputs, scaling, order of actions, action distribution."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,15 +12,15 @@ from warpvox.algos.policies.network import Network, VoxelGaussian
 from warpvox.algos.policies.registry import make_network
 
 FARTHEST = 8.0
-"""Deviations from the mean beyond which scaled inputs are cut off."""
+"""Limit of scaled inputs, in standard deviations."""
 BLOCK = 1024
-"""Rows that the scaling learns from at once: so many stay in the cache of a CPU."""
+"""Rows that the moments are updated by at once: these fit into the cache of a CPU."""
 LEAST = 1e-4
-"""Added to a deviation: 1/1000 of a voxel's side, and so much a second."""
+"""Added to standard deviations: 1/1000 of a voxel's side, for velocities per second."""
 
 
 class VoxelNormalizer(nn.Module):
-    """Turns observations into inputs, scaled by their running mean and deviation over the voxels that there are.
+    """Converts observations to inputs scaled by running mean and deviation over the voxels of all bodies.
 
     A feature of all voxels is scaled alike, wherever in the grid it lies, so that a voxel looks the same in all bodies.
     What moves is scaled; place, type, neighbours and the clock stay as they are.
@@ -32,13 +32,14 @@ class VoxelNormalizer(nn.Module):
 
     def __init__(self, layout: VoxelLayout) -> None:
         super().__init__()
-        self.layout, self.inputs = layout, VoxelInputs(layout)
+        self.layout = layout
+        self.inputs = VoxelInputs(layout)
         self.register_buffer("mean", torch.zeros(MOVING + layout.scaled))
         self.register_buffer("var", torch.ones(MOVING + layout.scaled))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
-        """Observations ``[rows, num_obs]`` to the inputs of a network, and behind them order and kinds of actions."""
+        """Return a network's inputs for observations ``[rows, num_obs]``, followed by order and kinds of actions."""
         features, present, actions, kinds = self.inputs(obs)
         deviation = self.var.sqrt() + LEAST
         moving = features[..., :MOVING].sub_(self.mean[:MOVING]).div_(deviation[:MOVING])
@@ -48,12 +49,13 @@ class VoxelNormalizer(nn.Module):
         return torch.cat([features.flatten(1), *rest, actions.to(obs.dtype), kinds], dim=1)
 
     def _rest(self, obs: torch.Tensor) -> torch.Tensor:
+        """Return the entries of the observations between the grid and the time."""
         last = obs.shape[1] - int(self.layout.timed)
         return obs[:, last - self.layout.scaled : last]
 
     @torch.no_grad()
     def update(self, obs: torch.Tensor) -> None:
-        """Learn from observations ``[rows, num_obs]``; processes that train together learn from all of theirs."""
+        """Update the moments by observations ``[rows, num_obs]`` of all processes of a training."""
         sums = sum((self._sums(rows) for rows in obs.split(BLOCK)), torch.zeros(()))
         if torch.distributed.is_initialized():
             torch.distributed.all_reduce(sums)
@@ -62,20 +64,22 @@ class VoxelNormalizer(nn.Module):
         mean = first / number
         var = (second / number - mean.square()).clamp(min=0)
         self.count += rows
-        rate, moved = rows / self.count, mean - self.mean
+        rate = rows / self.count
+        moved = mean - self.mean
         self.mean += rate * moved
         self.var += rate * (var - self.var + moved * (mean - self.mean))
 
     def _sums(self, obs: torch.Tensor) -> torch.Tensor:
-        """Sums and sums of squares of what is scaled, numbers of voxels and of rows; float64."""
+        """Return sums and sums of squares of scaled entries, number of voxels and number of rows; float64."""
         features, present, _, _ = self.inputs(obs)
-        moving, rest = features[..., :MOVING], self._rest(obs)
+        moving = features[..., :MOVING]
+        rest = self._rest(obs)
         sums = torch.cat([moving.sum((0, 1)), rest.sum(0), moving.square().sum((0, 1)), rest.square().sum(0)])
         return torch.cat([sums.double(), present.sum().double()[None], sums.new_full((1,), len(obs)).double()])
 
 
 class VoxelModel(Network):
-    """Actor or critic for observations with ``obs="voxel"``; rsl-rl's PPO trains it.
+    """Actor or critic for observations with ``obs="voxel"``, which rsl-rl's PPO trains.
 
     Args:
         obs, obs_groups, obs_set, output_dim, obs_normalization, distribution_cfg: as of rsl-rl's models; a model with a
@@ -98,18 +102,20 @@ class VoxelModel(Network):
     ) -> None:
         nn.Module.__init__(self)
         self.obs_groups, self.obs_dim = self._get_obs_dim(obs, obs_groups, obs_set)
-        self.layout, self.obs_normalization = VoxelLayout(**layout), obs_normalization
+        self.layout = VoxelLayout(**layout)
+        self.obs_normalization = obs_normalization
         self.distribution: VoxelGaussian | None = None
         if distribution_cfg is not None:
             given = {name: value for name, value in distribution_cfg.items() if name != "class_name"}
             self.distribution = VoxelGaussian(output_dim, **given)
-        self.obs_normalizer = VoxelNormalizer(self.layout)  # without `obs_normalization` it only cuts to its bounds
+        self.obs_normalizer = VoxelNormalizer(self.layout)  # without `obs_normalization` it only clips
         self.network = make_network(network, self.layout, self.distribution is None, settings)
-        cells, count = self.layout.cells, self.layout.cells * FEATURES
+        cells = self.layout.cells
+        count = self.layout.cells * FEATURES
         self._parts = [count, self.layout.rest, cells, self.layout.actions]
 
     def unpack(self, latent: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Inputs ``[rows, inputs]`` in parts: voxels ``[rows, cells, 26]``, the rest, order of actions.
+        """Split inputs ``[rows, inputs]`` into voxels ``[rows, cells, 26]``, the rest and the order of actions.
 
         Tells the distribution which actions the bodies have.
         """
@@ -119,7 +125,7 @@ class VoxelModel(Network):
         return features.contiguous().view(-1, self.layout.cells, FEATURES), rest, actions
 
     def run(self, latent: torch.Tensor) -> torch.Tensor:
-        """Inputs to the means of the actions ``[rows, actions]``, or to values ``[rows, 1]``."""
+        """Return the means of the actions ``[rows, actions]``, or values ``[rows, 1]``, for inputs."""
         cells, rest, actions = self.unpack(latent)
         values = self.network(cells, rest)
         if self.distribution is None:

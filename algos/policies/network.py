@@ -1,4 +1,4 @@
-"""rsl-rl's network of fully connected layers, faster on a CPU, and its Gaussian distribution of actions."""
+"""rsl-rl's fully connected network, faster on a CPU, and Gaussian action distributions."""
 
 import math
 from typing import Any
@@ -12,46 +12,49 @@ from torch.distributions import Normal
 from torch.nn import functional
 
 LATENT = "latent"
-"""Group of observations that holds the scaled inputs of a network, where they are known already."""
+"""Name of the observation group that holds a network's scaled inputs, once they are computed."""
 
 HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 
 KINDS = 2
-"""Types of actuators, horizontal and vertical: each has a deviation."""
+"""Number of actuator types, horizontal and vertical; each has its own deviation."""
 
 
 def observations(model: Any, obs: TensorDict) -> torch.Tensor:
-    """The observations of a model, ``[..., entries]``, from the groups of ``obs``."""
+    """Concatenate the observation groups that a model uses: ``[..., entries]``."""
     return torch.cat([obs[name] for name in model.obs_groups], dim=-1)
 
 
 class Network(MLPModel):
-    """rsl-rl's network, with the same parameters and, but for rounding in float32, the same results."""
+    """rsl-rl's network with the same parameters and, up to float32 rounding, the same results."""
 
     def get_latent(self, obs: TensorDict, masks: object = None, hidden_state: object = None) -> torch.Tensor:
-        """Scaled inputs ``[rows, inputs]``."""
+        """Return the scaled inputs ``[rows, inputs]``, from the group :data:`LATENT` if it is there."""
         return obs[LATENT] if LATENT in obs else self.obs_normalizer(observations(self, obs))
 
     def run(self, latent: torch.Tensor) -> torch.Tensor:
-        """Scaled inputs to outputs ``[rows, outputs]``."""
+        """Return the outputs ``[rows, outputs]`` for scaled inputs."""
         layers = [layer for layer in self.mlp if isinstance(layer, nn.Linear)]
         is_tanh = all(type(layer) in (nn.Linear, nn.Tanh) for layer in self.mlp)
         if latent.device.type != "cpu" or latent.dtype != torch.float32 or not is_tanh:
             return self.mlp(latent)
-        # tanh x = 1 - 2 sigmoid(-2 x), of which the sigmoid takes a tenth of the time of torch's tanh; the rest of it
-        # is part of the layers around
+        # tanh x = 1 - 2 sigmoid(-2 x): the sigmoid takes a tenth of the time of torch's tanh, and the factors are
+        # merged into the weights of the layers before and after.
         values = latent
-        for place, layer in enumerate(layers):
-            weight, bias = layer.weight, layer.bias
-            if place:
-                weight, bias = -2 * weight, bias + weight.sum(1)
-            if place < len(layers) - 1:
+        for index, layer in enumerate(layers):
+            weight = layer.weight
+            bias = layer.bias
+            if index:
+                bias = bias + weight.sum(1)
+                weight = -2 * weight
+            if index < len(layers) - 1:
                 values = functional.linear(values, -2 * weight, -2 * bias).sigmoid_()
         return functional.linear(values, weight, bias)
 
     def forward(
         self, obs: TensorDict, masks: object = None, hidden_state: object = None, stochastic_output: bool = False
     ) -> torch.Tensor:
+        """Return the outputs, or actions sampled around them if ``stochastic_output``."""
         out = self.run(self.get_latent(obs))
         if self.distribution is None or not stochastic_output:
             return out
@@ -60,7 +63,7 @@ class Network(MLPModel):
 
 
 class Gaussian(GaussianDistribution):
-    """rsl-rl's distribution that draws nothing while learning, where rsl-rl's PPO drops what is drawn.
+    """rsl-rl's distribution that draws nothing during updates, where rsl-rl's PPO ignores what is drawn.
 
     ``generator``: that it draws from; None: torch's own.
     """
@@ -68,12 +71,12 @@ class Gaussian(GaussianDistribution):
     generator: torch.Generator | None = None
 
     def sample(self) -> torch.Tensor:
-        """``[rows, actions]``: drawn, or the mean where gradients are wanted."""
+        """Return actions ``[rows, actions]``: drawn, or the mean where gradients are enabled."""
         return self.mean if torch.is_grad_enabled() else torch.normal(self.mean, self.std, generator=self.generator)
 
 
 class VoxelGaussian(Gaussian):
-    """A Gaussian distribution of the actions that a body has.
+    """Gaussian distribution over the actions that each body has.
 
     Actions that a body has not are 0, with a deviation of 1, and take no part: nothing is drawn for them, and they add
     nothing to likelihood, entropy, divergence or gradients. :meth:`look` says, before :meth:`update`, which actions
@@ -85,12 +88,13 @@ class VoxelGaussian(Gaussian):
         self.output_dim = output_dim
 
     def look(self, kinds: torch.Tensor) -> None:
-        """``kinds`` ``[rows, actions]``: 0: the body has no such action, 1: horizontal, 2: vertical actuator."""
-        self._is_present, self._present = kinds > 0, kinds.clamp(max=1)
+        """Set which actions there are: ``kinds`` ``[rows, actions]``, 0: none, 1: horizontal, 2: vertical actuator."""
+        self._is_present = kinds > 0
+        self._present = kinds.clamp(max=1)
         self._vertical = kinds - self._present
 
     def by_kind(self, values: torch.Tensor) -> torch.Tensor:
-        """Values ``[kinds]`` by action, ``[rows, actions]``; 0 where a body has none."""
+        """Return ``values`` ``[kinds]`` for each action, ``[rows, actions]``; 0 where a body has none."""
         horizontal, vertical = values.to(self._vertical.dtype).unbind()
         of_actions = torch.lerp(
             horizontal.expand_as(self._vertical), vertical.expand_as(self._vertical), self._vertical
@@ -98,12 +102,12 @@ class VoxelGaussian(Gaussian):
         return torch.where(self._is_present, of_actions, 0.0)
 
     def update(self, mlp_output: torch.Tensor) -> None:
-        """Make ``mlp_output`` ``[rows, actions]`` the mean; what it says of absent actions does not matter."""
+        """Set the means to ``mlp_output`` ``[rows, actions]``; entries of absent actions are ignored."""
         self._log_std = self.by_kind(self.log_std_param.clamp(*self.log_std_range))
         self._distribution = Normal(torch.where(self._is_present, mlp_output, 0.0), self._log_std.exp())
 
     def sample(self) -> torch.Tensor:
-        """As :meth:`Gaussian.sample`."""
+        """Return actions ``[rows, actions]``: drawn, or the mean where gradients are enabled; 0 if absent."""
         if torch.is_grad_enabled():
             return self.mean
         noise = torch.empty_like(self.mean).normal_(generator=self.generator)
@@ -111,10 +115,10 @@ class VoxelGaussian(Gaussian):
 
     @property
     def entropy(self) -> torch.Tensor:
-        """``[rows]``."""
+        """Entropy of each row, ``[rows]``."""
         return ((self._log_std + (0.5 + HALF_LOG_2PI)) * self._present).sum(-1)
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
-        """``[rows]`` of actions ``[rows, actions]``."""
+        """Return the log-probabilities ``[rows]`` of actions ``[rows, actions]``."""
         squares = ((outputs - self.mean) / self.std).square()
         return -((squares * 0.5 + self._log_std + HALF_LOG_2PI) * self._present).sum(-1)

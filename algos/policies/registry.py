@@ -1,4 +1,4 @@
-"""Networks of policies by name: what the key ``policy`` takes."""
+"""Networks of policies by name, which the key ``policy`` takes."""
 
 import inspect
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ POLICIES = (MLP, *NETWORKS)
 
 
 def check_policy(name: object) -> None:
-    """Raise ConfigError unless there may be a policy of this name; code of the user's is not imported."""
+    """Raise ConfigError unless ``name`` is a known policy or names code; the code is not imported."""
     if name not in POLICIES and not is_code(name):
         raise ConfigError(
             f"policy must be one of {listing(POLICIES)}, or a network of your own, module:Class or file.py:Class; got"
@@ -31,22 +31,23 @@ def check_policy(name: object) -> None:
 
 
 def layout_for(name: str, env: VoxelVecEnv) -> VoxelLayout:
-    """The layout of environments for a network, whose attribute ``periods``, if it has one, are those of its clock."""
+    """Return the layout of environments for a network; its attribute ``periods``, if any, is used for the clock."""
     check_policy(name)
     return layout_of(env, getattr(NETWORKS.get(name) or load_code(name), "periods", CLOCK))
 
 
 def voxels_of(name: str, env: VoxelVecEnv, settings: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """``network``, ``settings`` and ``layout`` of a policy: what :class:`VoxelModel` is built by."""
+    """Return ``network``, ``settings`` and ``layout`` of a policy, the arguments of :class:`VoxelModel`."""
     return {"network": name, "settings": dict(settings or {}), "layout": layout_for(name, env).dict()}
 
 
 def check_network(env: VoxelVecEnv, name: str, settings: Any, key: str = "network") -> VoxelLayout:
-    """The layout of a network, after its settings, those of ``key``, have been tried."""
+    """Try a network with its ``settings`` (those of ``key``), and return its layout."""
     if settings is not None and not isinstance(settings, Mapping):
         raise ConfigError(f"{key} must be settings by name, such as {{width:32}}; got {settings!r:.80}.")
     layout = layout_for(name, env)
-    actor, shapes = make_network(name, layout, False, settings), ([2, layout.cells, FEATURES], [2, layout.rest])
+    actor = make_network(name, layout, False, settings)
+    shapes = ([2, layout.cells, FEATURES], [2, layout.rest])
     with Generators(0), torch.no_grad():  # the critic and what networks draw do not matter
         for network, wanted in (actor, [2, layout.cells]), (make_network(name, layout, True, settings), [2]):
             try:
@@ -60,7 +61,7 @@ def check_network(env: VoxelVecEnv, name: str, settings: Any, key: str = "networ
 
 
 def make_network(name: str, layout: VoxelLayout, critic: bool, settings: Mapping[str, Any] | None = None) -> nn.Module:
-    """The network of an actor or a critic.
+    """Make the network of an actor or a critic.
 
     Args:
         name: of :data:`POLICIES`, or ``module:Class`` or ``file.py:Class``: a ``torch.nn.Module`` made by

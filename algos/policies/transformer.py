@@ -1,4 +1,4 @@
-"""``policy=transformer``: attention between the voxels of a body."""
+"""The network of ``policy=transformer``: attention between the voxels of a body."""
 
 import torch
 from torch import nn
@@ -9,7 +9,7 @@ from warpvox.errors import ConfigError
 
 
 class TransformerNetwork(nn.Module):
-    """A token for each voxel, with its place in the grid; the rest of the observation is joined after attention.
+    """Transformer with a token for each voxel; the rest of the observation is added after attention.
 
     Attention falls with the distance of two voxels' centres, as fast as each head learns. Cells without a voxel are
     not attended to. A critic takes the mean over the voxels.
@@ -33,7 +33,7 @@ class TransformerNetwork(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def forward(self, cells: torch.Tensor, rest: torch.Tensor) -> torch.Tensor:
-        """Inputs ``[rows, cells, 26]`` and ``[rows, k]`` to ``[rows, cells]``, or ``[rows]`` of a critic."""
+        """Return one output for each cell ``[rows, cells]``, or a critic's value ``[rows]``."""
         present = cells[..., INPUTS["type"]].sum(-1) > 0
         places = cells[..., INPUTS["place"]]
         distance = (places[:, :, None] - places[:, None]).square().sum(-1).add(1e-6).sqrt()[:, None]
@@ -49,18 +49,21 @@ class TransformerNetwork(nn.Module):
 
 
 class AttentionBlock(nn.Module):
-    """Attention and a small network, each added to what comes in, which is normalised first."""
+    """Attention and a small network, each with normalised inputs and a residual connection."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
         self.heads = heads
-        self.before, self.between = nn.LayerNorm(width), nn.LayerNorm(width)
-        self.query_key_value, self.mix = nn.Linear(width, 3 * width), nn.Linear(width, width)
+        self.before = nn.LayerNorm(width)
+        self.between = nn.LayerNorm(width)
+        self.query_key_value = nn.Linear(width, 3 * width)
+        self.mix = nn.Linear(width, width)
         self.slope = nn.Parameter(torch.linspace(-3.0, 0.0, heads))
-        self.inner, self.outer = nn.Linear(width, 2 * width), nn.Linear(2 * width, width)
+        self.inner = nn.Linear(width, 2 * width)
+        self.outer = nn.Linear(2 * width, width)
 
     def forward(self, tokens: torch.Tensor, distance: torch.Tensor, present: torch.Tensor) -> torch.Tensor:
-        """``[rows, cells, width]``; ``distance`` ``[rows, 1, cells, cells]``, ``present`` bool ``[rows, cells]``."""
+        """Return new tokens ``[rows, cells, width]`` from tokens, ``distance`` and the mask ``present``."""
         rows, count, width = tokens.shape
         # a finite bias: a body without voxels, as in a probe of zeros, must not give NaN
         bias = -functional.softplus(self.slope)[:, None, None] * distance

@@ -30,7 +30,7 @@ from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 
 @dataclass
 class Networks:
-    """A design's networks before training, and the random state of the CPU's generator after they were made."""
+    """New networks of one design, and the state of the CPU's random generator after making them."""
 
     actor: MLPModel
     critic: MLPModel
@@ -38,8 +38,9 @@ class Networks:
 
 
 def fresh_networks(ppo: Ppo, num_obs: int, num_actions: int, seed: int) -> Networks:
-    """Networks that a training with this ``seed`` begins with, made by rsl-rl."""
-    config, obs = rsl_rl_config(ppo, 1), TensorDict({OBS_GROUP: torch.zeros(1, num_obs)}, batch_size=[1])
+    """Make the networks that rsl-rl would start a training with this ``seed`` from."""
+    config = rsl_rl_config(ppo, 1)
+    obs = TensorDict({OBS_GROUP: torch.zeros(1, num_obs)}, batch_size=[1])
 
     def network(name: str, outputs: int) -> MLPModel:
         model, settings = resolve_class(config[name])
@@ -50,7 +51,7 @@ def fresh_networks(ppo: Ppo, num_obs: int, num_actions: int, seed: int) -> Netwo
 
 
 class PopulationTraining:
-    """Trains a policy for each of some designs.
+    """Trains one policy for each design, all in one batch.
 
     Each design's training is that which :class:`warpvox.algos.training.runner.Runner` would give it alone with its
     seed, up to rounding.
@@ -69,9 +70,13 @@ class PopulationTraining:
         prepare: Callable[[int, Any, Networks], None] | None = None,
         eval_seed: int = 0,
     ) -> None:
-        self.factory, self.bodies, self.seeds, self.settings = factory, list(bodies), list(seeds), settings
+        self.factory = factory
+        self.bodies = list(bodies)
+        self.seeds = list(seeds)
+        self.settings = settings
         self.eval_seed = eval_seed
-        self.ppo, self.iteration = settings.ppo, 0
+        self.ppo = settings.ppo
+        self.iteration = 0
         self._make_environments()
         inner = self.env.env
         networks = []
@@ -84,6 +89,7 @@ class PopulationTraining:
         self._iterate = Iteration(self.env, self.algorithm, self.env.env.capture)
 
     def _make_environments(self) -> None:
+        """Make the environments for training and for evaluation, for the current bodies."""
         settings = self.settings
         training = self.factory.make(self.bodies, settings.envs, self.seeds, auto_reset=True)
         self.env = adapt(training, self.ppo, apart=True)
@@ -93,7 +99,9 @@ class PopulationTraining:
         )
 
     def _algorithm(self, networks: Sequence[Networks]) -> PopulationPPO:
-        device, obs = str(self.env.device), self.env.get_observations()
+        """Return the algorithm that starts from ``networks``, with a random generator for each design."""
+        device = str(self.env.device)
+        obs = self.env.get_observations()
         # On the CPU a design's stream goes on where its networks were made; on another device it begins with the seed.
         generators = [torch.Generator(device).manual_seed(seed) for seed in self.seeds]
         if device == "cpu":
@@ -114,10 +122,11 @@ class PopulationTraining:
 
     @property
     def steps_per_iteration(self) -> int:
-        """Control steps of a design in an iteration."""
+        """Control steps of one design in an iteration."""
         return self.ppo.steps * self.settings.envs
 
     def iterate(self) -> None:
+        """Run one iteration; before the first, randomise episode lengths if the settings say so."""
         if self.iteration == 0 and self.ppo.random_start:
             lengths = self.algorithm.streams.integers(int(self.env.max_episode_length), self.settings.envs)
             self.env.episode_length_buf = lengths.flatten().to(self.env.device)
@@ -125,7 +134,7 @@ class PopulationTraining:
         self.iteration += 1
 
     def evaluate(self) -> torch.Tensor:
-        """float64 ``[designs]``: the mean return of deterministic episodes, the same ones every time.
+        """Return the mean return of deterministic episodes, the same every time; float64 ``[designs]``.
 
         NaN for a design whose policy gives actions that are not numbers; the others are not affected. The networks are
         evaluated in float64, as :class:`warpvox.algos.checkpoints.policy.Policy` is.
@@ -143,13 +152,14 @@ class PopulationTraining:
         return evaluate(self._judge, judged, seed=self._eval_seeds).fitness.masked_fill(diverged.cpu(), math.nan)
 
     def policy(self, design: int) -> dict[str, torch.Tensor]:
-        """The design's policy as the state of a stock actor."""
+        """Return the policy of ``design`` as the state of a stock actor."""
         return self.algorithm.actor.member(design)
 
     def keep(self, index: Sequence[int]) -> None:
-        """Keep these designs, in this order; their training continues as before, up to rounding."""
+        """Keep the designs with the indices ``index``; their training continues as before, up to rounding."""
         state = self.env.pick(index)
-        self.bodies, self.seeds = [self.bodies[d] for d in index], [self.seeds[d] for d in index]
+        self.bodies = [self.bodies[d] for d in index]
+        self.seeds = [self.seeds[d] for d in index]
         self._make_environments()
         self.env.set_state(state)
         self.algorithm.keep(index, self.env.get_observations())

@@ -1,4 +1,4 @@
-"""An iteration of PPO: a rollout in environments, returns, all minibatches, moments of the observations."""
+"""One iteration of PPO on a device: a rollout, returns, all minibatches, moments of the observations."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from warpvox.errors import ActionError
 
 
 class Iteration:
-    """One iteration of PPO after another, which a CUDA graph repeats where the environments can be captured.
+    """Runs iterations of PPO, which a CUDA graph replays if the environments can be captured.
 
-    Without ``capture`` each runs as it is. With it the first two do; then one is captured and from then on replayed:
-    the host launches one graph and waits for nothing in it. What an iteration leaves to the next is in tensors that
-    stay where they are: those of the environments, the adapter, the storage, the networks and the optimiser.
+    Without ``capture`` every iteration runs operation by operation. With it the first two do; then one is captured and
+    replayed from then on: the host launches one graph and waits for nothing in it. All state between iterations is in
+    tensors that keep their memory: those of the environments, the adapter, the storage, the networks and the optimiser.
 
     Args:
-        env: of all designs of the algorithm.
-        capture: how launches are recorded.
+        env: environments of all designs of the algorithm.
+        capture: records the launches of Warp; None: nothing is captured.
 
     Attributes:
-        ended: bool ``[num_envs]``, where episodes have ended in the last iteration.
-        whole, returns: ``[steps, num_envs]``, of its steps what ``extras`` hold under these names.
+        ended: bool ``[num_envs]``, environments in which an episode has ended in the last iteration.
+        whole, returns: ``[steps, num_envs]``, the entries of ``extras`` with these names in each step of it.
     """
 
     def __init__(self, env: RslRlVecEnv, algorithm: PopulationPPO, capture: Capture | None = None) -> None:
@@ -43,7 +43,7 @@ class Iteration:
                 self._marks = [torch.cuda.Event(enable_timing=True, external=True) for _ in range(3)]
 
     def __call__(self) -> None:
-        """Make one iteration."""
+        """Run one iteration; its figures are read by :meth:`read`."""
         self.algorithm.prepare()
         if self._graph is None:
             results = self._on_device()
@@ -54,11 +54,11 @@ class Iteration:
 
     @property
     def is_replayed(self) -> bool:
-        """True once the host has nothing to do in an iteration but to launch a graph and to wait."""
+        """True once an iteration is nothing but the replay of a graph, during which the host is idle."""
         return self._graph is not None and self._graph.is_recorded
 
     def read(self) -> dict[str, float]:
-        """Figures of the last iteration, means over the designs: waits for the device, once.
+        """Return figures of the last iteration, as means over the designs; waits for the device once.
 
         They are the losses ``value``, ``surrogate`` and ``entropy``, ``learning_rate``, ``action_std``, ``finite`` (0:
         networks or moments have numbers that are not), ``not_finite_total`` of the environments,
@@ -67,7 +67,7 @@ class Iteration:
         return dict(zip(self._names, self._figures.tolist(), strict=True))
 
     def seconds(self) -> tuple[float, float]:
-        """How long a GPU has taken for the rollout and for learning in the last iteration, once that is read.
+        """Return the seconds that a GPU took for the rollout and for learning in the last iteration.
 
         0 where that is not known: on the CPU, and with a torch that cannot measure it.
         """
@@ -77,7 +77,7 @@ class Iteration:
         return began.elapsed_time(collected) / 1000, collected.elapsed_time(learned) / 1000
 
     def _on_device(self) -> tuple[torch.Tensor, ...]:
-        """The part of an iteration that a CUDA graph records."""
+        """Run the part of an iteration that a CUDA graph records; return its figures and what episodes ended."""
         algorithm = self.algorithm
         algorithm.storage.clear()  # a capture may have failed on its way
         self._mark(0)
@@ -107,13 +107,13 @@ class Iteration:
         return vector, ended.any(0), whole, returns
 
     def _mark(self, place: int) -> None:
-        """Have the device note the time: 0: an iteration begins, 1: learning begins, 2: it is done."""
+        """Record the time on the device: 0: the iteration begins, 1: learning begins, 2: learning ends."""
         if self._marks:
             self._marks[place].record()
 
     @torch.no_grad()
     def _collect(self) -> list[dict[str, Any]]:
-        """Fill the storage; returns of each step what is kept of it."""
+        """Fill the storage with a rollout; return dones, logs and returns of each step."""
         algorithm = self.algorithm
         env = self.env
         obs = env.get_observations()

@@ -1,4 +1,4 @@
-"""Many of rsl-rl's networks side by side: one batched matrix product a layer; their Gaussian distributions."""
+"""Many of rsl-rl's networks side by side, with one batched matrix product per layer, and their action distributions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOMENTS = ("_mean", "_var", "_std")
 
 
 def tanh_layers(inputs: torch.Tensor, weights: Sequence[torch.Tensor], biases: Sequence[torch.Tensor]) -> torch.Tensor:
-    """Outputs ``[networks, rows, outputs]`` of layers with tanh after each but the last.
+    """Return the outputs ``[networks, rows, outputs]`` of layers with tanh after each but the last.
 
     One autograd node in place of one for each operation, which overwrites what is not needed any more: small networks
     are limited by memory on a CPU. In float32 tanh is within 2e-7 of torch's.
@@ -33,11 +33,16 @@ def tanh_layers(inputs: torch.Tensor, weights: Sequence[torch.Tensor], biases: S
 
 
 class _TanhLayers(torch.autograd.Function):
+    """Autograd function of :func:`tanh_layers`."""
+
     @staticmethod
     def forward(ctx: Any, inputs: torch.Tensor, *parameters: torch.Tensor) -> torch.Tensor:
+        """Compute the outputs and save the activations of each layer."""
         count = len(parameters) // 2
-        weights, biases = parameters[:count], parameters[count:]
-        one, values = inputs.new_ones(()), [inputs]
+        weights = parameters[:count]
+        biases = parameters[count:]
+        one = inputs.new_ones(())
+        values = [inputs]
         for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
             # tanh x = 1 - 2 sigmoid(-2 x), of which the sigmoid takes a tenth of the time of torch's tanh
             out = torch.baddbmm(bias, values[-1], weight, beta=-2, alpha=-2).sigmoid_()
@@ -48,9 +53,12 @@ class _TanhLayers(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        """Return the gradients by weights and biases; there is none by the inputs."""
         count = len(ctx.saved_tensors) // 2
-        values, weights = ctx.saved_tensors[:count], ctx.saved_tensors[count:]
-        of_weights, of_biases = [], []
+        values = ctx.saved_tensors[:count]
+        weights = ctx.saved_tensors[count:]
+        of_weights = []
+        of_biases = []
         for k in reversed(range(count)):
             of_weights.append(values[k].mT @ gradient)
             of_biases.append(gradient.sum(-2, keepdim=True))
@@ -61,7 +69,7 @@ class _TanhLayers(torch.autograd.Function):
 
 
 class StackedGaussian(nn.Module):
-    """rsl-rl's distributions with a logarithmic deviation, of one policy for each design.
+    """Gaussian action distributions with a logarithmic deviation, one for each design's policy.
 
     Deviations, their logarithms and the entropy are computed once per action instead of once per action and sample.
 
@@ -74,32 +82,36 @@ class StackedGaussian(nn.Module):
 
     def __init__(self, log_std: torch.Tensor, mask: torch.Tensor, limits: Sequence[float]) -> None:
         super().__init__()
-        self.log_std_param, self.limits = nn.Parameter(log_std), limits
+        self.log_std_param = nn.Parameter(log_std)
+        self.limits = limits
         self.register_buffer("mask", mask, persistent=False)
 
     def part(self, share: slice) -> StackedGaussian:
-        """Some neighbouring designs, see :meth:`PopulationModel.part`."""
-        part, log_std = copy.copy(self), nn.Parameter(self.log_std_param.data[share])
-        part._parameters, part._buffers = {"log_std_param": log_std}, {"mask": self.mask[share]}
+        """Return the distributions of neighbouring designs, which share this one's memory."""
+        part = copy.copy(self)
+        log_std = nn.Parameter(self.log_std_param.data[share])
+        part._parameters = {"log_std_param": log_std}
+        part._buffers = {"mask": self.mask[share]}
         return part
 
     def keep(self, rows: Sequence[int], outputs: int) -> None:
-        """Keep these designs, and so many actions."""
+        """Keep the designs with the indices ``rows``, and the first ``outputs`` actions."""
         self.log_std_param.data = self.log_std_param.data[rows, :, :outputs]
         self.mask = self.mask[rows, :, :outputs]
 
     def update(self, mean: torch.Tensor) -> None:
-        """Make ``[designs, rows, actions]`` the mean."""
-        self.mean, self._log_std = mean, self.log_std_param.clamp(*self.limits)
+        """Set the means to ``mean`` ``[designs, rows, actions]``, and the deviations to the parameters'."""
+        self.mean = mean
+        self._log_std = self.log_std_param.clamp(*self.limits)
         self.std = self._log_std.exp()
 
     @property
     def entropy(self) -> torch.Tensor:
-        """``[designs]``."""
+        """Entropy of each design's distribution, ``[designs]``."""
         return self._sum(0.5 + HALF_LOG_2PI)[..., 0]
 
     def gradient(self, of_log_std: torch.Tensor, entropy_coef: float) -> torch.Tensor:
-        """Gradient of a loss, less ``entropy_coef`` times the entropy, by :attr:`log_std_param`.
+        """Return the gradient by :attr:`log_std_param` of a loss minus ``entropy_coef`` times the entropy.
 
         ``of_log_std`` ``[designs, rows, actions]``: the gradient by the logarithms of the deviations of each row.
         """
@@ -108,18 +120,19 @@ class StackedGaussian(nn.Module):
         return of_log_std.sum(-2, keepdim=True).sub_(entropy_coef).mul_(is_free * self.mask)
 
     def log_prob(self, actions: torch.Tensor) -> torch.Tensor:
-        """``[designs, rows]`` of actions ``[designs, rows, actions]``."""
+        """Return the log-probabilities ``[designs, rows]`` of actions ``[designs, rows, actions]``."""
         return self.log_prob_of(((actions - self.mean) / self.std).square())
 
     def log_prob_of(self, squares: torch.Tensor) -> torch.Tensor:
-        """``[designs, rows]`` of actions so many squared deviations from the mean."""
+        """Return log-probabilities ``[designs, rows]`` from squared distances to the mean, in deviations."""
         return squares.sum(-1) * -0.5 - self._sum(HALF_LOG_2PI)
 
     def _sum(self, constant: float) -> torch.Tensor:
+        """Return the sum over real actions of ``constant`` plus the logarithm of the deviation."""
         return ((self._log_std + constant) * self.mask).sum(-1)
 
     def mean_divergence(self, old_mean: torch.Tensor, old_std: torch.Tensor) -> torch.Tensor:
-        """``[designs]``: the mean over the rows of KL(old || current), from an earlier :attr:`mean` and :attr:`std`.
+        """Return KL(old || current) averaged over the rows, ``[designs]``, from an old mean and deviation.
 
         Terms are added in torch's order, so that changes too small for it are exactly 0 here, too.
         """
@@ -129,23 +142,24 @@ class StackedGaussian(nn.Module):
 
 
 class Normalizer(EmpiricalNormalization):
-    """rsl-rl's normaliser of observations, for many designs."""
+    """rsl-rl's normaliser of observations, with moments for each design."""
 
     count: torch.Tensor
 
     def update(self, x: torch.Tensor) -> None:
-        """Learn from observations ``[designs, rows, entries]``."""
+        """Update the moments by observations ``[designs, rows, entries]``."""
         mean = x.mean(-2, keepdim=True)
         var = (x - mean).square_().mean(-2, keepdim=True)
         self.count += x.shape[-2]
-        rate, moved = x.shape[-2] / self.count, mean - self._mean
+        rate = x.shape[-2] / self.count
+        moved = mean - self._mean
         self._mean += rate * moved
         self._var += rate * (var - self._var + moved * (mean - self._mean))
         self._std.copy_(self._var.sqrt())
 
 
 class PopulationModel(MLPModel):
-    """Stacks stock models of one architecture, one for each design; sizes of inputs and outputs may differ.
+    """Networks of one architecture, one for each design; sizes of inputs and outputs may differ.
 
     Rows of observations and results are sorted by design, in blocks of one size. Observations and actions are padded
     to those of the largest design with 0, and so are the weights of padded inputs and outputs; these stay 0, because
@@ -160,7 +174,8 @@ class PopulationModel(MLPModel):
         self.inputs = [row[0].in_features for row in layers]
         self.outputs = [row[-1].out_features for row in layers]
         self.activation = next(layer for layer in first.mlp if not isinstance(layer, nn.Linear))
-        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
+        self.weights = nn.ParameterList()
+        self.biases = nn.ParameterList()
         for column in zip(*layers, strict=True):
             self.weights.append(nn.Parameter(_padded([layer.weight.T for layer in column])))
             self.biases.append(nn.Parameter(_padded([layer.bias[None] for layer in column])))
@@ -177,12 +192,12 @@ class PopulationModel(MLPModel):
         return len(self.inputs)
 
     def scaled(self, obs: torch.Tensor) -> torch.Tensor:
-        """Observations ``[..., num_obs]``, sorted by design, as inputs ``[designs, rows, num_obs]`` of the networks."""
+        """Group observations ``[..., num_obs]`` by design and normalise them: ``[designs, rows, num_obs]``."""
         obs = obs.reshape(self.num_designs, -1, obs.shape[-1])
         return self.obs_normalizer(obs)
 
     def run(self, latent: torch.Tensor) -> torch.Tensor:
-        """Scaled inputs to outputs ``[designs, rows, outputs]``."""
+        """Return the outputs ``[designs, rows, outputs]`` of the networks for normalised inputs."""
         if latent.device.type == "cpu" and type(self.activation) is nn.Tanh:
             return tanh_layers(latent, list(self.weights), list(self.biases))
         last = len(self.weights) - 1
@@ -193,16 +208,16 @@ class PopulationModel(MLPModel):
         return latent
 
     def forward(self, obs: TensorDict) -> torch.Tensor:
-        """Rows of outputs: ``[rows, actions]`` of a policy, ``[rows, 1]`` of a value function."""
+        """Return the outputs of all rows: ``[rows, actions]`` of a policy, ``[rows, 1]`` of a value function."""
         return self.run(self.scaled(observations(self, obs))).flatten(0, 1)
 
     def member(self, design: int) -> dict[str, torch.Tensor]:
-        """The state of one design's network as a stock model loads it, on the CPU."""
+        """Return a copy of one design's state, on the CPU, as a stock model loads it."""
         state = self.moments(design) | self.of_parameters(design, lambda parameter: parameter.detach())
         return {k: v.cpu().clone(memory_format=torch.contiguous_format) for k, v in state.items()}
 
     def moments(self, design: int) -> dict[str, torch.Tensor]:
-        """Views of the moments of one design's observations, by a stock model's names."""
+        """Return views of one design's observation moments, by a stock model's names."""
         state: dict[str, torch.Tensor] = {}
         if isinstance(self.obs_normalizer, Normalizer):
             for name in MOMENTS:
@@ -212,7 +227,7 @@ class PopulationModel(MLPModel):
         return state
 
     def of_parameters(self, design: int, values: Callable[[torch.Tensor], torch.Tensor]) -> dict[str, torch.Tensor]:
-        """Views of what belongs to one design's parameters, by a stock model's names and in its shapes.
+        """Return views of values for one design's parameters, by a stock model's names and in its shapes.
 
         Args:
             values: of a parameter what belongs to it, in its shape: itself, or its moments for instance.
@@ -229,9 +244,10 @@ class PopulationModel(MLPModel):
         return state
 
     def part(self, share: slice) -> PopulationModel:
-        """The networks of some neighbouring designs as a model that shares this one's memory."""
+        """Return a model of neighbouring designs that shares this one's memory."""
         part = copy.copy(self)
-        part.inputs, part.outputs = self.inputs[share], self.outputs[share]
+        part.inputs = self.inputs[share]
+        part.outputs = self.outputs[share]
         # `.data` and not `.detach()`: what other threads write to their share must not look like a change of this one
         part._modules = {
             "activation": self.activation,
@@ -244,9 +260,11 @@ class PopulationModel(MLPModel):
         return part
 
     def keep(self, index: Sequence[int]) -> None:
-        """Keep these designs, in this order; parameters remain the same objects."""
+        """Keep the designs with the indices ``index``, in this order; parameters remain the same objects."""
         self.inputs, self.outputs = [[sizes[d] for d in index] for sizes in (self.inputs, self.outputs)]
-        inputs, outputs, rows = max(self.inputs), max(self.outputs), list(index)
+        inputs = max(self.inputs)
+        outputs = max(self.outputs)
+        rows = list(index)
         for parameter in (*self.weights, *self.biases):
             parameter.data = parameter.data[rows]
         self.weights[0].data = self.weights[0].data[:, :inputs]
@@ -259,7 +277,7 @@ class PopulationModel(MLPModel):
 
 
 class PopulationActor(PopulationModel):
-    """Policies, with the distributions of their actions."""
+    """Policies of all designs, with the distributions of their actions."""
 
     distribution: StackedGaussian
 
@@ -271,6 +289,7 @@ class PopulationActor(PopulationModel):
         self.distribution = StackedGaussian(_padded(log_std), mask, gaussians[0].log_std_range)
 
     def of_parameters(self, design: int, values: Callable[[torch.Tensor], torch.Tensor]) -> dict[str, torch.Tensor]:
+        """Return views of values for one design's parameters, those of the distribution included."""
         own = values(self.distribution.log_std_param)[design, 0, : self.outputs[design]]
         return super().of_parameters(design, values) | {"distribution.log_std_param": own}
 
@@ -280,7 +299,7 @@ class PopulationActor(PopulationModel):
 
 
 def _padded(parts: Sequence[torch.Tensor], padding: float = 0.0) -> torch.Tensor:
-    """Matrices of different sizes as one tensor."""
+    """Stack matrices of different sizes into one tensor, padded with ``padding``."""
     rows, columns = (max(part.shape[axis] for part in parts) for axis in (0, 1))
     whole = parts[0].new_full((len(parts), rows, columns), padding).detach()
     for place, part in zip(whole, parts, strict=True):

@@ -1,4 +1,4 @@
-"""PPO for many designs at once: separate trainings that share their matrix products."""
+"""PPO for many designs at once: separate trainings whose matrix products are batched."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from warpvox.algos.ppo.networks import Normalizer, PopulationActor, PopulationMo
 from warpvox.algos.ppo.stock import PPO
 
 BLOCK = 16
-"""Most designs that learn in one go on the CPU; fewer cost more overhead, more leave threads without work."""
+"""Most designs in one block of learning on the CPU: smaller blocks add overhead, larger ones leave threads idle."""
 SLOWEST, FASTEST = 1e-5, 1e-2
 """Bounds of the learning rate in rsl-rl's adaptive schedule."""
 
 
 class Samples(NamedTuple):
-    """Rollouts, or parts of them: inputs, actions and their mean ``[designs, samples, ...]``, the rest without more."""
+    """Rollouts or minibatches: the first three ``[designs, samples, entries]``, the others ``[designs, samples]``."""
 
     inputs: torch.Tensor
     actions: torch.Tensor
@@ -36,7 +36,7 @@ class Samples(NamedTuple):
 
 
 class PopulationPPO(PPO):
-    """Our PPO with an axis for designs: losses, gradients' norms, learning rates and random numbers are per design.
+    """PPO with an axis for designs: losses, gradient norms, learning rates and random numbers are per design.
 
     Rows of the storage are sorted by design. Each design learns what :class:`warpvox.algos.ppo.stock.PPO` would
     teach it alone, up to rounding, in fewer operations: values and log-probabilities are computed for the whole rollout
@@ -68,15 +68,16 @@ class PopulationPPO(PPO):
         super().__init__(actor, critic, storage, normalize_advantage_per_mini_batch=True, **settings)
         self.optimizer = VectorAdam([actor, critic], self.adam_eps)
         self.rates = torch.full((self.num_designs,), self.learning_rate, dtype=torch.float64, device=self.device)
-        self.streams, self._pool = streams, None
-        self._fill(storage)
+        self.streams = streams
+        self._pool = None
+        self._use_storage(storage)
         if threads > 1:  # torch's own number of threads is a setting of every thread
             own = {"initializer": torch.set_num_threads, "initargs": (torch.get_num_threads(),)}
             self._pool = ThreadPoolExecutor(threads, **own)
 
     @classmethod
     def in_place_of(cls, stock: PPO, generator: torch.Generator, **settings: Any) -> PopulationPPO:
-        """A population of one that goes on with what a stock algorithm has learned, in its storage.
+        """Make a population of one design that continues from a stock algorithm, in its storage.
 
         Args:
             generator: of its random numbers, on its device.
@@ -97,7 +98,7 @@ class PopulationPPO(PPO):
 
     @torch.no_grad()
     def copy_to(self, stock: PPO) -> None:
-        """Give a stock algorithm of one design all that was learned."""
+        """Copy parameters, optimiser state and moments to a stock algorithm of one design."""
         for name, moments in self.actor.moments(0).items():
             stock.actor.get_buffer(name).copy_(moments)
         steps = float(self.optimizer.steps)
@@ -112,7 +113,7 @@ class PopulationPPO(PPO):
         stock.updates = self.updates
 
     def _pairs(self, stock: PPO) -> Iterator[tuple[nn.Parameter, torch.Tensor, torch.Tensor, torch.Tensor]]:
-        """The parameters of a stock algorithm of one design, each with its value here and both of its moments."""
+        """Yield each parameter of a stock algorithm of one design with its value and both Adam moments here."""
         means, squares = self.optimizer.moments()
         for ours, theirs in ((self.actor, stock.actor), (self.critic, stock.critic)):
             values = ours.of_parameters(0, lambda parameter: parameter.detach())
@@ -121,9 +122,10 @@ class PopulationPPO(PPO):
             for name, parameter in theirs.named_parameters():
                 yield parameter, values[name], firsts[name], seconds[name]
 
-    def _fill(self, storage: RolloutStorage) -> None:
-        """Collect in ``storage`` from now on, and beside it scaled inputs and means of the actions."""
-        self.storage, self._means = storage, torch.zeros_like(storage.actions)
+    def _use_storage(self, storage: RolloutStorage) -> None:
+        """Use ``storage`` for rollouts from now on, and allocate scaled inputs and action means beside it."""
+        self.storage = storage
+        self._means = torch.zeros_like(storage.actions)
         self._inputs = torch.empty_like(observations(self.actor, storage.observations))
 
     @property
@@ -132,8 +134,10 @@ class PopulationPPO(PPO):
 
     @torch.no_grad()
     def act(self, obs: TensorDict) -> torch.Tensor:
-        """Draw actions. What else learning needs to know of them is computed for the whole rollout at once."""
-        storage, step, policy = self.storage, self.storage.step, self.actor.distribution
+        """Draw actions; values and log-probabilities are computed later for the whole rollout at once."""
+        storage = self.storage
+        step = self.storage.step
+        policy = self.actor.distribution
         inputs = self.actor.scaled(observations(self.actor, obs))
         # the normaliser learns after the update only: scaled once, the inputs serve all epochs
         self._inputs[step] = inputs.flatten(0, 1)
@@ -161,15 +165,18 @@ class PopulationPPO(PPO):
     def _bootstrap_time_limit(
         self, rewards: torch.Tensor, time_outs: torch.Tensor, final_obs: TensorDict
     ) -> torch.Tensor:
-        # looking first saves the forward pass of nearly all steps; on CUDA looking would wait for the device
+        """Return the rewards plus the discounted values of final states where a time limit struck."""
+        # Checking first saves the forward pass of nearly all steps; on CUDA the check would wait for the device.
         if time_outs.device.type == "cpu" and not bool(time_outs.any()):
             return rewards
         return rewards + self.gamma * self.critic(final_obs)[:, 0] * time_outs
 
     @torch.no_grad()
     def compute_returns(self, obs: TensorDict) -> None:
-        """Values and log-probabilities of the rollout, then returns and advantages; ``obs`` are those after it."""
-        st, policy, parts = self.storage, self.actor.distribution, []
+        """Compute values and log-probabilities of the rollout, then returns and advantages."""
+        st = self.storage
+        policy = self.actor.distribution
+        parts = []
         rows = [self._samples(values) for values in (self._inputs, self._means, st.actions)]
         size = -(-rows[0].shape[1] // self.num_mini_batches)  # no more memory than learning takes
         for inputs, mean, actions in zip(*(values.split(size, dim=1) for values in rows), strict=True):
@@ -181,7 +188,7 @@ class PopulationPPO(PPO):
         self._estimate_advantages(self.critic(obs))
 
     def _estimate_advantages(self, last_values: torch.Tensor) -> None:
-        """Returns and generalised advantages of the storage, as rsl-rl computes them, in fewer operations.
+        """Write returns and generalised advantages to the storage, as rsl-rl computes them.
 
         Args:
             last_values: ``[rows, 1]``, of the observations after the rollout.
@@ -199,22 +206,23 @@ class PopulationPPO(PPO):
         st.advantages = st.returns - st.values
 
     def _samples(self, values: torch.Tensor) -> torch.Tensor:
-        """``[steps, rows, ...]`` of the storage as ``[designs, steps * envs, ...]``."""
+        """Reshape ``[steps, rows, ...]`` of the storage to ``[designs, steps * envs, ...]``."""
         return values.unflatten(1, (self.num_designs, -1)).transpose(0, 1).flatten(1, 2)
 
     def prepare(self) -> None:
-        """Do what the host does before an iteration: write numbers that depend on how many there were."""
+        """Set learning rates and Adam's corrections for the next iteration, which the device only reads."""
         if self.decays:
             self.rates.fill_(self.decayed_rate)
         self.optimizer.prepare(self.num_learning_epochs * self.num_mini_batches)
         self.updates += 1
 
     def update(self) -> dict[str, torch.Tensor]:
-        """One iteration's optimisation; returns the mean losses ``[designs]``, for which the host does not wait.
+        """Run all epochs of an iteration; return the mean losses ``[designs]``, without waiting for the device.
 
         Threads share the work block by block, so that their number changes no result.
         """
-        data, count = self._shuffled(), -(-self.num_designs // BLOCK) if str(self.device) == "cpu" else 1
+        data = self._shuffled()
+        count = -(-self.num_designs // BLOCK) if str(self.device) == "cpu" else 1
         ends = [self.num_designs * k // count for k in range(count + 1)]
         blocks = [slice(*pair) for pair in itertools.pairwise(ends)]
         run = self._pool.map if self._pool else map
@@ -226,9 +234,9 @@ class PopulationPPO(PPO):
 
     @torch.no_grad()
     def _shuffled(self) -> Samples:
-        """Each design's rollout in the order, of its own, in which all epochs take it.
+        """Return each design's rollout in a random order of its own, with normalised advantages.
 
-        Its advantages get a mean of 0 and a deviation of 1.
+        Advantages are normalised to mean 0 and deviation 1. All epochs use the same order.
         """
         st = self.storage
         rows = Samples(
@@ -240,21 +248,27 @@ class PopulationPPO(PPO):
         centred = rows.advantages - rows.advantages.mean(1, keepdim=True)
         rows = rows._replace(advantages=centred / (rows.advantages.std(1, keepdim=True) + 1e-8))
         count = rows.returns.shape[1] // self.num_mini_batches * self.num_mini_batches
-        order, designs = self.streams.permutations(count), torch.arange(self.num_designs, device=self.device)
+        order = self.streams.permutations(count)
+        designs = torch.arange(self.num_designs, device=self.device)
         return Samples(*(values[designs[:, None], order] for values in rows))
 
     def _learn(self, block: slice, data: Samples) -> torch.Tensor:
-        """All epochs of some designs; returns the mean value loss, surrogate loss and entropy ``[3, designs]``."""
-        actor, critic = self.actor.part(block), self.critic.part(block)
-        size, times = data.returns.shape[1] // self.num_mini_batches, self.num_learning_epochs * self.num_mini_batches
-        policy, rate = self.actor.distribution.part(block), self.rates[block]
+        """Run all epochs of the designs in ``block``; return value loss, surrogate loss, entropy ``[3, designs]``."""
+        actor = self.actor.part(block)
+        critic = self.critic.part(block)
+        size = data.returns.shape[1] // self.num_mini_batches
+        times = self.num_learning_epochs * self.num_mini_batches
+        policy = self.actor.distribution.part(block)
+        rate = self.rates[block]
         layers = [*actor.weights, *actor.biases], [*critic.weights, *critic.biases]
         policy.update(data.mean[block])
-        old_std, sums = policy.std.detach(), data.mean.new_zeros(3, len(rate))
+        old_std = policy.std.detach()
+        sums = data.mean.new_zeros(3, len(rate))
         for k in range(times):
             first = k % self.num_mini_batches * size
             part = Samples(*(values[block, first : first + size] for values in data))
-            mean, values = actor.run(part.inputs), critic.run(part.inputs)[..., 0]
+            mean = actor.run(part.inputs)
+            values = critic.run(part.inputs)[..., 0]
             with torch.no_grad():
                 policy.update(mean)
                 if self.schedule == "adaptive":
@@ -270,22 +284,23 @@ class PopulationPPO(PPO):
         return sums / times
 
     def _surrogate(self, policy: StackedGaussian, part: Samples) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """PPO's clipped loss, and the gradients of it and of the entropy's part by mean and logarithmic deviation."""
+        """Return PPO's clipped loss, and the gradients of loss and entropy term by mean and log-deviation."""
         noise = (part.actions - policy.mean).div_(policy.std)
         squares = noise.square()
         ratio = policy.log_prob_of(squares).sub_(part.log_prob).exp_()
         free = -part.advantages * ratio
         bounded = -part.advantages * ratio.clamp(1 - self.clip_param, 1 + self.clip_param)
-        # of the larger of the two losses; where they are equal, within the bounds, both have the same gradient
+        # gradient of the larger of both losses; where they are equal, within the bounds, both gradients are equal
         of_log_prob = free.mul(free >= bounded).div_(free.shape[-1])
         of_mean = noise.mul_(of_log_prob[..., None]).div_(policy.std)
         of_log_std = policy.gradient(squares.sub_(1).mul_(of_log_prob[..., None]), self.entropy_coef)
         return torch.max(free, bounded).mean(-1), of_mean, of_log_std
 
     def _value_loss(self, values: torch.Tensor, part: Samples) -> tuple[torch.Tensor, torch.Tensor]:
-        """The mean squared error of the values, and the gradient of its part of the loss by them."""
+        """Return the mean squared error of the values, and the gradient of the value loss by them."""
         error = values - part.returns
-        squares, slope = error.square(), error * (2 * self.value_loss_coef / error.shape[-1])
+        squares = error.square()
+        slope = error * (2 * self.value_loss_coef / error.shape[-1])
         if self.use_clipped_value_loss:
             moved = values - part.values
             clipped = (part.values + moved.clamp(-self.clip_param, self.clip_param) - part.returns).square()
@@ -295,35 +310,38 @@ class PopulationPPO(PPO):
         return squares.mean(-1), slope
 
     def _adapt(self, rate: torch.Tensor, kl: torch.Tensor) -> None:
-        """rsl-rl's adaptive schedule; changes ``rate``."""
-        lower, higher = (rate / 1.5).clamp_(min=SLOWEST), (rate * 1.5).clamp_(max=FASTEST)
-        far, near = kl > 2 * self.desired_kl, (kl < self.desired_kl / 2) & (kl > 0)
+        """Change the learning rates ``rate`` by rsl-rl's adaptive schedule from the divergences ``kl``."""
+        lower = (rate / 1.5).clamp_(min=SLOWEST)
+        higher = (rate * 1.5).clamp_(max=FASTEST)
+        far = kl > 2 * self.desired_kl
+        near = (kl < self.desired_kl / 2) & (kl > 0)
         rate.copy_(torch.where(far, lower, torch.where(near, higher, rate)))
 
     def healthy(self) -> torch.Tensor:
-        """bool ``[designs]``: whose networks consist of finite numbers."""
+        """Return a mask ``[designs]`` (bool) of the designs whose networks have only finite numbers."""
         sums = [parameter.detach().sum((1, 2)) for parameter in self.optimizer.parameters]
         return torch.isfinite(torch.stack(sums)).all(0)
 
     def keep(self, index: Sequence[int], obs: TensorDict) -> None:
-        """Keep these designs, in this order, with observations like ``obs``; between updates only."""
-        envs, steps = self.storage.num_envs // self.num_designs, self.storage.num_transitions_per_env
+        """Keep the designs with the indices ``index``, for observations like ``obs``; between updates only."""
+        envs = self.storage.num_envs // self.num_designs
+        steps = self.storage.num_transitions_per_env
         shapes = [parameter.shape for parameter in self.optimizer.parameters]
-        self.critic.obs_normalizer = nn.Identity()  # it is the actor's
+        self.critic.obs_normalizer = nn.Identity()  # the actor owns it, and cuts it once
         for part in (self.actor, self.critic, self.streams):
             part.keep(index)
         self.critic.obs_normalizer = self.actor.obs_normalizer
         self.optimizer.keep(index, shapes)
         self.rates = self.rates[list(index)]
-        self._fill(RolloutStorage("rl", envs * len(index), steps, obs, [max(self.actor.outputs)], self.device))
+        self._use_storage(RolloutStorage("rl", envs * len(index), steps, obs, [max(self.actor.outputs)], self.device))
 
 
 FIRST, SECOND = 0.9, 0.999
-"""How much of the moments stays in a step: torch's defaults."""
+"""Decay rates of Adam's first and second moments per step: torch's defaults."""
 
 
 class VectorAdam:
-    """torch's Adam for stacked networks: parameters and moments are a vector for each design, the rows of a matrix.
+    """torch's Adam for stacked networks: one matrix holds the parameters, a row for each design.
 
     A step is few operations. The parameters become views of that matrix.
 
@@ -335,35 +353,37 @@ class VectorAdam:
     def __init__(self, networks: Sequence[nn.Module], eps: float) -> None:
         self._groups = [list(network.parameters()) for network in networks]
         self.parameters = [parameter for group in self._groups for parameter in group]
-        self.steps, self.eps = 0, eps
+        self.steps = 0
+        self.eps = eps
         self._bind()
-        self._means, self._squares = torch.zeros_like(self._values), torch.zeros_like(self._values)
+        self._means = torch.zeros_like(self._values)
+        self._squares = torch.zeros_like(self._values)
         self._corrections = self._values.new_zeros((0, 2), dtype=torch.float64)
 
     def moments(self) -> tuple[dict[torch.Tensor, torch.Tensor], dict[torch.Tensor, torch.Tensor]]:
-        """Views of the first and second moments by parameter, in the shapes of these."""
+        """Return views of the first and second moments by parameter, in the parameters' shapes."""
         shapes = [parameter.shape for parameter in self.parameters]
         return dict(self._parts(self._means, shapes)), dict(self._parts(self._squares, shapes))
 
     @staticmethod
     def flat(tensors: Sequence[torch.Tensor]) -> torch.Tensor:
-        """Tensors with the shapes of :attr:`parameters` as a row for each design."""
+        """Concatenate tensors with the shapes of :attr:`parameters` to a matrix with a row for each design."""
         return torch.cat([tensor.flatten(1) for tensor in tensors], dim=-1)
 
     def _bind(self) -> None:
-        """Make the parameters views of one matrix."""
+        """Copy the parameters into one matrix, and make them views of it."""
         self._values = self.flat([parameter.detach() for parameter in self.parameters])
         self._sizes = [sum(parameter[0].numel() for parameter in group) for group in self._groups]
         for parameter, part in self._parts(self._values, [parameter.shape for parameter in self.parameters]):
             parameter.data = part
 
     def _parts(self, matrix: torch.Tensor, shapes: Sequence[torch.Size]) -> Iterator[tuple[nn.Parameter, torch.Tensor]]:
-        """The parameters, each with its part of a matrix."""
+        """Yield each parameter with the part of ``matrix`` that belongs to it, in the shape given."""
         parts = matrix.split([shape[1:].numel() for shape in shapes], dim=-1)
         return ((p, part.view(shape)) for p, part, shape in zip(self.parameters, parts, shapes, strict=True))
 
     def prepare(self, count: int) -> None:
-        """Have the next ``count`` calls of :meth:`descend` be steps that follow upon those so far."""
+        """Compute the bias corrections of the next ``count`` steps, for :meth:`descend`."""
         numbers = range(self.steps + 1, self.steps + count + 1)
         corrections = torch.tensor([[-(1 - FIRST**n), math.sqrt(1 - SECOND**n)] for n in numbers], dtype=torch.float64)
         if len(self._corrections) != count:
@@ -373,7 +393,7 @@ class VectorAdam:
 
     @torch.no_grad()
     def descend(self, gradient: torch.Tensor, limit: float, rate: torch.Tensor, number: int, rows: slice) -> None:
-        """A step along the gradients, which are scaled down to a norm of ``limit`` for each network.
+        """Step ``rows`` along their gradients, clipped to a norm of ``limit`` for each network.
 
         Args:
             gradient: :meth:`flat`; overwritten.
@@ -392,7 +412,7 @@ class VectorAdam:
         values.addcdiv_(means, squares.sqrt().add_((self.eps * second).to(values.dtype)).mul_(factor[..., None]))
 
     def keep(self, index: Sequence[int], shapes: Sequence[torch.Size]) -> None:
-        """Keep these designs; ``shapes`` are those of the parameters before the networks were cut."""
+        """Keep the designs with the indices ``index``; ``shapes``: of the parameters before they were cut."""
         for name in ("_means", "_squares"):
             parts = self._parts(getattr(self, name), shapes)
             setattr(self, name, self.flat([part[list(index), : p.shape[1], : p.shape[2]] for p, part in parts]))
@@ -400,7 +420,7 @@ class VectorAdam:
 
 
 class Streams:
-    """One generator for each design, used call by call as a separate training uses torch's own.
+    """Random number generators, one for each design, used as a separate training would use torch's own.
 
     torch fills a tensor of another size with other numbers: everything is drawn for one design at a time, in its true
     size.
@@ -414,7 +434,7 @@ class Streams:
         self.device = device
 
     def normal(self, steps: int, rows: int, columns: Sequence[int]) -> torch.Tensor:
-        """``[steps, designs, rows, max(columns)]``: standard normal in the first ``columns`` of each design, else 0.
+        """Draw ``[steps, designs, rows, max(columns)]`` standard normal numbers; 0 beyond a design's ``columns``.
 
         On the CPU step by step, on CUDA at once, where launches are what takes time.
         """
@@ -427,13 +447,14 @@ class Streams:
         return numbers
 
     def permutations(self, count: int) -> torch.Tensor:
-        """long ``[designs, count]``: an order of ``count`` things for each design."""
+        """Draw a random permutation of ``count`` indices for each design, int64 ``[designs, count]``."""
         return torch.stack([torch.randperm(count, generator=one, device=self.device) for one in self.generators])
 
     def integers(self, high: int, count: int) -> torch.Tensor:
-        """long ``[designs, count]`` in [0, high)."""
+        """Draw integers in [0, ``high``), int64 ``[designs, count]``."""
         size = (count,)
         return torch.stack([torch.randint(high, size, generator=g, device=self.device) for g in self.generators])
 
     def keep(self, index: Sequence[int]) -> None:
+        """Keep the generators of the designs with the indices ``index``."""
         self.generators = [self.generators[d] for d in index]

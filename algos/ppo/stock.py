@@ -1,4 +1,4 @@
-"""rsl-rl's PPO with a linear schedule, Adam's epsilon and time limits bootstrapped where they struck."""
+"""rsl-rl's PPO extended by a linear schedule, Adam's epsilon and exact values at time limits."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from warpvox.errors import ConfigError, did_you_mean, listing
 from warpvox.keys import converted
 
 SYMMETRY = "data_augmentation_func"
-"""The setting of ``symmetry_cfg`` that names code."""
+"""Key of ``symmetry_cfg`` whose value names a function."""
 MLP_SETTINGS = inspect.signature(MLPModel.__init__).parameters
 SETTINGS = {
     "num_learning_epochs": "epochs", "num_mini_batches": "minibatches", "clip_param": "clip",
@@ -39,16 +39,16 @@ SETTINGS = {
 } | {name: name for name in (
     "schedule", "gamma", "lam", "entropy_coef", "max_grad_norm", "learning_rate", "desired_kl",
 )}  # fmt: skip
-"""Settings of rsl-rl's PPO, and our names of them."""
+"""Settings of rsl-rl's PPO by its names, with our names as values."""
 GIVEN = ("self", "actor", "critic", "storage", "device", "multi_gpu_cfg")
-"""Arguments of rsl-rl's PPO that are no settings."""
+"""Arguments of rsl-rl's PPO that are not settings."""
 
 
 class PPO(RslRlPPO):
-    """rsl-rl's PPO with what its settings lack.
+    """rsl-rl's PPO with further settings: schedule ``linear``, Adam's epsilon, generators of random numbers.
 
     Args:
-        generators: where its random numbers come from; None: it draws none.
+        generators: of the random numbers; None: no random numbers are drawn.
         schedule: ``fixed``, ``adaptive`` (rsl-rl's) or ``linear``: the learning rate of update k of n is
             ``learning_rate * (1 - k / n)`` with k = 0, 1, ..., n - 1.
     """
@@ -66,22 +66,28 @@ class PPO(RslRlPPO):
         self.generators = generators
         if generators is not None:
             cast(Any, self.get_policy().distribution).generator = generators.on(self.device)
-        self.decays, self.adam_eps = schedule == "linear", adam_eps
-        self.initial_learning_rate, self.total_iterations, self.updates = self.learning_rate, total_iterations, 0
+        self.decays = schedule == "linear"
+        self.adam_eps = adam_eps
+        self.initial_learning_rate = self.learning_rate
+        self.total_iterations = total_iterations
+        self.updates = 0
         self._configure_adam()
         self.storage.mini_batch_generator = self._minibatches
-        self.critic.obs_normalizer, self.critic.update_normalization = self.actor.obs_normalizer, lambda obs: None
+        self.critic.obs_normalizer = self.actor.obs_normalizer
+        self.critic.update_normalization = lambda obs: None
 
     @classmethod
     def of(
         cls, env: Any, config: Mapping[str, Any], generators: Generators, processes: Mapping[str, int] | None = None
     ) -> PPO:
-        """The algorithm of :func:`rsl_rl_config` for an environment, with new networks.
+        """Make the algorithm that :func:`rsl_rl_config` describes, with new networks for an environment.
 
         Args:
             processes: that learn together, as rsl-rl describes them; None: this one alone.
         """
-        obs, groups, device = env.get_observations(), config["obs_groups"], str(env.device)
+        obs = env.get_observations()
+        groups = config["obs_groups"]
+        device = str(env.device)
         settings = copy.deepcopy({name: value for name, value in config["algorithm"].items() if name != "class_name"})
         settings = resolve_symmetry_config(resolve_rnd_config(settings, obs, groups, env), env)
         with generators:
@@ -93,21 +99,24 @@ class PPO(RslRlPPO):
             return cls(*networks, storage, generators=generators, device=device, multi_gpu_cfg=processes, **settings)
 
     def _configure_adam(self) -> None:
+        """Set Adam's epsilon, and its fused implementation where there is one."""
         for group in self.optimizer.param_groups:
             group |= {"eps": self.adam_eps, "fused": torch.device(self.device).type in ("cpu", "cuda")}
 
     @property
     def decayed_rate(self) -> float:
+        """Learning rate of the linear schedule for the next update."""
         return self.initial_learning_rate * max(0.0, 1 - self.updates / self.total_iterations)
 
     def set_learning_rate(self, rate: float) -> None:
+        """Set the learning rate here and in the optimiser."""
         self.learning_rate = rate
         for group in self.optimizer.param_groups:
             group["lr"] = rate
 
     @torch.no_grad()
     def act(self, obs: TensorDict) -> torch.Tensor:
-        """Draw actions. Actor and critic observe the same, which is scaled once."""
+        """Draw actions for observations, which are scaled once for actor and critic."""
         if self.actor.is_recurrent:
             return super().act(obs)
         actions = super().act(self._scaled(obs))
@@ -115,12 +124,13 @@ class PPO(RslRlPPO):
         return actions
 
     def _scaled(self, obs: TensorDict) -> TensorDict:
+        """Return the observations with the scaled ones added under the name :data:`LATENT`."""
         return obs.copy().set(LATENT, self.actor.get_latent(obs))
 
     def process_env_step(
         self, obs: TensorDict, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any]
     ) -> None:
-        """Record a step; where only the time limit has ended an episode, add the value of its final state.
+        """Record a step; where only the time limit ended an episode, add the value of its final state.
 
         rsl-rl would add the value of the state before the step, because it does not get the final one.
         """
@@ -131,7 +141,10 @@ class PPO(RslRlPPO):
     def _bootstrap_time_limit(
         self, rewards: torch.Tensor, time_outs: torch.Tensor, final_obs: TensorDict
     ) -> torch.Tensor:
-        if time_outs.device.type == "cpu" and not self.critic.is_recurrent:  # on CUDA looking would wait for the device
+        """Return the rewards plus the discounted values of final states where a time limit struck."""
+        if (
+            time_outs.device.type == "cpu" and not self.critic.is_recurrent
+        ):  # on CUDA this check would wait for the device
             rows = time_outs.nonzero()[:, 0]
             if not len(rows):
                 return rewards
@@ -142,16 +155,17 @@ class PPO(RslRlPPO):
         return rewards + self.gamma * values * time_outs
 
     def update(self) -> dict[str, float]:
+        """Set the learning rate if it is linear, and run rsl-rl's update; returns the mean losses."""
         if self.decays:
             self.set_learning_rate(self.decayed_rate)
         self.updates += 1
         return super().update()
 
     def _minibatches(self, num_mini_batches: int, num_epochs: int = 8) -> Generator[RolloutStorage.Batch, None, None]:
-        """Those of rsl-rl, which are the same in all epochs: put in order and scaled once."""
+        """Yield rsl-rl's minibatches, shuffled and scaled once and the same in every epoch."""
         with nullcontext() if self.generators is None else self.generators:
             batches = list(RolloutStorage.mini_batch_generator(self.storage, num_mini_batches, 1))
-        if not self.symmetry:  # which makes further observations of a batch
+        if not self.symmetry:  # symmetry adds observations to a batch, which must be scaled later
             for batch in batches:
                 with torch.no_grad():
                     batch.observations = self._scaled(batch.observations)
@@ -159,10 +173,11 @@ class PPO(RslRlPPO):
             yield from map(copy.copy, batches)
 
     def save(self) -> dict[str, Any]:
+        """Return the state of networks and optimisers, and the number of updates."""
         return super().save() | {"updates": self.updates}
 
     def load(self, loaded_dict: dict[str, Any], load_cfg: dict | None = None, strict: bool = True) -> bool:
-        """Restore what :meth:`save` gave, but for settings: of the optimisers only moments and learning rates.
+        """Restore what :meth:`save` returned; of the optimisers only moments and learning rates.
 
         Raises:
             RunError: it does not fit these networks; nothing has changed.
@@ -171,11 +186,12 @@ class PPO(RslRlPPO):
         networks: dict[str, Any] = {"actor": self._raw_actor, "critic": self._raw_critic}
         optimizers: dict[str, Any] = {"optimizer": self.optimizer}
         if self.rnd:
-            networks["rnd"], optimizers["rnd"] = self.rnd, self.rnd.optimizer
+            networks["rnd"] = self.rnd
+            optimizers["rnd"] = self.rnd.optimizer
         like = {f"{name}_state_dict": network.state_dict() for name, network in networks.items() if wanted.get(name)}
         check_like({"updates": 0, **loaded_dict}, like | {"updates": int})
 
-        # torch's Adam goes on in the very tensors that it is given
+        # Copies: torch's Adam would update the given tensors in place.
         own: dict[str, Any] = {}
         for name, optimizer in optimizers.items():
             if wanted.get(name):
@@ -186,7 +202,7 @@ class PPO(RslRlPPO):
         return result
 
     def memory(self) -> dict[str, Any]:
-        """Memory of the episodes so far, for :meth:`set_memory`: hidden states, and the scale of RND."""
+        """Return the state of running episodes, for :meth:`set_memory`: hidden states, and RND's scale."""
         own: dict[str, Any] = {"actor": self.actor.get_hidden_state(), "critic": self.critic.get_hidden_state()}
         if self.rnd:
             scale = self.rnd.reward_normalizer
@@ -195,7 +211,7 @@ class PPO(RslRlPPO):
         return own
 
     def set_memory(self, own: Mapping[str, Any]) -> None:
-        """Go on from :meth:`memory`; RunError: it is not that of such networks."""
+        """Restore what :meth:`memory` returned; RunError: it belongs to other networks."""
         like: dict[str, Any] = dict.fromkeys(("actor", "critic"))
         for name, model in (("actor", self.actor), ("critic", self.critic)):
             if model.is_recurrent and own.get(name) is not None:  # else no episode has begun
@@ -215,7 +231,7 @@ class PPO(RslRlPPO):
 
 
 def rsl_rl_config(ppo: Ppo, total_iterations: int, voxels: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """The dictionary that rsl-rl's runner wants.
+    """Return the configuration dictionary of rsl-rl's runner.
 
     Args:
         voxels: ``network``, ``settings`` and ``layout`` of :class:`~warpvox.algos.policies.model.VoxelModel`; None:
@@ -253,7 +269,7 @@ def rsl_rl_config(ppo: Ppo, total_iterations: int, voxels: Mapping[str, Any] | N
 
 
 def _checked(name: str, given: Mapping[str, Any], made: type, others: Collection[str]) -> dict[str, Any]:
-    """The settings of the key ``ppo.<name>``, for a class that takes ``others`` from elsewhere."""
+    """Check the settings of the key ``ppo.<name>`` for the class ``made``, without ``others``, and return them."""
     parameters = inspect.signature(made.__init__).parameters
     known = [one for one in parameters if one not in others]
     if not isinstance(given, Mapping):

@@ -1,4 +1,4 @@
-"""The report of a design search: one page without scripts from elsewhere, network or server.
+"""The report of a design search: one HTML page that needs no network and no server.
 
 It is made from the archive alone, so it can be made again at any time, also while the search is running.
 """
@@ -23,17 +23,17 @@ from warpvox.runs import CONFIG
 from warpvox.view.player import asset, fill_template
 
 FILE, FILM = "report.html", "film.webp"
-"""The report in the folder of a search, and an episode of a robot in that of its design."""
+"""Names of the report in the folder of a search, and of the film in that of a design."""
 
 
 def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str:
-    """The page as text.
+    """Return the report as the text of an HTML page.
 
     Args:
         facts: what stands under the title, by name: status, search, version, ...
         folder: of the search, with policies and films of designs.
     """
-    # What is shown
+    # Data
     records = archive.records()
     done = [record for record in records if record.fitness is not None]
     best = archive.best(10)
@@ -46,7 +46,7 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
     facts = _figures(done, best) | dict(facts)
     title = " · ".join(facts[name] for name in ("task", "search") if name in facts) or "design search"
 
-    # Its parts
+    # Parts of the page
     named = []
     for name, value in facts.items():
         named.append(f"<div><dt>{in_html(name)}</dt><dd>{in_html(str(value))}</dd></div>")
@@ -69,6 +69,7 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
 
 
 def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
+    """Return the main figures of the search, as text by name."""
     if not done:
         return {"evaluations": "0"}
     trained = [record for record in done if record.reused is None]
@@ -83,7 +84,7 @@ def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
 
 
 def _progress(search: SearchResult, archive: Archive) -> str:
-    """Fitness over evaluations: every design, finalists by themselves, the best so far, the mean of each generation."""
+    """Return a chart of fitness over evaluations: designs, finalists, best so far, mean of each generation."""
     trained = [record for record in search.records if record.reused is None and record.fitness is not None]
     dots = []
     notes = []
@@ -109,7 +110,7 @@ def _progress(search: SearchResult, archive: Archive) -> str:
 
 
 def _card(record: Record, folder: Path) -> str:
-    """A design, in motion if there is a film of it, with the command that plays it if it is there."""
+    """Return the HTML card of a design: its film or body, origin, curve, and the command that plays it."""
     candidate = record.candidate
     parents = ", ".join(f"#{parent}" for parent in candidate.parents)
     descent = f"{candidate.origin} of {parents}" if parents else candidate.origin
@@ -124,7 +125,7 @@ def _card(record: Record, folder: Path) -> str:
         try:
             keys = words_of_code(find_run(str(place), "").config)
             text += f"<code>warpvox play {in_html(shell_argument('run', place) + keys)}</code>"
-        except RunError as error:  # of this design alone
+        except RunError as error:  # shown in this design's card, so that the others appear
             text += f'<p class="faint">{in_html(str(error))}</p>'
         if (place / FILM).is_file():
             data = base64.b64encode((place / FILM).read_bytes()).decode()
@@ -135,7 +136,7 @@ def _card(record: Record, folder: Path) -> str:
 
 
 def _row(record: Record) -> str:
-    """The row of a design in the table of all."""
+    """Return the row of a design in the table of all designs, as HTML."""
     candidate = record.candidate
     state = ""
     if record.reused is not None:
@@ -150,7 +151,7 @@ def _row(record: Record) -> str:
         state = "waiting"
     fitness = "" if record.fitness is None else record.fitness
 
-    # By what a column is sorted (None: it is not), and HTML
+    # Cells as (sort key or None, HTML)
     cells = (
         (record.id, f"{record.id}"),
         (None, body_svg(candidate.body, 5)),
@@ -170,8 +171,8 @@ def _row(record: Record) -> str:
 
 
 def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
-    """Column and row of each node: generations from left to right, parents about where their children are."""
-    # Columns. A parent may, in a search that evaluates one design at a time, be of the same generation as its child.
+    """Return column and row of each design in the tree: generations left to right, parents near their children."""
+    # Columns. In a search that evaluates one design at a time, parent and child may be of the same generation.
     order = sorted({record.candidate.generation for record in line})
     column = {record.id: order.index(record.candidate.generation) for record in line}
 
@@ -196,8 +197,8 @@ def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
 
 
 def family_tree(line: Sequence[Record]) -> str:
-    """The tree as an ``<svg>`` element, with a sentence if it had to be cut."""
-    # The nearest ancestors, and where they stand in pixels
+    """Return the family tree as an ``<svg>`` element, with a note if ancestors were left out."""
+    # The nearest ancestors, and their positions in pixels
     shown = list(line)[-60:]
     cell = 8
     margin = 12

@@ -1,4 +1,4 @@
-"""Tasks in one picture: each world where its robot begins."""
+"""One picture of many tasks: each world with a robot at its start."""
 
 import os
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ COLUMNS, TILE = 4, (324, 150)
 
 
 def everywhere(design: str = "walker") -> list[tuple[str, Design, str]]:
-    """One body in every task, in the order of the paper; ``design`` is anything :func:`warpvox.load_design` reads."""
+    """Return (task, body, caption) for one body in every task; ``design`` is as for :func:`warpvox.load_design`."""
     body = load_design(design)
     return [(task, body, task) for task in task_ids()]
 
 
 def draw_gallery(shown: Sequence[tuple[str, Design, str]]) -> Image.Image:
-    """Bodies in the worlds of tasks, row by row; ``shown``: (task, body, caption) of each."""
+    """Draw bodies in the worlds of tasks, row by row; ``shown``: (task, body, caption) of each."""
     # Pixels of a caption, and between the worlds
     label = 24
     gap = 10
@@ -48,7 +48,7 @@ def draw_gallery(shown: Sequence[tuple[str, Design, str]]) -> Image.Image:
 
 
 def _tile(task: Any, body: np.ndarray) -> Image.Image:
-    """A world with the robot at the left, so that what lies ahead is in sight."""
+    """Draw a world with the robot at the left, so that what lies ahead is visible."""
     scene, points = scene_of_world(task_world(task, body))
     robot = points[scene.robot_points] / VOXEL
     scale = 8  # pixels of a voxel
@@ -68,7 +68,7 @@ def _tile(task: Any, body: np.ndarray) -> Image.Image:
 
 
 def write_gallery(path: str | os.PathLike[str], shown: Sequence[tuple[str, Design, str]]) -> Path:
-    """Write what :func:`draw_gallery` draws as PNG; returns the path. RolloutError: another suffix than .png."""
+    """Write the picture of :func:`draw_gallery` as PNG; return the path. RolloutError: another suffix than .png."""
     check_suffix("The file of a gallery", path, PNG_SUFFIXES, RolloutError)
     # Few colours: as a palette the picture takes a fraction of the room, without a visible difference.
     return save_png(draw_gallery(shown).quantize(128, dither=Image.Dither.NONE), path, optimize=True)

@@ -24,7 +24,7 @@ _COLOURS = ("#d96a14", "#2f6fb0", "#3a8a4d", "#8a4fa3", "#b03a48", "#5b6473")
 
 @dataclass(frozen=True)
 class Group:
-    """Runs with the same settings; ``label`` names those that other groups have otherwise."""
+    """Runs with the same settings; ``label`` names the settings that differ from those of other groups."""
 
     label: str
     runs: tuple[Any, ...]
@@ -32,10 +32,10 @@ class Group:
 
 @dataclass(frozen=True)
 class Curve:
-    """The learning curve of runs that differ by nothing but their seed.
+    """Learning curve of runs that differ only in their seed.
 
-    ``places`` float64 ``[k]``; ``mean``, ``low``, ``high`` ``[k]``: the return there over the runs, with its interval
-    (NaN for a single run); ``runs``: where and what of each, ``[2, evaluations]``.
+    ``places``: values on the x axis, float64 ``[k]``; ``mean``, ``low``, ``high`` ``[k]``: mean return of the runs with
+    its interval (NaN for a single run); ``runs``: x values and returns of each run, ``[2, evaluations]``.
     """
 
     label: str
@@ -47,7 +47,7 @@ class Curve:
 
 
 def curves_of_searches(members: Sequence[SearchResult], x: str) -> dict[str, list[Curve]]:
-    """The best return of design searches over ``steps`` or ``evaluations``: by task a curve for each search.
+    """Return, by task, a curve of the best return for each search, over ``steps`` or ``evaluations``.
 
     A search that has ended before others keeps its best return.
     """
@@ -61,13 +61,13 @@ def curves_of_searches(members: Sequence[SearchResult], x: str) -> dict[str, lis
 
 
 def curves_of(groups: Sequence[Group], x: str = "steps") -> list[Curve]:
-    """The deterministic return of runs over the column ``x`` of ``metrics.csv``, a curve for each group.
+    """Return a curve of the deterministic return for each group, over the column ``x`` of ``metrics.csv``.
 
     A run that has stopped early keeps its last return.
     """
     curves = []
     for group in groups:
-        # The evaluations of each run, float64 [2, k]: where and what
+        # Evaluations of each run, float64 [2, k]: values of x, and returns
         runs = []
         for each_run in group.runs:
             rows = evaluations_of(each_run)
@@ -89,7 +89,7 @@ def curves_of(groups: Sequence[Group], x: str = "steps") -> list[Curve]:
 
 
 def _mean_curve(label: str, places: np.ndarray, values: np.ndarray, runs: Sequence[np.ndarray]) -> Curve:
-    """The curve of values ``[places, runs]``."""
+    """Return the curve of the mean of ``values`` ``[places, runs]``, with its intervals."""
     intervals = [mean_interval(row) for row in values]
     mean = np.array([interval.mean for interval in intervals])
     low = np.array([interval.low for interval in intervals])
@@ -98,12 +98,12 @@ def _mean_curve(label: str, places: np.ndarray, values: np.ndarray, runs: Sequen
 
 
 def evaluations_of(found: Run) -> list[dict[str, float]]:
-    """The rows of ``metrics.csv`` that have an evaluation."""
+    """Return the rows of ``metrics.csv`` that have an evaluation."""
     return [row for row in read_metrics(found.folder) if np.isfinite(row["eval_return"])]
 
 
 def _points(found: Run, x: str) -> np.ndarray:
-    """The evaluations of a run, float64 ``[2, k]``: where and what."""
+    """Return the evaluations of a run, float64 ``[2, k]``: values of ``x``, and returns."""
     rows = evaluations_of(found)
     return np.array([[row[x] for row in rows], [row["eval_return"] for row in rows]], float)
 
@@ -111,7 +111,7 @@ def _points(found: Run, x: str) -> np.ndarray:
 def write_curves(
     panels: Mapping[str, Sequence[Curve]], path: str | os.PathLike[str], x: str, size: tuple[int, int]
 ) -> Path:
-    """Draw curves: runs thin, their mean thick, its 95 % interval as a band; the same numbers as CSV beside it.
+    """Draw curves (runs thin, mean thick, 95 % interval as a band), and write their numbers as CSV beside.
 
     Args:
         panels: curves, see :func:`curves_of`, of pictures beside each other, by their titles.
@@ -133,7 +133,7 @@ def write_curves(
     inches = (columns * size[0] / 100, rows * (size[1] + 22 * more) / 100)
     figure = Figure(figsize=inches, dpi=100, layout="constrained")
     for number, (title, several) in enumerate(panels.items()):
-        # The title says nothing more where the legend has it.
+        # No title where the legend already says it
         said = [curve.label for curve in several] == [title]
         axes = figure.add_subplot(rows, columns, number + 1, title="" if said else _plain(title))
 
@@ -181,12 +181,12 @@ def write_curves(
 
 
 def _plain(text: str) -> str:
-    """A text that matplotlib shows as it is."""
+    """Return the text escaped so that matplotlib shows it unchanged."""
     return escaped(text).replace("$", r"\$")
 
 
 def labelled(panels: Mapping[str, Sequence[Curve]]) -> Iterator[tuple[str, Curve]]:
-    """All curves with a label, to which the title of the panel belongs where there are several panels."""
+    """Yield each curve with its label, which names the panel as well if there are several."""
     for title, several in panels.items():
         for curve in several:
             alone = len(panels) == 1 or curve.label == title

@@ -1,4 +1,4 @@
-"""Several design searches, read from their archives, to be compared."""
+"""Design searches read from their archives, for comparisons."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -15,19 +15,19 @@ from warpvox.keys import flat
 from warpvox.runs import read_summary
 
 SHOWN = 3
-"""Settings that a name tells at most."""
+"""Most settings in the name of a search."""
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """One design search, and its curve: ``evaluations`` and ``steps`` spent, and the ``best`` return by then.
+    """Result of one design search with its curve: ``evaluations`` and ``steps`` so far, ``best`` return so far.
 
     The curve never falls, and ends at the fitness of the best design. Finalists are evaluations, too. Where the other
     designs were only compared by a common policy, it begins with the finalists, once there are some.
 
     Attributes:
-        search: its name among others: that of the algorithm, with the settings that differ, or of its folder.
-        settings: those that its results follow from, as its archive has them.
+        search: name of the search: its algorithm and the settings that differ from other searches, or its folder.
+        settings: settings in its archive, which determine the results.
         records: all designs, by id.
         winner: the best of them, None before there is one.
         summary: what ``summary.json`` beside the archive says.
@@ -42,7 +42,7 @@ class SearchResult:
 
     @property
     def task(self) -> str:
-        """Its id, or where the code of a task of somebody's own is."""
+        """Id of the task, or the name of the code of a user's own task."""
         return str(self.settings.get("task", "unknown task"))
 
     @property
@@ -51,35 +51,36 @@ class SearchResult:
 
     @cached_property
     def _trained(self) -> list[Record]:
+        """Designs that were evaluated, without those that took the result of an equal body."""
         return [record for record in self.records if record.fitness is not None and record.reused is None]
 
     @cached_property
     def evaluations(self) -> np.ndarray:
-        """1, 2, ... to the number of designs evaluated."""
+        """Numbers of the evaluations, 1, 2, ..., int64 ``[n]``."""
         return np.arange(1, len(self._trained) + 1)
 
     @cached_property
     def steps(self) -> np.ndarray:
-        """Control steps spent when each of them was done."""
+        """Control steps spent up to each evaluation, int64 ``[n]``."""
         return np.cumsum([record.steps or 0 for record in self._trained], dtype=np.int64)
 
     @cached_property
     def best(self) -> np.ndarray:
-        """The best return so far, when each of them was done."""
+        """Best return up to each evaluation, float64 ``[n]``."""
         return np.maximum.accumulate(np.array([record.fitness for record in self._trained], np.float64))
 
     def best_at(self, steps: float) -> float:
-        """The best return within so many control steps; that of the first design if there was none by then."""
+        """Return the best return within ``steps`` control steps, at least that of the first design."""
         return float(self.best[max(0, np.searchsorted(self.steps, steps, "right") - 1)])
 
 
 def fresh_interval(facts: Mapping[str, Any]) -> Interval:
-    """The return on fresh seeds that ``summary.json`` holds."""
+    """Return the mean return on fresh seeds with its interval, from ``fresh_seeds`` of a summary."""
     return Interval(*(facts[name] for name in ("mean", "low", "high", "episodes")))
 
 
 def read_members(archives: Sequence[Path]) -> list[SearchResult]:
-    """Design searches by the folders of their archives, also of those that are running.
+    """Read the design searches in these folders, also those that are still running.
 
     In a folder ``.../<task>/<search>/seed<k>`` a search has the name of that folder. Elsewhere it has that of its
     algorithm, with the settings that other searches of the same algorithm and task have otherwise: the three that tell
@@ -101,18 +102,18 @@ def read_members(archives: Sequence[Path]) -> list[SearchResult]:
 
 
 def _names(found: Sequence[tuple[Path, Mapping[str, Any]]]) -> list[str]:
-    """Names of searches by their folders and settings."""
+    """Return a name for each search from its folder or from the settings that differ between them."""
     settings = [flat(own) for _, own in found]
     kinds = [(own.get("task"), str(own.get("search.algorithm", "search"))) for own in settings]
 
-    # The settings that tell searches of one task and algorithm apart
+    # Settings that distinguish searches with the same task and algorithm
     may_differ = ("task", "seed", "shape", "search.algorithm", "search.max_evaluations")
     keys = {}
     for kind in dict.fromkeys(kinds):
         alike = [own for own, other in zip(settings, kinds, strict=True) if other == kind]
         keys[kind] = telling(alike, [key for key in differing(alike) if key not in may_differ])
 
-    # Names: the first of these settings, and a number where those that are shown are another search's
+    # Names: the first few of these settings, and a number where these are equal but others differ
     names = []
     known: dict[str, list[dict[str, Any]]] = {}
     for (folder, _), own, kind in zip(found, settings, kinds, strict=True):
@@ -131,16 +132,16 @@ def _names(found: Sequence[tuple[Path, Mapping[str, Any]]]) -> list[str]:
 
 
 def differing(groups: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Keys that groups of settings have other values of, in the order of the configuration."""
+    """Return the keys whose values differ between groups of settings, in the order of the configuration."""
     keys = dict.fromkeys(key for values in groups for key in values)
     return [key for key in keys if any(values.get(key) != groups[0].get(key) for values in groups)]
 
 
 def telling(groups: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> list[str]:
-    """The keys, the task first, then always the one that tells most groups apart beside those before it, or alone."""
+    """Sort ``keys``: the task first, then always the one that distinguishes most groups together with those before."""
 
     def told_apart(names: Sequence[str]) -> int:
-        """How many kinds of groups there are by these settings."""
+        """Return how many different groups there are by these settings."""
         return len({str([group.get(name) for name in names]) for group in groups})
 
     first = [key for key in keys if key == "task"]
@@ -151,7 +152,7 @@ def telling(groups: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> list[st
 
 
 def progress(members: Sequence[SearchResult], x: str) -> tuple[np.ndarray, np.ndarray]:
-    """The best return of several searches over ``evaluations`` or ``steps``.
+    """Return the best returns of several searches at common ``evaluations`` or ``steps``.
 
     Begins where each has evaluated a design; one that ends before the others keeps its best return.
 
@@ -165,13 +166,13 @@ def progress(members: Sequence[SearchResult], x: str) -> tuple[np.ndarray, np.nd
         raise ValueError("A search has not evaluated any design yet.")
     spent = [getattr(one, x) for one in members]
 
-    # Where a search has changed, or 200 places
+    # All points where some search has a new design, or 200 evenly spaced ones
     first = max(each[0] for each in spent)
     last = max(each[-1] for each in spent)
     every = np.unique(np.concatenate(spent))
     places = every[every >= first] if len(every) <= 200 else np.linspace(first, last, 200)
 
-    # The best return by then
+    # Best return of each search at these points
     values = []
     for one, each in zip(members, spent, strict=True):
         design = np.searchsorted(each, places, "right") - 1

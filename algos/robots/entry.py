@@ -1,4 +1,4 @@
-"""A stored robot: body, connections, policy and what is known of them, in one ``.npz`` file without pickle.
+"""Stored robots: body, connections, policy and facts about them, in one ``.npz`` file without pickle.
 
 The file holds ``header`` (JSON in UTF-8, uint8: ``format``, ``version``, ``task``, ``network``, ``about``, ``sha256``),
 ``body`` int8 ``[rows, columns]``, ``connections`` int32 ``[2, k]`` and, if there is a policy, ``mean``, ``deviation``
@@ -31,14 +31,14 @@ FORMAT, VERSION = "warpvox robot", 1
 DIGITS = 9
 """Decimals of recorded returns. Rewards are sums over points, which round differently (about 1e-15) on other CPUs."""
 GAIT = {"kind": "gait"}
-"""The header of a file with an open-loop policy, whose numbers are in the arrays."""
+"""Entry ``network`` in the header of a file with an open-loop policy."""
 LARGEST, LARGEST_HEADER = 1 << 26, 1 << 20
-"""Bytes of a file's arrays, and of its header."""
+"""Maximum length of a file's arrays, and of its header, in bytes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A body for a task, its policy, and what is known of both.
+    """A body for a task with its policy and facts about both.
 
     Attributes:
         task: id of the task.
@@ -62,6 +62,7 @@ class Robot:
     source: str = ""
 
     def __post_init__(self) -> None:
+        """Replace the policy by a copy in the form that files keep."""
         if self.policy is not None:
             object.__setattr__(self, "policy", as_stored(self.policy, self.body))
 
@@ -72,29 +73,29 @@ class Robot:
         return f"Robot({self.task}, {rows} x {columns} cells, {kind}, return {self.mean_return:.3f})"
 
     def _repr_html_(self) -> str:
-        """The body and its return, for notebooks."""
+        """Return the body and its return as HTML, for notebooks."""
         return f"{body_svg(self.body, 20)}<br>{html.escape(repr(self))}"
 
     @property
     def mean_return(self) -> float:
-        """The recorded return; NaN: none is known."""
+        """Recorded mean return; NaN: unknown."""
         value = self.about.get("return")
         return float("nan") if value is None else float(value)
 
     @property
     def robust_return(self) -> float:
-        """The recorded mean return under noise; NaN: none is known."""
+        """Recorded mean return under noise; NaN: unknown."""
         value = self.about.get("noise", {}).get("return")
         return float("nan") if value is None else float(value)
 
     @property
     def has_feedback(self) -> bool:
-        """True if its actions depend on what happens, not on the time alone."""
+        """True if actions depend on observations other than the time."""
         return self.policy is None or self.policy.spec.has_feedback
 
     @property
     def own_policy(self) -> Policy:
-        """The policy; RunError where there is a body alone."""
+        """Policy of the robot. RunError: it has none."""
         if self.policy is None:
             why = self.about.get("no_policy", "there is a body alone.")
             raise RunError(f"The robot has no policy: {why} play agent=sine task={self.task} design=zoo:... moves it.")
@@ -102,18 +103,19 @@ class Robot:
 
     @property
     def obs(self) -> str:
-        """The observations of its policy, as ``make_vec`` names them: ``timed`` for a gait, else ``task``."""
+        """Observations that the policy takes, as ``make_vec`` names them: ``timed`` for a gait, else ``task``."""
         return "task" if self.has_feedback else "timed"
 
     @property
     def fully_connected(self) -> bool:
-        """Whether all neighbouring cells are connected."""
-        pairs, full = np.sort(self.connections.T, axis=1), full_connections(self.body)
+        """True if all neighbouring cells are connected."""
+        pairs = np.sort(self.connections.T, axis=1)
+        full = full_connections(self.body)
         return {tuple(pair) for pair in pairs.tolist()} == {tuple(pair) for pair in full.tolist()}
 
     @property
     def design(self) -> Design:
-        """The body alone, as a design; DesignError: it lacks connections, which a design has."""
+        """Body of the robot, as a design; DesignError: it lacks connections, which a design has."""
         if not self.fully_connected:
             raise DesignError(
                 "This robot lacks connections of neighbouring cells, which a design has: body=robot.body and"
@@ -123,7 +125,7 @@ class Robot:
 
     @property
     def sha256(self) -> str:
-        """Digest of body, connections and policy."""
+        """SHA-256 of task, body, connections and policy."""
         total = hashlib.sha256(json.dumps([self.task, _network(self.policy)], sort_keys=True).encode())
         for name, array in _arrays(self).items():
             total.update(f"{name} {array.shape} ".encode() + array.astype(array.dtype.newbyteorder("<")).tobytes())
@@ -131,7 +133,7 @@ class Robot:
 
 
 def zoo(task: str | os.PathLike[str]) -> Robot:
-    """The robot of the zoo for a task: ``zoo("Thrower-v0").policy(obs)`` gives its actions.
+    """Load the zoo's robot for a task: ``zoo("Thrower-v0").policy(obs)`` gives its actions.
 
     Args:
         task: its id, or a file of a zoo of your own (``.npz``).
@@ -163,7 +165,7 @@ def save_robot(path: str | os.PathLike[str], robot: Robot) -> Path:
 
 
 def read_robot(path: str | os.PathLike[str]) -> Robot:
-    """The robot that :func:`save_robot` has written.
+    """Read the robot that :func:`save_robot` has written.
 
     Raises:
         RunError: no such file, one of another kind, or a damaged one.
@@ -182,13 +184,15 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
         raise RunError(f"{path} is no robot that warpvox has written, or damaged: {str(error).rstrip('.')}.") from None
     if robot.sha256 != header.get("sha256"):
         raise RunError(f"{path} is damaged: its arrays do not have the checksum that it states.")
-    pairs, cells = robot.connections, robot.body.size
+    pairs = robot.connections
+    cells = robot.body.size
     if pairs.ndim != 2 or len(pairs) != 2 or (pairs < 0).any() or (pairs >= cells).any():
         raise RunError(f"{path} has connections that are no pairs [2, k] of its {cells} cells: shape {pairs.shape}.")
     return robot
 
 
 def _check_header(header: Any) -> None:
+    """Raise Unreadable if the header of a file has another format or version, or facts of wrong types."""
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise Unreadable(f"its header is not one of {FORMAT}")
     if header.get("version") != VERSION:
@@ -202,13 +206,14 @@ def _check_header(header: Any) -> None:
         if name in ("return", "control_steps", "wall_s") and not (value is None or is_number(value)):
             raise Unreadable(f"the {name} in its header is {value!r:.40}, not a number")
         fits = (lambda one: isinstance(one, dict)) if name == "start" else is_number
-        # These entries are lists: of numbers, and of what is known of other robots.
+        # These entries are lists: ``start`` of facts about other robots, the others of numbers.
         is_list = name in ("returns", "lengths", "seeds", "start")
         if is_list and not (isinstance(value, list) and all(map(fits, value))):
             raise Unreadable(f"the {name} in its header is {value!r:.40}, not a list")
 
 
 def _robot(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Robot:
+    """Make the robot from the header and the arrays of a file."""
     body = check_design(arrays.pop("body"))
     connections = arrays.pop("connections").astype(np.int32)
     network = header["network"]
@@ -224,7 +229,7 @@ def _robot(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Robot:
 
 
 def _network(policy: Policy | None) -> dict[str, Any] | None:
-    """The entry ``network`` of a header."""
+    """Return the entry ``network`` of a file's header, which describes the policy."""
     if policy is None:
         return None
     if policy.spec.gait is not None:
@@ -234,5 +239,6 @@ def _network(policy: Policy | None) -> dict[str, Any] | None:
 
 
 def _arrays(robot: Robot) -> dict[str, np.ndarray]:
+    """Return the arrays of a robot's file: body, connections and those of the policy."""
     arrays = {"body": robot.body, "connections": robot.connections.astype(np.int32)}
     return arrays if robot.policy is None else arrays | arrays_of(robot.policy)

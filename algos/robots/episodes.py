@@ -1,4 +1,4 @@
-"""Episodes of stored robots: their environments, and their returns in exact arithmetic, which any machine repeats."""
+"""Episodes of stored robots: their environments, and returns in exact arithmetic, equal on every machine."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ SEEDS = tuple(range(1000, 1008))
 
 
 def robot_env(robot: Robot, seeds: Sequence[int] = (0,), **options: Any) -> VoxelVecEnv:
-    """Environments with the body of ``robot``, one a seed; exact and on the CPU unless ``options`` say otherwise.
+    """Make environments with the robot's body, one for each seed; exact and on the CPU unless ``options`` differ.
 
     They give the observations that its policy takes (:attr:`Robot.obs`).
 
@@ -33,14 +33,14 @@ def robot_env(robot: Robot, seeds: Sequence[int] = (0,), **options: Any) -> Voxe
 
 
 def known_task(robot: Robot) -> str:
-    """The id of the robot's task; ConfigError: it is a task of the user's own, whose code has to be named."""
+    """Return the id of the robot's task; ConfigError: it is a user's own task, whose code must be named."""
     if robot.task not in task_ids():
         raise ConfigError(f"The robot is for {robot.task}, a task of your own: name its code, task=FILE.py:NAME.")
     return robot.task
 
 
 def with_facts(robot: Robot) -> Policy:
-    """A copy of the robot's policy in float32, whose ``metadata`` say how the robot is evaluated.
+    """Return a float32 copy of the robot's policy whose ``metadata`` say how the robot is evaluated.
 
     That is exactly, with a seed for each episode (``seed_each``).
     """
@@ -63,7 +63,7 @@ def with_facts(robot: Robot) -> Policy:
 
 @dataclass(frozen=True)
 class Judgement:
-    """Episodes of a robot: ``returns`` (rounded to nine decimals) and ``lengths`` (control steps) by ``seeds``."""
+    """Results of a robot's episodes: ``returns`` (nine decimals) and ``lengths`` (control steps) for ``seeds``."""
 
     returns: list[float]
     lengths: list[int]
@@ -71,12 +71,12 @@ class Judgement:
 
     @property
     def mean_return(self) -> float:
-        """Over the episodes, rounded in the same way."""
+        """Mean of the returns, rounded to nine decimals."""
         return round(sum(self.returns) / len(self.returns), DIGITS)
 
 
 def judge(robot: Robot, seeds: Sequence[int] | None = None) -> Judgement:
-    """Run the episodes of ``robot`` in exact arithmetic: those are the returns that EvoGym itself gives.
+    """Run episodes of ``robot`` in exact arithmetic, which gives the same returns as EvoGym, and return the results.
 
     Args:
         seeds: one an episode; None: :data:`SEEDS` where the task draws something, else a single episode.

@@ -1,4 +1,4 @@
-"""Base class of searches: ask and tell, numbering, the budget, no body proposed twice."""
+"""Base class of searches: ask and tell, numbering of candidates, budget, no body proposed twice."""
 
 import math
 from abc import ABC, abstractmethod
@@ -19,7 +19,7 @@ from warpvox.errors import ConfigError, DesignError, SearchError
 
 @dataclass(frozen=True)
 class Proposal:
-    """A body ``int8 [rows, columns]`` on its way to becoming a candidate; see :class:`Candidate` for the rest."""
+    """Body ``int8 [rows, columns]`` proposed by a search, before it is numbered as a :class:`Candidate`."""
 
     body: np.ndarray
     parents: tuple[int, ...] = ()
@@ -27,7 +27,7 @@ class Proposal:
 
 
 class BaseSearch(ABC):
-    """A search that proposes whole generations.
+    """Base class of searches that propose whole generations.
 
     A subclass says what to propose (:meth:`propose`) and, if it keeps more than the record of all designs, what
     to learn (:meth:`learn`). It draws from the Generator it is given, which follows from the seed and the number
@@ -48,7 +48,7 @@ class BaseSearch(ABC):
     """
 
     takes_start: ClassVar[bool] = True
-    """Whether the first generation may contain bodies that :meth:`propose` has not made."""
+    """True if the first generation may contain given bodies, see :meth:`start_with`."""
 
     def __init__(self, settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
         self.settings = settings
@@ -56,8 +56,7 @@ class BaseSearch(ABC):
         self.seed = check_integer("seed", seed, 0)
         rows, columns = self.shape
         most = settings.max_evaluations
-        # a search that has to find nearly every body there is would spend its time on drawing known ones
-        # Up to six voxels all bodies can be counted to see whether there are enough.
+        # With too few bodies a search would spend its time on drawing known ones. Up to six voxels they are counted.
         if rows * columns <= 6 and (bodies := count_valid(self.shape)) < 2 * most:
             raise ConfigError(
                 f"There are only {bodies} valid bodies of {rows}x{columns}: a search with max_evaluations={most} needs"
@@ -71,7 +70,7 @@ class BaseSearch(ABC):
         self._start: list[Proposal] = []
 
     def start_with(self, bodies: Sequence[np.ndarray]) -> None:
-        """Have the first generation begin with these bodies; before the first :meth:`ask`.
+        """Let the first generation begin with these bodies; call it before the first :meth:`ask`.
 
         Raises:
             ConfigError: bodies of another shape, equal ones or too many, or a search that makes all bodies itself.
@@ -94,24 +93,24 @@ class BaseSearch(ABC):
 
     @abstractmethod
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """At most ``count`` new bodies, at least one; make each sure by :meth:`claim`."""
+        """Return at most ``count`` new bodies, at least one; each must have been accepted by :meth:`claim`."""
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:  # noqa: B027  (a choice)
         """Update the model with a generation and its fitness; ``bodies`` and ``fitness`` contain it already."""
 
     def claim(self, body: np.ndarray) -> bool:
-        """Whether ``body`` was never proposed before; from now on it was."""
+        """Mark ``body`` as proposed; return whether it was not proposed before."""
         key = body_key(body)
         new = key not in self._seen
         self._seen.add(key)
         return new
 
     def is_known(self, key: bytes) -> bool:
-        """Whether the body with this :func:`body_key` was proposed before."""
+        """Return whether the body with this :func:`body_key` was proposed before."""
         return key in self._seen
 
     def new_body(self, draw: Callable[[], np.ndarray], limit: int = 2_000_000) -> np.ndarray | None:
-        """The first valid and new body of ``draw() -> [n, rows, columns]``, claimed; None after ``limit`` voxels."""
+        """Draw bodies ``[n, rows, columns]`` and claim the first valid new one; None after ``limit`` voxels."""
         drawn = 0
         while drawn < limit:
             bodies = draw()
@@ -122,7 +121,7 @@ class BaseSearch(ABC):
         return None
 
     def random_proposal(self, rng: np.random.Generator) -> Proposal:
-        """A new body by EvoGym's sampling rule.
+        """Return a new random body by EvoGym's sampling rule.
 
         Raises:
             SearchError: none turns up.
@@ -139,10 +138,9 @@ class BaseSearch(ABC):
         return Proposal(body)
 
     def mutant(self, rng: np.random.Generator, parents: Sequence[int], rate: float) -> Proposal:
-        """A new mutant of a parent drawn uniformly; a random body if all their mutants are known."""
+        """Return a new mutant of a random parent; a random body if all mutants are known."""
         for parent in rng.permutation(parents):
-            # Sixteen mutants of a parent are drawn at a time, of which the first that will do counts. After 100,000
-            # voxels all mutants of the parent count as known.
+            # Draw sixteen mutants at a time and take the first valid new one. After 100,000 voxels try another parent.
             copies = np.repeat(self.bodies[int(parent)][None], 16, axis=0)
             body = self.new_body(partial(mutate, rng, copies, rate), 100_000)
             if body is not None:
@@ -150,7 +148,7 @@ class BaseSearch(ABC):
         return self.random_proposal(rng)
 
     def ask(self) -> list[Candidate]:
-        """The next generation, every body valid and never proposed before; empty when all evaluations are spent.
+        """Return the next generation of valid bodies never proposed before; empty when the budget is spent.
 
         Raises:
             SearchError: the fitness of the last generation is missing, no new body can be found, or a subclass has
@@ -177,11 +175,11 @@ class BaseSearch(ABC):
             Candidate(first + place, proposal.body, proposal.parents, proposal.origin, self.generation)
             for place, proposal in enumerate(proposals)
         ]
-        # copies: what happens to them outside must not reach the record
+        # Return copies: changes made by the caller must not reach our record.
         return [replace(candidate, body=candidate.body.copy()) for candidate in self._asked]
 
     def tell(self, fitness: Sequence[float]) -> None:
-        """The fitness of the candidates asked for last, in their order; larger is better.
+        """Record the fitness of the candidates asked for last, in their order; larger is better.
 
         Raises:
             SearchError: nothing was asked for, or not one finite number per candidate.
@@ -205,7 +203,7 @@ class BaseSearch(ABC):
         self.generation += 1
 
     def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
-        """Restore the state after these generations, and check that this search proposed them.
+        """Restore the state after the generations in ``history``, and check that this search proposed them.
 
         Args:
             history: of each generation from the first: its candidates, as they were proposed, and their fitness.
@@ -220,7 +218,7 @@ class BaseSearch(ABC):
             self.tell(fitness)
 
     def recall(self, candidates: Sequence[Candidate]) -> None:
-        """Propose these candidates again. Where proposing is costly, a subclass calls :meth:`adopt`."""
+        """Ask again and check that the proposals equal ``candidates``; costly searches call :meth:`adopt`."""
         again = self.ask()
         if [(one.id, one.body.tolist()) for one in candidates] != [(one.id, one.body.tolist()) for one in again]:
             raise SearchError(
@@ -230,7 +228,7 @@ class BaseSearch(ABC):
             )
 
     def adopt(self, candidates: Sequence[Candidate]) -> None:
-        """Take these candidates as proposed.
+        """Accept ``candidates`` as the next generation, without proposing them again.
 
         Raises:
             SearchError: they cannot have been the next generation of this search.
@@ -271,7 +269,7 @@ class BaseSearch(ABC):
 
 
 class RandomSearch(BaseSearch):
-    """Designs by EvoGym's sampling rule, each a new one: the baseline that every other search has to beat."""
+    """Random search by EvoGym's sampling rule, without repetition: the baseline of all other searches."""
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
         return [self.random_proposal(rng) for _ in range(count)]

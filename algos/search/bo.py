@@ -21,7 +21,7 @@ from warpvox.design import are_valid, draw_bodies
 
 
 class BayesianSearch(BaseSearch):
-    """Fits a Gaussian process to all that is known and asks it for the next generation.
+    """Fits a Gaussian process to all evaluated designs and proposes those that it expects most of.
 
     ``acquisition="paper"``: of random designs, batch Thompson sampling picks the starts; from each, L-BFGS climbs
     expected improvement. Nearly all ends, rounded to voxels, are one and the same body or not valid; so a climb goes
@@ -38,22 +38,23 @@ class BayesianSearch(BaseSearch):
     settings: BO
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """Random bodies first, then the maximisers of the acquisition."""
+        """Return random bodies in the first generation, then maximisers of the acquisition."""
         if self.generation == 0:
             return [self.random_proposal(rng) for _ in range(count)]
-        propose = self._summits if self.settings.acquisition == "pathwise" else self._improved
+        propose = self._by_posterior if self.settings.acquisition == "pathwise" else self._by_improvement
         # The model takes squares, which overflow for a fitness beyond 1e9.
         scale = max(1.0, *(abs(value) / 1e9 for value in self.fitness))
         with seeded_torch(int(rng.integers(2**63))):
             proposals = propose(rng, count, [value / scale for value in self.fitness])
-        # a tiny shape may have no more to offer
+        # Fill up with random bodies: small shapes may give too few proposals.
         return proposals + [self.random_proposal(rng) for _ in range(count - len(proposals))]
 
     def recall(self, candidates: Sequence[Candidate]) -> None:
-        """Take the candidates as given: to fit every generation again would cost minutes and change nothing."""
+        """Take ``candidates`` as given: fitting the process again would cost minutes and change nothing."""
         self.adopt(candidates)
 
-    def _improved(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
+    def _by_improvement(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
+        """Return bodies by expected improvement, climbed from the starts that Thompson sampling picks."""
         pool, _ = self.pool(rng, self.settings.candidates, 0)
         if not len(pool):
             return []
@@ -68,17 +69,17 @@ class BayesianSearch(BaseSearch):
         return [Proposal(body, (), "improvement" if moved else "thompson") for body, moved in chosen]
 
     def _ends_or_starts(self, starts: np.ndarray, ends: np.ndarray) -> Iterator[tuple[np.ndarray, bool]]:
-        """Each end, or its start where the end is not valid or not new; and whether it has moved."""
+        """Yield each end, or its start if the end is not valid or not new, and whether it moved."""
         for start, end, good in zip(starts, ends, are_valid(ends), strict=True):
             if good and self.claim(end):
                 yield end, not np.array_equal(end, start)
-            elif self.claim(start):  # False where an earlier climb has ended at this start
+            elif self.claim(start):  # False if an earlier climb ended at this start
                 yield start, False
 
     def _climbed(
         self, values: Callable[[np.ndarray], np.ndarray], starts: np.ndarray, ends: np.ndarray
     ) -> Iterator[tuple[np.ndarray, bool]]:
-        """A summit for each start, and whether it lies elsewhere than the start."""
+        """Yield the body that the climb from each start ends at, and whether it differs from the start."""
 
         def free(bodies: np.ndarray) -> np.ndarray:
             return are_valid(bodies) & np.array([not self.is_known(body_key(body)) for body in bodies])
@@ -88,7 +89,8 @@ class BayesianSearch(BaseSearch):
             if summit is not None and self.claim(summit):
                 yield summit, not np.array_equal(summit, start)
 
-    def _summits(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
+    def _by_posterior(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
+        """Return the maximiser of each of ``count`` functions drawn from the posterior."""
         # A quarter of the pool is random; the rest are mutants of the best.
         random = max(1, round(self.settings.candidates * 0.25))
         pool, parents = self.pool(rng, random, self.settings.candidates - random)
@@ -98,26 +100,26 @@ class BayesianSearch(BaseSearch):
         climb = climb_posterior(model, pool, count)
         proposals: list[Proposal] = []
         for path, start in enumerate(climb.start):
-            # the summit, or the best new body beside it, or in the pool
+            # Take the summit if it is new, else the best new neighbour of it, else the best new body of the pool.
             near = np.concatenate([climb.summit[path : path + 1], climb.around[path]])
-            if (place := self._best_new(near, np.append(np.inf, climb.at_around[path]))) is not None:
+            if (place := self._claim_best(near, np.append(np.inf, climb.at_around[path]))) is not None:
                 proposals.append(Proposal(near[place], parents[int(start)], "posterior"))
-            elif (place := self._best_new(pool, climb.at_pool[path])) is not None:
+            elif (place := self._claim_best(pool, climb.at_pool[path])) is not None:
                 proposals.append(Proposal(pool[place], parents[place], "posterior"))
         return proposals
 
-    def _best_new(self, bodies: np.ndarray, values: np.ndarray) -> int | None:
-        """The place of the best new body, claimed."""
+    def _claim_best(self, bodies: np.ndarray, values: np.ndarray) -> int | None:
+        """Claim the new body of highest value and return its index; None if there is no new one."""
         places = (place for place in np.argsort(-values, kind="stable") if values[place] > -np.inf)
         return next((int(place) for place in places if self.claim(bodies[place])), None)
 
     def pool(self, rng: np.random.Generator, random: int, mutants: int) -> tuple[np.ndarray, list[tuple[int, ...]]]:
-        """Bodies to choose from: ``random`` ones and ``mutants`` of the best, or fewer where there are no more.
+        """Draw new bodies to choose from: ``random`` random ones and ``mutants`` of the best designs.
 
         Returns:
             New valid bodies int8 ``[m, rows, columns]``, all different, and the parents of each: none, or the one.
         """
-        # The best 25 designs have mutants in the pool.
+        # Mutants in the pool come from the best 25 designs.
         best = np.array(sorted(range(len(self.bodies)), key=lambda number: (-self.fitness[number], number))[:25])
         stack = np.stack(self.bodies)
 
@@ -128,7 +130,7 @@ class BayesianSearch(BaseSearch):
 
         def draw_mutants() -> tuple[np.ndarray, list[tuple[int, ...]]]:
             parents = rng.choice(best, drawn)
-            # Of 25 voxels about one mutates in two mutants of three, and two to three in the others.
+            # With 25 voxels, two thirds of the mutants have about one change, the others two to three.
             rates = rng.choice((0.04, 0.1), drawn, p=(2 / 3, 1 / 3))
             return mutate(rng, stack[parents], rates[:, None, None]), [(parent,) for parent in parents.tolist()]
 

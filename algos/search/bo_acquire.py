@@ -1,4 +1,4 @@
-"""Bayesian optimisation: its model, and which designs it tries next, by expected improvement or posterior samples."""
+"""The model of Bayesian optimisation, and its choice of designs by expected improvement or posterior samples."""
 
 # GPyTorch and parts of BoTorch and torch have no types.
 # pyright: reportMissingTypeStubs=false, reportUnknownLambdaType=false, reportUnknownArgumentType=false
@@ -32,12 +32,12 @@ from warpvox.devices.startup import own_torch
 from warpvox.errors import SearchError
 
 _NOTHING = 1e-9
-"""Gains below this are rounding."""
+"""Gains below this are rounding errors: a climb ends."""
 
 
 @dataclass
 class Climb:
-    """Results of climbing each of n functions.
+    """Result of climbing n functions, each to a local maximum.
 
     Attributes:
         start: int ``[n]``, place in the pool where each began.
@@ -55,16 +55,16 @@ class Climb:
 
 
 def thompson_starts(model: SingleTaskGP, pool: np.ndarray, count: int) -> np.ndarray:
-    """Batch Thompson sampling: places ``[count]`` in the pool, each the best under a sample of the posterior."""
+    """Return indices ``[count]`` into the pool, each the best body under one sample of the posterior."""
     points = one_hot(pool)
     with torch.no_grad():
         chosen = MaxPosteriorSampling(model, replacement=False)(points, num_samples=count)
-    # a body's one-hot point is unlike all others, so that the point tells its place
+    # Different bodies have different one-hot points: the largest product is with the body itself.
     return (chosen @ points.T).argmax(-1).numpy()
 
 
 def improve(model: SingleTaskGP, best: float, starts: np.ndarray, iterations: int) -> np.ndarray:
-    """Bodies ``[n, rows, columns]``, valid or not: expected improvement climbed by L-BFGS from each start.
+    """Maximise expected improvement by L-BFGS from each start; return bodies ``[n, rows, columns]``, valid or not.
 
     Voxels become continuous on the way: the point moves in the box [0, 1] of the one-hot entries and is rounded in
     the end. The logarithm of expected improvement has the same maxima, and gradients where there is hardly any.
@@ -85,7 +85,7 @@ def improve(model: SingleTaskGP, best: float, starts: np.ndarray, iterations: in
 
 
 def log_improvement(model: SingleTaskGP, best: float) -> Callable[[np.ndarray], np.ndarray]:
-    """The logarithm of expected improvement on ``best``: bodies ``[n, rows, columns]`` to values ``[n]``.
+    """Return a function of bodies ``[n, rows, columns]``: the log of expected improvement on ``best``, ``[n]``.
 
     BoTorch's own is made for few points and gradients; this one has the posterior of all points computed at once.
     With u standard deviations between the mean and ``best``, expected improvement is
@@ -93,6 +93,7 @@ def log_improvement(model: SingleTaskGP, best: float) -> Callable[[np.ndarray], 
     """
 
     def values(bodies: np.ndarray) -> np.ndarray:
+        """Return the logarithm of expected improvement of each body."""
         with torch.no_grad():
             posterior = model.posterior(one_hot(bodies))
             deviation = posterior.variance[:, 0].sqrt()
@@ -109,7 +110,7 @@ def log_improvement(model: SingleTaskGP, best: float) -> Callable[[np.ndarray], 
 def ascend(
     values: Callable[[np.ndarray], np.ndarray], entries: np.ndarray, free: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray | None:
-    """Steepest ascent from the best free entry, one voxel at a time, over free bodies only; None where none is free.
+    """Climb from the best free entry, one voxel at a time, over free bodies only; None if none is free.
 
     Args:
         values: of a single function: bodies ``[k, rows, columns]`` to ``[k]``.
@@ -133,7 +134,7 @@ def ascend(
 
 
 def climb_posterior(model: SingleTaskGP, pool: np.ndarray, count: int) -> Climb:
-    """Draw ``count`` functions from the posterior and climb each, over valid bodies."""
+    """Draw ``count`` functions from the posterior and climb each over valid bodies."""
     paths = draw_matheron_paths(model, torch.Size([count]))
 
     def values(bodies: np.ndarray) -> np.ndarray:
@@ -144,7 +145,7 @@ def climb_posterior(model: SingleTaskGP, pool: np.ndarray, count: int) -> Climb:
 
 
 def climb(values: Callable[[np.ndarray], np.ndarray], pool: np.ndarray) -> Climb:
-    """Steepest ascent from the best body of the pool, one voxel at a time, over valid bodies only.
+    """Climb n functions from the best body of the pool, one voxel at a time, over valid bodies only.
 
     Args:
         values: of n functions at once: bodies ``[k, rows, columns]``, the same for all, or ``[n, k, rows,
@@ -170,25 +171,25 @@ def climb(values: Callable[[np.ndarray], np.ndarray], pool: np.ndarray) -> Climb
 
 @contextmanager
 def seeded_torch(seed: int) -> Generator[None]:
-    """Inside, torch draws from ``seed`` on one thread; afterwards it is as before.
+    """Within the block, let torch draw from ``seed`` on one thread; afterwards restore its state.
 
     Sums of several threads depend on their number, and a search must not depend on the machine's load.
     """
     with own_torch(1), warnings.catch_warnings():
-        # a fit that stops at its limit of iterations is what is asked for, and nothing to be warned of
+        # no warnings about fits that stop at their limit of iterations, which is intended
         warnings.simplefilter("ignore")
         torch.manual_seed(seed)
         yield
 
 
 def one_hot(bodies: np.ndarray) -> torch.Tensor:
-    """float64 ``[..., cells * 5]`` of int8 ``[..., rows, columns]``: a 1 for the type of each voxel."""
+    """Encode bodies int8 ``[..., rows, columns]`` as float64 ``[..., cells * 5]``: 1 for the type of each voxel."""
     flat = torch.as_tensor(np.asarray(bodies, dtype=np.int64)).flatten(-2)
     return torch.nn.functional.one_hot(flat, CELL_TYPES).flatten(-2).double()
 
 
 def _make_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> SingleTaskGP:
-    """The process before its fit: Matern 5/2 with one variance and one length scale, fitness standardised.
+    """Make the Gaussian process before its fit: Matern 5/2 with one length scale, standardised fitness.
 
     The priors are there for the restarts, which draw from them; without any, all would start alike.
     """
@@ -204,7 +205,7 @@ def _make_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> S
 
 
 def fit_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> SingleTaskGP:
-    """The process with the largest marginal likelihood that L-BFGS finds from several starts."""
+    """Fit the Gaussian process by L-BFGS from several starts; return the one of largest marginal likelihood."""
     model = _make_model(bodies, fitness, settings)
     try:
         fit_gpytorch_mll(

@@ -1,4 +1,4 @@
-"""CPPN-NEAT (paper section C.3, Table 5) with neat-python: bodies are patterns that evolving networks paint."""
+"""CPPN-NEAT (paper section C.3, Table 5) with neat-python: evolving networks paint bodies."""
 
 # neat-python has no types.
 # pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false
@@ -23,7 +23,7 @@ from warpvox.errors import ConfigError, SearchError
 
 @contextmanager
 def own_random(seed: int) -> Generator[None]:
-    """neat-python draws from Python's global generator: lend it one of our own, and give the global one back."""
+    """Within the block, seed Python's global generator, which neat-python draws from; then restore its state."""
     state = random.getstate()
     random.seed(seed)
     try:
@@ -33,7 +33,7 @@ def own_random(seed: int) -> Generator[None]:
 
 
 def neat_config(settings: CppnNeat) -> neat.Config:
-    """neat-python's configuration: Table 5, or the file of ``settings.neat_config``; population of the settings.
+    """Read neat-python's configuration, Table 5 or ``settings.neat_config``, and set the population.
 
     ConfigError: no such file, or one that neat-python cannot read or that has another number of inputs or outputs.
     """
@@ -61,21 +61,21 @@ def neat_config(settings: CppnNeat) -> neat.Config:
 
 
 def inputs(shape: tuple[int, int]) -> np.ndarray:
-    """Inputs of a network for each voxel, row by row: ``[cells, 3]``, x to the right and y down from the middle."""
+    """Return the network's inputs for each voxel, row by row: ``[cells, 3]``, x right and y down from the middle."""
     rows, columns = shape
     y, x = np.mgrid[:rows, :columns].reshape(2, -1) - np.array([[(rows - 1) / 2], [(columns - 1) / 2]])
     return np.stack([x, y, np.hypot(x, y)], 1)
 
 
 def paint(genome: neat.DefaultGenome, config: neat.Config, shape: tuple[int, int]) -> np.ndarray:
-    """The body int8 ``[rows, columns]`` of a network: each voxel is of the type with the largest output."""
+    """Return the body int8 ``[rows, columns]`` of a network: each voxel has the type of largest output."""
     network = neat.nn.FeedForwardNetwork.create(genome, config)
     types = [int(np.argmax(network.activate(seen))) for seen in inputs(shape).tolist()]
     return np.array(types, np.int8).reshape(shape)
 
 
 class CppnNeatSearch(BaseSearch):
-    """NEAT evolves the networks; as in the paper's code, a fresh one replaces each that paints nothing valid and new.
+    """Evolves networks by NEAT; as in the paper's code, new networks replace those that paint no valid new body.
 
     Attributes:
         population: genomes of the last generation, by neat-python's key.
@@ -83,7 +83,7 @@ class CppnNeatSearch(BaseSearch):
     """
 
     settings: CppnNeat
-    takes_start = False  # it breeds networks, and knows none that paints a given body
+    takes_start = False  # no network is known that paints a given body
 
     def __init__(self, settings: CppnNeat, shape: tuple[int, int] = (5, 5), seed: int = 0) -> None:
         super().__init__(settings, shape, seed)
@@ -96,7 +96,7 @@ class CppnNeatSearch(BaseSearch):
         self.ids: dict[int, int] = {}
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """Bodies that the children of the last generation paint; fresh networks replace the useless ones."""
+        """Return bodies that children of the last generation paint; new networks replace useless ones."""
         with own_random(int(rng.integers(2**63))):
             bred = self._breed()
             elites = {key: genome for key, genome in bred.items() if key in self.ids}
@@ -112,15 +112,18 @@ class CppnNeatSearch(BaseSearch):
         return [Proposal(body, parents[key], origins[len(parents[key])]) for key, (_, body) in proposals.items()]
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
-        """Tell the networks their fitness and sort them into species."""
+        """Give the networks their fitness and sort them into species."""
         fresh = [key for key in self.population if key not in self.ids]
         self.ids |= {key: candidate.id for key, candidate in zip(fresh, candidates, strict=True)}
         for key, genome in self.population.items():
             genome.fitness = self.fitness[self.ids[key]]
-        if len(self.bodies) < self.settings.max_evaluations:  # the last generation may be too small for its species
+        if (
+            len(self.bodies) < self.settings.max_evaluations
+        ):  # not needed after the last generation, which may be too small
             self.species.speciate(self.config, self.population, self.generation)
 
     def _breed(self) -> dict[int, neat.DefaultGenome]:
+        """Return the next networks by key: children, or new ones at the start and after an extinction."""
         if self.generation:
             size = self.settings.population
             try:
@@ -132,19 +135,20 @@ class CppnNeatSearch(BaseSearch):
                 ) from error
             if bred:
                 return bred
-            # all species have stagnated (reset_on_extinction): a new beginning
+            # All species have stagnated (reset_on_extinction): start again with new networks.
             self.species = neat.DefaultSpeciesSet(self.config.species_set_config, self.reporters)
         return self._create(self.settings.population)
 
     def _create(self, count: int) -> dict[int, neat.DefaultGenome]:
+        """Return ``count`` new networks by key."""
         return self.reproduction.create_new(self.config.genome_type, self.config.genome_config, count)
 
     def _new_bodies(
         self, genomes: dict[int, neat.DefaultGenome], count: int
     ) -> dict[int, tuple[neat.DefaultGenome, np.ndarray]]:
-        """The first ``count`` of the genomes, then of fresh ones, whose bodies are valid and new."""
+        """Return ``count`` networks, with keys and bodies, whose bodies are valid and new."""
         chosen: dict[int, tuple[neat.DefaultGenome, np.ndarray]] = {}
-        # Fresh networks take the place of those that paint nothing new, before there is nothing new to paint.
+        # Try new networks this many times before giving up.
         for _ in range(2000):
             bodies = np.stack([paint(genome, self.config, self.shape) for genome in genomes.values()])
             for (key, genome), body, good in zip(genomes.items(), bodies, are_valid(bodies), strict=True):

@@ -12,7 +12,7 @@ from warpvox.algos.search.settings import GA
 
 
 def survivors_of(settings: GA, generation: int, last: int) -> int:
-    """Survivors that ``generation`` >= 1 takes over, of ``last`` generations after the first (Algorithm 1).
+    """Return the number of survivors that ``generation`` >= 1 keeps, of ``last`` generations (Algorithm 1).
 
     ``ceil(population * x)`` with a survival rate x that goes linearly from 0.6 at generation 0 to 0 at the last,
     but at least 2; and never all, so that there is something new.
@@ -20,13 +20,13 @@ def survivors_of(settings: GA, generation: int, last: int) -> int:
     start = settings.survivor_rate
     end = settings.final_survivor_rate
     share = start + (end - start) * generation / last
-    # 25 * 0.6 * (1 - 1 / 3) must be 10, whatever rounding makes of it
+    # Round before ceil: 25 * 0.6 * (1 - 1 / 3) must be 10, not 11 through a rounding error.
     count = math.ceil(round(settings.population * share, 9))
     return min(max(settings.min_survivors, count), settings.population - 1)
 
 
 def last_generation(settings: GA) -> int:
-    """N_max of Algorithm 1: with it, the generations after the first just use up ``max_evaluations``.
+    """Return N_max of Algorithm 1, for which the generations just use up ``max_evaluations``.
 
     The paper limits evaluations rather than generations (section D.1), and survivors cost none.
     """
@@ -35,12 +35,12 @@ def last_generation(settings: GA) -> int:
     def evaluations(last: int) -> int:
         return sum(settings.population - survivors_of(settings, n, last) for n in range(1, last + 1))
 
-    # more generations never need fewer evaluations, and each needs one at least
+    # Bisect: evaluations never fall with the number of generations, and each generation needs at least one.
     return 1 + bisect_left(range(1, max(left, 1)), left, key=evaluations)
 
 
 class GeneticSearch(BaseSearch):
-    """The best designs survive, without being evaluated again; the others make way for mutants of the survivors.
+    """Keeps the best designs without evaluating them again, and replaces the others by their mutants.
 
     Attributes:
         last: number of the last generation, N_max of Algorithm 1.
@@ -54,12 +54,12 @@ class GeneticSearch(BaseSearch):
         self.population: list[int] = []
 
     def survivors(self) -> list[int]:
-        """The ids that the next generation takes over, best first; of equals the older one comes first."""
+        """Return the ids that the next generation keeps, best first; of equals the older one comes first."""
         ranked = sorted(self.population, key=lambda number: (-self.fitness[number], number))
         return ranked[: survivors_of(self.settings, self.generation, self.last)]
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """Random bodies first, then mutants of the survivors in place of those that do not survive."""
+        """Return random bodies in the first generation, then mutants of the survivors."""
         if self.generation == 0:
             return [self.random_proposal(rng) for _ in range(count)]
         survivors = self.survivors()
@@ -67,6 +67,6 @@ class GeneticSearch(BaseSearch):
         return [self.mutant(rng, survivors, self.settings.mutation_rate) for _ in range(count)]
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
-        """The next population: survivors and their mutants."""
+        """Set the population to the survivors and their mutants."""
         kept = self.survivors() if self.generation else []
         self.population = kept + [candidate.id for candidate in candidates]

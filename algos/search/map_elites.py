@@ -1,4 +1,4 @@
-"""MAP-Elites on pyribs: a grid of kinds of bodies, of each the best so far, and mutants of these."""
+"""MAP-Elites with pyribs: keeps the best body of each cell of a descriptor grid, and mutates these."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ except ImportError as error:
 
 
 class MapElitesSearch(BaseSearch):
-    """Mutates designs drawn from a grid that holds the best one of every kind, so that it ends with many good ones.
+    """Mutates designs drawn from a grid that holds the best design of every kind.
 
     Attributes:
         archive: of pyribs; its field ``id`` holds the candidate of each cell.
@@ -36,18 +36,18 @@ class MapElitesSearch(BaseSearch):
         )
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """Random bodies first, then mutants of the elites, each as likely as any other."""
+        """Return random bodies in the first generation, then mutants of elites drawn uniformly."""
         if self.generation == 0:
             return [self.random_proposal(rng) for _ in range(count)]
         elites = self.elites()
         return [self.mutant(rng, elites, self.settings.mutation_rate) for _ in range(count)]
 
     def elites(self) -> list[int]:
-        """Ids of the best designs of all kinds found so far, in ascending order."""
+        """Return the ids of the best design of each kind, in ascending order."""
         return sorted(int(number) for number in self.archive.data("id"))
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
-        """Put each design into its cell, unless a better one is there."""
+        """Put each design into its cell of the grid, unless a better one is there."""
         bodies = np.stack([candidate.body for candidate in candidates])
         kinds = describe(bodies, self.settings.descriptors)
         ids = np.array([candidate.id for candidate in candidates])
@@ -55,18 +55,18 @@ class MapElitesSearch(BaseSearch):
 
 
 def describe(bodies: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """float64 ``[n, descriptors]`` of bodies ``[n, rows, columns]``.
+    """Return the descriptors of bodies ``[n, rows, columns]`` as float64 ``[n, descriptors]``.
 
     ``actuators``, ``empty``, ``rigid``, ``soft``, ``horizontal`` and ``vertical`` are shares of the grid's cells;
     ``height`` and ``width`` what the body spans of the grid; ``symmetry`` is the share of cells that equal their
     mirror image from left to right.
     """
-    return np.stack([_describe(bodies, name) for name in names], 1)
+    return np.stack([_descriptor(bodies, name) for name in names], 1)
 
 
-def _describe(bodies: np.ndarray, name: str) -> np.ndarray:
-    """float64 ``[n]``: one descriptor of bodies."""
-    # of all cells of the grid
+def _descriptor(bodies: np.ndarray, name: str) -> np.ndarray:
+    """Return one descriptor of bodies, float64 ``[n]``."""
+    # Descriptors that are fractions of the grid's cells
     shares = {
         "actuators": ACTUATORS,
         "empty": (Cell.EMPTY,),
@@ -79,6 +79,6 @@ def _describe(bodies: np.ndarray, name: str) -> np.ndarray:
         return np.isin(bodies, shares[name]).mean((1, 2))
     if name == "symmetry":
         return (bodies == bodies[:, :, ::-1]).mean((1, 2))
-    # a body is in one piece, so that it touches every row and column between its ends
+    # A body is connected, so that it touches every row and column between its ends.
     touched = (bodies != Cell.EMPTY).any(axis={"height": 2, "width": 1}[name])
     return touched.mean(1)

@@ -14,7 +14,7 @@ from warpvox.errors import ConfigError, listing
 from warpvox.keys import Settings, key
 
 DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", "height", "width", "symmetry")
-"""What MAP-Elites can sort bodies by, each a number from 0 to 1 (see ``describe`` in ``map_elites.py``)."""
+"""Descriptors of bodies for MAP-Elites, numbers from 0 to 1 (see ``describe`` in ``map_elites.py``)."""
 
 
 Kind = TypeVar("Kind", bound="SearchSettings")
@@ -41,7 +41,7 @@ class SearchSettings(Settings):
 
 
 def register_search(kind: type[Kind]) -> type[Kind]:
-    """Make a search known by the ``algorithm`` of its settings."""
+    """Add a class to :data:`ALGORITHMS` under its ``algorithm``; a decorator."""
     ALGORITHMS[kind.algorithm] = kind
     return kind
 
@@ -62,6 +62,7 @@ class GA(SearchSettings):
     min_survivors: int = key(2, "smallest number of survivors of a generation", low=1)
 
     def __post_init__(self) -> None:
+        """Check the values, and that a generation has room for new designs."""
         super().__post_init__()
         if self.min_survivors >= self.population:
             raise ConfigError(
@@ -87,7 +88,7 @@ class BO(SearchSettings):
         " improvement by L-BFGS alone)",
         choices=("pathwise", "paper", "lbfgs"),
     )
-    # not at the bounds of the fit (see ``make_model``), from which it cannot begin
+    # Limits: the fit cannot start from its own bounds (see ``_make_model`` in ``bo_acquire.py``).
     kernel_variance: float = key(1.0, "initial variance of the Matern 5/2 kernel", low=1e-3, high=1e6)
     kernel_length_scale: float = key(1.0, "initial length scale of the kernel", low=0.05, high=1e6)
     optimizer_iterations: int = key(100, "iterations of L-BFGS, for the kernel and for the acquisition", low=1)
@@ -125,12 +126,13 @@ class MapElites(SearchSettings):
     bins: int = key(5, "bins of each descriptor", low=1)
 
     def __post_init__(self) -> None:
+        """Check the values, and that the grid of descriptors fits into memory."""
         super().__post_init__()
         if not self.descriptors or len(set(self.descriptors)) < len(self.descriptors):
             raise ConfigError(
                 f"search.descriptors must name one or more different ones, got {listing(self.descriptors)}."
             )
-        # The archive holds all cells from the beginning.
+        # The archive allocates all cells at once.
         if self.bins ** len(self.descriptors) > 10_000_000:
             cells = f"search.bins={self.bins} for {len(self.descriptors)} descriptors make over 10,000,000 cells"
             raise ConfigError(f"{cells}, more than memory holds: take fewer bins or descriptors.")
@@ -150,7 +152,7 @@ class RandomDesigns(SearchSettings):
 @register_search
 @dataclass
 class CustomSearch(SearchSettings):
-    """A search of your own; see docs/own_search.md."""
+    """Search by code of your own; see docs/own_search.md."""
 
     title = "custom"
     implementation = "factory:make_custom"

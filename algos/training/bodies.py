@@ -1,4 +1,4 @@
-"""Bodies of a training: how they are named, and how others take their place while a policy is trained."""
+"""Bodies of a training: reading them from the settings, and exchanging them while a policy is trained."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from warpvox.runs import CONFIG
 
 RANDOM = re.compile(r"random:(\d+)(?::(\d+)x(\d+))?")
 SHAPE = (5, 5)
-"""Rows and columns of random bodies that none are given for."""
+"""Rows and columns of random bodies, where the settings give no size."""
 HELD_OUT_SEED = 1_000_003
-"""Held-out random bodies do not depend on the seed of a training, so that trainings can be compared."""
+"""Seed of random held-out bodies: the same for all trainings, so that they can be compared."""
 HELD_OUT = 32
-"""Random bodies that are held out where none are named."""
+"""Number of random held-out bodies, where the settings name none."""
 MOST = 1_000_000
 RECENT = 0.3
-"""Weight of an episode's return in the mean return of its body."""
+"""Weight of the newest episode in the running mean return of a body."""
 
 
 def load_bodies(spec: Any, seed: int) -> list[Design | dict[str, Design]]:
-    """The bodies that the key ``design`` names: one, or one an entry for a list of names, files or bodies.
+    """Load the bodies that the key ``design`` names: one, or one for each entry of a list of names, files or bodies.
 
     A mapping ``{robot name: body}`` is a design for a task with several robots.
     """
@@ -55,7 +55,7 @@ def load_bodies(spec: Any, seed: int) -> list[Design | dict[str, Design]]:
 
 
 def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) -> list[Design]:
-    """Bodies that a key names.
+    """Return the bodies that the key named ``key`` gives, read from files or drawn at random.
 
     Args:
         spec: ``random:64`` or ``random:64:5x7`` (drawn with ``seed``), a folder of designs, the folder of a design
@@ -64,7 +64,8 @@ def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) 
     if isinstance(spec, str):
         found = RANDOM.fullmatch(spec.strip())
         if found is not None:
-            count, shape = int(found[1]), (int(found[2]), int(found[3])) if found[2] else SHAPE
+            count = int(found[1])
+            shape = (int(found[2]), int(found[3])) if found[2] else SHAPE
             if not 1 <= count <= MOST:
                 raise ConfigError(f"{key} can be 1 to {MOST:,} random bodies, got {count:,}.")
             return draw_bodies(count, shape, np.random.default_rng(seed), without)
@@ -72,7 +73,7 @@ def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) 
             raise ConfigError(f"{key}: random bodies are random:64 or random:64:5x7, got {spec!r:.80}.")
         folder = Path(spec).expanduser()
         if folder.is_dir():
-            return _of_folder(folder, key)
+            return _bodies_in(folder, key)
     loaded = load_bodies(spec, seed)
     bodies = [body for body in loaded if not isinstance(body, dict)]
     if len(bodies) < len(loaded):
@@ -80,7 +81,8 @@ def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) 
     return bodies
 
 
-def _of_folder(folder: Path, key: str) -> list[Design]:
+def _bodies_in(folder: Path, key: str) -> list[Design]:
+    """Load the bodies in ``folder``: those of a design search (best first), the one of a run, or all design files."""
     from warpvox.algos.archive import FILE, Archive
 
     if (folder / FILE).is_file():
@@ -101,17 +103,19 @@ def _of_folder(folder: Path, key: str) -> list[Design]:
 
 
 def has_designs(folder: Path) -> bool:
-    """True for a folder with designs that is not that of a run."""
+    """Return True if ``folder`` holds design files and is not the folder of a run."""
     return bool(design_paths(folder)) and not (folder / CONFIG).is_file()
 
 
 @dataclass(frozen=True)
 class TrainingBodies:
-    """The bodies of a training.
+    """The bodies that one training uses.
 
     Attributes:
+        trained: bodies that the policy is trained on.
+        judged: bodies that the policy is evaluated on.
         grid: rows and columns that there is room for, where one policy is trained on many bodies; else None.
-        own: of many bodies, whether it is evaluated on those that it is trained on, as the user has named them.
+        own: True if a policy for many bodies is evaluated on its training bodies, because the user has named them.
     """
 
     trained: list[Any]
@@ -120,20 +124,21 @@ class TrainingBodies:
     own: bool = False
 
     def lanes(self, settings: Training, device: str) -> int | None:
-        """The lanes that a training on them uses: evaluations with as many need no kernels of their own."""
+        """Return the SIMD lanes of the training, so that an evaluation can reuse its kernels; None: not on the CPU."""
         return lanes_of(settings, len(self.trained)) if device == "cpu" else None
 
 
 def lanes_of(settings: Training, bodies: int) -> int | None:
-    """The lanes that a training on so many ``bodies`` uses on the CPU; None: they are chosen by the environments."""
+    """Return the SIMD lanes of a training on ``bodies`` bodies on the CPU; None: the environments choose them."""
     if settings.lanes is not None or settings.is_many:
         return settings.lanes
     return lanes_for(settings.num_envs // bodies)
 
 
 def training_bodies(settings: Training) -> TrainingBodies:
-    """The bodies that settings name."""
-    designs, seed = settings.designs, settings.seed
+    """Load the bodies to train on and those to evaluate on, as the settings name them."""
+    designs = settings.designs
+    seed = settings.seed
     if designs.bodies is None:
         bodies = load_bodies(settings.design, seed)
         return TrainingBodies(bodies, bodies)
@@ -153,22 +158,31 @@ def training_bodies(settings: Training) -> TrainingBodies:
 
 
 def _shape(bodies: Sequence[Design]) -> tuple[int, int]:
+    """Return the largest number of rows and the largest number of columns among ``bodies``."""
     return max(body.shape[0] for body in bodies), max(body.shape[1] for body in bodies)
 
 
 def draw_bodies(
     count: int, shape: tuple[int, int], rng: np.random.Generator, without: Sequence[Design] = ()
 ) -> list[Design]:
-    """Different random bodies, none of ``without``; one that lies elsewhere in the grid is not different."""
+    """Draw ``count`` different random bodies, none of them in ``without``.
+
+    Bodies that differ only by their position in the grid count as equal.
+
+    Raises:
+        ConfigError: fewer than ``count`` were found.
+    """
     found: list[Design] = []
-    _draw(found, count, shape, rng, {_digest(body) for body in without})
+    _append_random(found, count, shape, rng, {_digest(body) for body in without})
     if len(found) < count:
         raise ConfigError(f"There are no {count} different bodies of {shape[0]}x{shape[1]} to be found; ask for fewer.")
     return found
 
 
-def _draw(found: list[Design], count: int, shape: tuple[int, int], rng: np.random.Generator, seen: set[int]) -> None:
-    """Add random bodies that are not ``seen`` to ``found`` until it has ``count``, or no more are to be found."""
+def _append_random(
+    found: list[Design], count: int, shape: tuple[int, int], rng: np.random.Generator, seen: set[int]
+) -> None:
+    """Append random bodies whose digest is not in ``seen`` to ``found``, until it has ``count`` or draws run out."""
     for _ in range(100 * count + 1000):
         if len(found) == count:
             return
@@ -180,7 +194,7 @@ def _draw(found: list[Design], count: int, shape: tuple[int, int], rng: np.rando
 
 
 def _digest(body: Design) -> int:
-    """64 bits that are the same for bodies that differ by their place in the grid alone."""
+    """Return a 64-bit hash of a body, equal for bodies that differ only by their position in the grid."""
     rows, columns = (np.flatnonzero(body.any(axis)) for axis in (1, 0))
     cells = np.ascontiguousarray(body[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], np.int8)
     text = bytes(cells.shape) + cells.tobytes()
@@ -188,34 +202,37 @@ def _digest(body: Design) -> int:
 
 
 class Bodies:
-    """Gives another body to environments whose episode has ended.
+    """Exchanges the bodies of environments whose episode has ended.
 
     Bodies are exchanged between two rollouts, so that no rollout holds a jump from one body to another; an episode
     that has begun in the meantime is discarded.
 
     Args:
-        refresh: of :data:`warpvox.algos.settings.REFRESH`. ``new``: random bodies that were never there, until there
-            are no others; ``random``: any of ``bodies``; ``performance``: any of ``bodies``, those on which the mean
-            return is one deviation lower e times as often, and first of all those that have had no episode yet;
-            ``none``: bodies stay.
+        refresh: one of :data:`warpvox.algos.settings.REFRESH`. ``new``: random bodies that were not used yet, as long
+            as there are any; ``random``: any of ``bodies``; ``performance``: any of ``bodies``, first those without an
+            episode, then a body whose mean return is one standard deviation lower is e times as likely; ``none``:
+            environments keep their bodies.
         without: bodies that ``new`` does not draw.
     """
 
     def __init__(
         self, bodies: Sequence[Design], refresh: str, rng: np.random.Generator, without: Sequence[Design] = ()
     ) -> None:
-        self.bodies, self.refresh, self.without = list(bodies), refresh, list(without)
+        self.bodies = list(bodies)
+        self.refresh = refresh
+        self.without = list(without)
         self._rng = rng
         self._returns = np.full(len(self.bodies), np.nan)
-        self.seen = 0  # bodies that environments were given so far, those that came again included
+        self.seen = 0  # number of bodies given to environments so far, repeats included
         self._digests = {_digest(body) for body in [*self.bodies, *self.without]}
-        self._which = np.zeros(0, np.int64)
+        self._which = np.zeros(0, np.int64)  # index of each environment's body in `bodies`; -1: a new one
         self.shape = _shape(self.bodies)
 
     @classmethod
     def of(cls, bodies: TrainingBodies, settings: Training, seed: int) -> Bodies:
-        """Those of a training; ``seed``: of the order in which they come, which differs between processes."""
-        count, refresh = len(bodies.trained), settings.designs.refresh
+        """Make the exchange for a training; ``seed`` is for the random choices and differs between processes."""
+        count = len(bodies.trained)
+        refresh = settings.designs.refresh
         if refresh not in REFRESH[:2] and count < 2:
             raise ConfigError(f"designs.refresh={refresh} chooses among bodies, and there is only one.")
         if refresh == "none" and count > settings.num_envs:
@@ -226,48 +243,52 @@ class Bodies:
         return cls(bodies.trained, refresh, np.random.default_rng([seed, 1]), bodies.judged)
 
     def first(self, num_envs: int) -> list[Design]:
-        """The body of each environment at the beginning."""
-        order = np.arange(num_envs) % len(self.bodies)
+        """Choose each environment's first body, at random if there are more bodies; set ``_which``."""
+        which = np.arange(num_envs) % len(self.bodies)
         if len(self.bodies) > num_envs:
-            order = self._rng.choice(len(self.bodies), num_envs, replace=False)
-        self._which, self.seen = np.sort(order), len(np.unique(order))
-        return [self.bodies[k] for k in self._which]
+            which = self._rng.choice(len(self.bodies), num_envs, replace=False)
+        self._which = np.sort(which)
+        self.seen = len(np.unique(which))
+        return [self.bodies[body] for body in self._which]
 
     def record(self, ended: torch.Tensor, returns: torch.Tensor) -> None:
-        """Record the returns ``[num_envs]`` of whole episodes that have ended (bool)."""
+        """Update mean returns of bodies by ``returns`` ``[num_envs]``, where whole episodes have ``ended`` (bool)."""
         for env in ended.nonzero()[:, 0].tolist():
-            body, value = self._which[env], float(returns[env])
+            body = self._which[env]
+            value = float(returns[env])
             if body >= 0:
                 old = self._returns[body]
                 self._returns[body] = value if np.isnan(old) else old + RECENT * (value - old)
 
     def exchange(self, env: RslRlVecEnv, ended: torch.Tensor) -> None:
-        """Give environments ``ended`` (bool) other bodies."""
+        """Give each environment in the mask ``ended`` (bool ``[num_envs]``) another body, as ``refresh`` says."""
         count = int(ended.sum())
         if self.refresh == "none" or not count:
             return
         if self.refresh == "new":
-            bodies, which = self._new(count), np.full(count, -1)
+            bodies = self._draw_new(count)
+            which = np.full(count, -1)
         else:
-            which = self._rng.choice(len(self.bodies), count, p=self._shares())
-            bodies = [self.bodies[k] for k in which]
+            which = self._rng.choice(len(self.bodies), count, p=self._probabilities())
+            bodies = [self.bodies[body] for body in which]
         self._which[ended.cpu().numpy()] = which
         self.seen += count
         env.set_designs(bodies, ended)
 
-    def _new(self, count: int) -> list[Design]:
-        """Random bodies that were not there, as long as there are any; then they come again."""
+    def _draw_new(self, count: int) -> list[Design]:
+        """Draw ``count`` random bodies that were not used yet; once there are no more, used ones may come again."""
         found: list[Design] = []
-        _draw(found, count, self.shape, self._rng, self._digests)
+        _append_random(found, count, self.shape, self._rng, self._digests)
         while len(found) < count:
-            before, self._digests = len(found), {_digest(body) for body in self.without}
-            _draw(found, count, self.shape, self._rng, self._digests)
+            before = len(found)
+            self._digests = {_digest(body) for body in self.without}
+            _append_random(found, count, self.shape, self._rng, self._digests)
             if len(found) == before:
                 raise ConfigError("designs.refresh=new: there are no bodies of this shape beside those held out.")
         return found
 
-    def _shares(self) -> np.ndarray | None:
-        """How often each body is drawn; None: equally often."""
+    def _probabilities(self) -> np.ndarray | None:
+        """Return the probability with which each body is drawn, ``[bodies]``; None: all are equally likely."""
         if self.refresh != "performance":
             return None
         fresh = np.isnan(self._returns)
@@ -277,9 +298,10 @@ class Bodies:
         return low / low.sum()
 
     def state(self, env: RslRlVecEnv) -> dict[str, Any]:
-        """Bodies of the environments, returns and random numbers: what :meth:`set_state` takes back."""
+        """Return the bodies of the environments, the returns and the random state, for :meth:`set_state`."""
         bodies = [env.env.designs[design] for design in env.env.design_index.tolist()]
-        grids, shapes = np.zeros((env.num_envs, *self.shape), np.int8), [list(body.shape) for body in bodies]
+        grids = np.zeros((env.num_envs, *self.shape), np.int8)
+        shapes = [list(body.shape) for body in bodies]
         for grid, body in zip(grids, bodies, strict=True):
             grid[: body.shape[0], : body.shape[1]] = body
         arrays = {"grids": grids, "which": self._which.copy(), "returns": self._returns.copy()}
@@ -291,17 +313,18 @@ class Bodies:
         }
 
     def set_state(self, state: dict[str, Any], env: RslRlVecEnv) -> None:
-        """Go on from :meth:`state`; the environments get their bodies back, their own state is to follow.
+        """Restore what :meth:`state` returned and give the environments their bodies, but not their own state.
 
         Raises:
-            RunError: it is not that of such bodies and environments. DesignError: a body is none.
+            RunError: the state is of other bodies or environments. DesignError: a body in it is not valid.
         """
         like = self.state(env) | {"seen": int, "random": str}
         like["returns"] = AnyTensor(torch.float64, (len(self.bodies),), is_finite=False)
         like["digests"] = AnyTensor(torch.int64, (None,))
         like["shapes"] = [[int, int]] * env.num_envs
         check_like(state, like, "bodies")
-        which, sizes = state["which"], torch.tensor(state["shapes"])
+        which = state["which"]
+        sizes = torch.tensor(state["shapes"])
         if not bool(((which >= -1) & (which < len(self.bodies))).all()):
             raise RunError(f"Its bodies.which has numbers that are none of {len(self.bodies)} bodies.")
         if not bool(((sizes >= 1) & (sizes <= torch.tensor(self.shape))).all()):
@@ -309,7 +332,8 @@ class Bodies:
         pairs = zip(state["grids"].cpu().numpy(), state["shapes"], strict=True)
         bodies = [grid[:rows, :columns] for grid, (rows, columns) in pairs]
         env.set_designs(bodies, torch.ones(env.num_envs, dtype=torch.bool, device=env.device))
-        self._which, self.seen = state["which"].cpu().numpy().copy(), state["seen"]
+        self._which = state["which"].cpu().numpy().copy()
+        self.seen = state["seen"]
         self._returns = state["returns"].cpu().numpy().copy()
         self._digests = set(state["digests"].tolist())
         self._rng.bit_generator.state = json.loads(state["random"])

@@ -1,4 +1,4 @@
-"""One training on several processes, started by ``torchrun``: each has its own environments, all share the policy."""
+"""Training one policy in several processes started by ``torchrun``; each process has its own environments."""
 
 import os
 from collections.abc import Sequence
@@ -16,10 +16,11 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class ProcessGroup:
-    """The processes of a training and this one's place among them; of one process all methods are trivial.
+    """The processes that train one policy, and the position of this process among them.
 
-    ``rank`` of ``size`` processes in all, ``local_rank`` of ``local_size`` on this machine; ``device`` of what the
-    processes tell each other.
+    ``rank`` is the index of this process among all ``size`` processes, ``local_rank`` its index among the
+    ``local_size`` on this machine. The processes exchange tensors on ``device``. In a group of one process no method
+    communicates.
     """
 
     rank: int = 0
@@ -34,13 +35,13 @@ class ProcessGroup:
         return self.rank == 0
 
     def seed(self, seed: int) -> int:
-        """This process's own of a training's seed; the first process has the seed itself."""
+        """Return a seed of this process, derived from that of the training; the first process uses ``seed``."""
         if self.is_main_process:
             return seed
         return int(np.random.SeedSequence([seed, self.rank]).generate_state(1, np.uint32)[0])
 
     def sum(self, values: Sequence[float]) -> list[float]:
-        """Sums over the processes, of each of some numbers."""
+        """Return the sum of each value over all processes."""
         if self.size == 1:
             return list(values)
         # NCCL has float64, some other devices have not; here it is CUDA or the CPU
@@ -52,7 +53,7 @@ class ProcessGroup:
         return bool(self.sum([float(flag)])[0])
 
     def broadcast(self, value: Value) -> Value:
-        """The leading process's ``value``."""
+        """Return the ``value`` that the first process passed."""
         if self.size == 1:
             return value
         box = [value]
@@ -64,7 +65,7 @@ SINGLE_PROCESS = ProcessGroup()
 
 
 def join_process_group(device: str) -> ProcessGroup:
-    """Meet the other processes; a group of one where ``torchrun`` has started none.
+    """Join the processes that ``torchrun`` has started; without ``torchrun`` return a group of one.
 
     Args:
         device: ``cuda`` and ``auto`` become this process's own GPU; the processes talk by NCCL then, else by gloo.

@@ -1,4 +1,4 @@
-"""Evaluation of a policy on many bodies, as a table and a picture in the folder of its run."""
+"""Evaluation of a policy on many bodies, written as a table and a picture to the folder of a run."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ COLUMNS = "body", "last_return", "best_return", "cells"
 
 
 def shades(task: str, returns: np.ndarray) -> list[float]:
-    """How good returns are: 0 for those of random actions and below, 1 for the best published one.
+    """Scale returns to [0, 1]: 0 for random actions or worse, 1 for the best published return of the task or better.
 
-    Of a task for which none is published 0 is a return of 0, and 1 the largest return by size.
+    If no return is published for the task, 0 stands for a return of 0 or less, 1 for the largest absolute value in
+    ``returns``.
     """
     known = known_returns().get(task)
     if known is None or known.best is None:
@@ -32,21 +33,33 @@ def shades(task: str, returns: np.ndarray) -> list[float]:
 
 
 class HeldOut:
-    """An evaluator on many bodies, which writes the return of each to a table and a picture.
+    """Evaluates a policy on many bodies and writes the return on each body to a table and a picture.
 
-    They are ``<name>.csv`` and ``<name>.png`` in ``folder``, that of the run, if there is one.
+    They are ``<name>.csv`` and ``<name>.png`` in ``folder``, the run's folder; None: nothing is written.
     """
 
     def __init__(self, judge: Evaluator, bodies: Sequence[Design], name: str = "held_out", task: str = "") -> None:
-        self.judge, self.bodies, self.name, self.task = judge, list(bodies), name, task
+        """Set up the evaluation; ``folder`` is set once the run has one.
+
+        Args:
+            judge: evaluates a policy in environments with the ``bodies``.
+            name: of both files, without suffix.
+            task: by which returns are scaled for the picture.
+        """
+        self.judge = judge
+        self.bodies = list(bodies)
+        self.name = name
+        self.task = task
         self.folder: Path | None = None
 
     @property
     def about(self) -> str:
+        """Words that say how many bodies these are and whether the policy is trained on them."""
         count = f"{len(self.bodies)} bod{'y' if len(self.bodies) == 1 else 'ies'}"
         return f"the {count} trained on" if self.name == "bodies" else f"{count} held out from training"
 
     def __call__(self, policy: Any) -> EpisodeReturns:
+        """Evaluate ``policy`` and return the result; writes the table and the picture if there is a folder."""
         result = self.judge(policy)
         last = result.fitness.numpy()
         if self.folder is not None:
@@ -58,7 +71,7 @@ class HeldOut:
         return result
 
     def _best(self, file: Path) -> np.ndarray:
-        """The best returns that the table has, as it goes with the best policy of the folder; -inf: it has none."""
+        """Return the best return on each body so far, ``[bodies]``, from the table; -inf where it has none."""
         with suppress(Unreadable, KeyError, TypeError, ValueError):  # of a file that somebody else has written
             best = np.array([row["best_return"] for row in read_table(file)], float)
             if len(best) == len(self.bodies):
@@ -66,7 +79,7 @@ class HeldOut:
         return np.full(len(self.bodies), -np.inf)
 
     def _draw(self, last: np.ndarray, file: Path) -> None:
-        """The bodies, the best first, on paper that is the greener the better they are: see :func:`shades`."""
+        """Save a picture of the bodies, best first, each on a background that is greener for a higher return."""
         from warpvox.view.body_picture import draw_bodies
         from warpvox.view.painter import save_png
 

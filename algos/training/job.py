@@ -1,4 +1,4 @@
-"""A training from its settings to its result: environments, runner, folder, summary."""
+"""A training from its settings to its result: environments, runner, folder and summary."""
 
 from __future__ import annotations
 
@@ -60,11 +60,13 @@ other ``torch_threads``, adds up the products of matrices in another order.
 
 
 class Job:
-    """A training that is to be made, checked as far as that takes a moment.
+    """One training: checks the settings when it is made, trains in :meth:`train`, and keeps the result.
 
     Args:
-        settings: of the training; with ``source`` those of its run, but for what may change.
+        settings: of the training; with ``source`` only settings in :data:`CHANGEABLE` may differ from those of that
+            run.
         named: keys that the user has given, which must agree with a pretrained policy.
+        source: the run to continue; None: a new run.
     """
 
     def __init__(self, settings: Training, named: Collection[str] = (), source: Run | None = None) -> None:
@@ -75,7 +77,7 @@ class Job:
         self.summary: dict[str, Any] = {}
         if source is not None:
             settings, self.checkpoint = continued(settings, source)
-        elif "design" in named and settings.is_many:  # a preset's many bodies, where the user names one
+        elif "design" in named and settings.is_many:  # the user names one body, the preset many
             if any(key.startswith("designs") for key in named):
                 raise ConfigError("design is one body, designs are many for one policy: give one of the two.")
             settings = dataclasses.replace(settings, designs=Designs())
@@ -87,7 +89,7 @@ class Job:
         self.settings = settings
 
     def check(self) -> None:
-        """Raise an error where a name in the settings stands for nothing."""
+        """Raise an error if a task, body, policy or device that the settings name does not exist."""
         resolved(self.settings)
 
     def train(
@@ -99,13 +101,13 @@ class Job:
         place: Path | None = None,
         finish: Callable[[], object] = lambda: None,
     ) -> None:
-        """Make the run. Nothing is written before everything has been checked.
+        """Train the policy and write the run's folder. Nothing is written before everything has been checked.
 
         Args:
-            listeners: told of this process's part if it is the first one.
+            listeners: called about the progress, in the first process only.
             callbacks: functions that are called with the row of each iteration, after the listeners.
-            write: whether there is a folder.
-            place: of a new run; None: it lies in ``output_dir`` and is named by the time.
+            write: whether to write a folder.
+            place: the folder of a new run; None: a new one in ``output_dir``, named by the time.
             finish: called by the first process when the training is done, before another one may write to the folder.
 
         Raises:
@@ -135,7 +137,7 @@ class Job:
                 stack.enter_context(listener.preparing("loading"))
             start_warp()
 
-            # The part of this process: its share of the environments, its own device and threads.
+            # This process's share of the environments, its device and its threads
             if group.size > 1:
                 if settings.num_envs % group.size:
                     raise ConfigError(
@@ -160,7 +162,7 @@ class Job:
                 designs = exchanged.first(count)
             sim = dataclasses.replace(sim_of(settings), grid=bodies.grid)
 
-            # Memory. With room for many bodies the number of environments need not be a multiple of theirs.
+            # Memory. With a grid for many bodies the number of environments need not be a multiple of the bodies.
             if settings.memory_check:
                 spec = get_task(settings.task).under(settings.rules)
                 worlds = [task_world(spec, design) for design in (designs if sim.grid is None else designs[:1])]
@@ -182,7 +184,7 @@ class Job:
             env = adapt(env, settings.ppo)
             self.judge = self._make_judge(settings, bodies) if group.is_main_process else None
 
-            # The kind of network. One is tried before the one that is trained; None: mlp.
+            # Network: build one for a check first. `voxels` stays None for mlp.
             generators = Generators(seed, str(env.device))
             voxels = None
             if settings.policy != MLP:
@@ -192,7 +194,7 @@ class Job:
             elif settings.network is not None:
                 raise ConfigError("network has the settings of the other policies; those of policy=mlp are ppo.hidden.")
 
-            # What checkpoints say about the training
+            # Stored in checkpoints: what the policy was trained on
             trained_on: dict[str, Any] = {
                 "task": str(task_name(settings.task)), "rules": settings.rules, "seed": settings.seed,
                 "design": settings.design,
@@ -221,16 +223,16 @@ class Job:
             elif self.learned is not None:
                 self.runner.begin_with(self.learned)
 
-        if group.size > 1:  # what the run was asked for, not the share of this process
+        if group.size > 1:  # store the settings of the whole run, not of this process's share
             device = settings.device.split(":")[0]
             settings = dataclasses.replace(settings, num_envs=self.settings.num_envs, device=device)
         self.settings = settings
         self.written = dataclasses.replace(settings, task=task_name(settings.task))
 
     def _make_judge(self, settings: Training, bodies: TrainingBodies) -> Evaluator:
-        """The evaluator: on the CPU, the same episodes every time, also after a resumption.
+        """Return the evaluator, which runs the same episodes every time, on the CPU even if training is on a GPU.
 
-        On a GPU a few environments would take the launches of ten iterations, one after another.
+        On a GPU the few environments of an evaluation would need as many kernel launches as ten iterations.
         """
         lanes = bodies.lanes(settings, settings.device)
         sim = dataclasses.replace(sim_of(settings), device="cpu", lanes=lanes, grid=bodies.grid)
@@ -251,8 +253,10 @@ class Job:
 
     @contextmanager
     def _folder(self, place: Path | None) -> Iterator[None]:
-        """The folder of a new run, or that of the one which goes on; made by the first process."""
-        settings, group, runner = self.settings, self.group, self.runner
+        """Create the folder of a new run, or open that of a resumed one, for the block."""
+        settings = self.settings
+        group = self.group
+        runner = self.runner
         made = run_folder(
             self.folder,
             self.written,
@@ -277,7 +281,7 @@ class Job:
     def _learn(
         self, listeners: Sequence[Listener], callbacks: Sequence[Callable[[Mapping[str, float]], object]]
     ) -> None:
-        """Learn, and sum up however it ends."""
+        """Run the training loop; write the summary and notify the listeners however it ends."""
         runner = self.runner
         status = "failed"
         began = time.perf_counter()
@@ -305,7 +309,8 @@ class Job:
         finally:
             seconds = time.perf_counter() - began
             if runner.current_learning_iteration and self.group.is_main_process:
-                settings, designs = self.settings, self.settings.designs
+                settings = self.settings
+                designs = settings.designs
                 about = {"command": "train", "task": runner.env.env.spec.id, "status": status, "seed": settings.seed}
                 if isinstance(self.judge, HeldOut):
                     about["designs"] = {"bodies": designs.bodies, "refresh": designs.refresh}
@@ -314,7 +319,7 @@ class Job:
                     about["design"] = settings.design
                 self.summary = about | runner.summary()
                 self.summary["steps_per_second"] = round((runner.steps - steps_before) / seconds, 1)
-                # a run that has failed may have failed because nothing can be written; that is the error to report
+                # if the run failed because nothing can be written, that first error is the one to report
                 with suppress(StorageError) if status == "failed" else nullcontext():
                     if self.folder is not None:
                         write_summary(self.folder, self.summary)
@@ -322,6 +327,7 @@ class Job:
                 listener.ended(self.summary)
 
     def _keep_best(self, judge: Evaluator, policy: Any) -> EpisodeReturns:
+        """Evaluate ``policy`` with ``judge``, and keep a copy in ``best`` if its mean return is the highest so far."""
         found = judge(policy)
         if found.mean_return > self.runner.best_return:
             self.best = Policy(policy.spec, policy.actor.state_dict())
@@ -329,7 +335,7 @@ class Job:
 
     @property
     def policy(self) -> Policy:
-        """The policy with the best evaluation, of a training that writes nothing."""
+        """Policy with the best evaluation, on the CPU, of a training that writes no files."""
         policy = self.best or self.runner.policy
         known = {name: getattr(self.settings, name) for name in ("obs", "dtype", "arithmetic")}
         known["lanes"] = lanes_of(self.settings, len(load_bodies(self.settings.design, self.settings.seed)))
@@ -338,7 +344,7 @@ class Job:
 
 
 def resolved(settings: Training) -> Any:
-    """Replace the names in settings by values: bodies cell by cell, constants, device. Random bodies stay names."""
+    """Return ``settings`` with names replaced by values (cells, constants, device); random bodies stay names."""
     get_task(settings.task)
     check_policy(settings.policy)
     designs = {}
@@ -358,12 +364,12 @@ def resolved(settings: Training) -> Any:
 
 
 def task_name(task: Any) -> str:
-    """A task by its name, in files."""
+    """Return the id by which files name a task."""
     return task.id if isinstance(task, TaskSpec) else task
 
 
 def continued(settings: Training, source: Run) -> tuple[Training, Path]:
-    """The settings of a run that goes on, and the checkpoint that it goes on from."""
+    """Return the settings of the run ``source`` to continue, and the checkpoint that learning continues from."""
     check_writable(source.folder)
     named = dataclasses.replace(resolved(settings), task=task_name(settings.task))
     check_unchanged(source.config, named, CHANGEABLE)
@@ -390,15 +396,18 @@ def continued(settings: Training, source: Run) -> tuple[Training, Path]:
 
 
 def go_on(checkpoint: Path, runner: Runner) -> None:
-    """Have a runner go on from a checkpoint; ResumeError if it has nothing left to do.
+    """Load a checkpoint into ``runner`` so that training continues; ResumeError if no iterations are left to do.
 
-    One that was killed between its last iteration and its summary is let through: the summary is left.
+    A run that was killed after its last iteration, before its summary was written, may continue: only the summary is
+    left to do.
     """
     with own_torch(runner.torch_threads):
         runner.resume(checkpoint)
-    done, total, goal = runner.current_learning_iteration, runner.schedule.total, runner.schedule.stop_return
+    done = runner.current_learning_iteration
+    total = runner.schedule.total
+    goal = runner.schedule.stop_return
     about = read_summary(checkpoint.parent)
-    ended = about.get("status") == "done" and about.get("iterations") == done  # else it was killed in its last moment
+    ended = about.get("status") == "done" and about.get("iterations") == done  # else killed before its summary
     if done > total or (done == total and (ended or checkpoint.name != STATE)):  # a summary is about the newest state
         raise ResumeError(
             f"The run has already made {done} iterations, and max_iterations={total} asks for no more.",

@@ -1,4 +1,4 @@
-"""Results of trainings, ready to act: policies, and environments to run them in."""
+"""Loading of trained policies, and of environments to run them in."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 def find_policy(
     source: Any, output_dir: str | Path = "outputs", network: str | None = None, device: str = "cpu"
 ) -> Run | Callable[[Any], Any]:
-    """The run (or stored robot) that has what a user calls a policy, or that function of observations.
+    """Return the run or stored robot that ``source`` names, or ``source`` itself as a function of observations.
 
     Args:
         source: ``latest``, the folder of a run or of a design search (its best design), a checkpoint, an exported file,
@@ -84,7 +84,7 @@ def load_policy(
     device: str = "cpu",
     policy: str | None = None,
 ) -> Policy:
-    """A trained policy as a torch module: observations to actions that the environment takes, without exploration.
+    """Load a trained policy as a torch module that maps observations to actions, without exploration.
 
     The module can be scripted, traced and exported (see :class:`warpvox.algos.checkpoints.policy.Policy`). No file is
     unpickled and none brings code: a run's task is not imported.
@@ -123,7 +123,7 @@ def load_policy(
 
 @dataclasses.dataclass(frozen=True)
 class TrainedRun:
-    """A training that is over.
+    """The result of a training that has ended.
 
     Attributes:
         folder: of the run, as ``warpvox play run=FOLDER`` takes it; None: nothing was written.
@@ -139,7 +139,7 @@ class TrainedRun:
 
     @property
     def design(self) -> Design | dict[str, Design]:
-        """The body, or bodies by the names of robots.
+        """Body of the run, or a mapping of robot names to bodies.
 
         Raises:
             DesignError: the policy is for many bodies.
@@ -151,12 +151,12 @@ class TrainedRun:
 
     @property
     def policy_source(self) -> Path | Policy:
-        """The folder, or the policy itself where nothing was written."""
+        """Folder of the run, or the policy itself if nothing was written."""
         return self.folder or self.policy
 
     @classmethod
     def of(cls, job: Job) -> TrainedRun:
-        """The result of a training that has been made."""
+        """Return the result of ``job``, whose training has ended."""
         if job.folder is None:
             return cls(None, job.summary, job.rows, job.policy)
         policy = load_policy(job.folder, policy=job.settings.policy)
@@ -168,7 +168,7 @@ class TrainedRun:
         return f"TrainedRun({self.summary['status']}, {self.summary['steps']:,} steps, {best}, {where})"
 
     def _repr_html_(self) -> str:
-        """The result, and the learning curve, for notebooks."""
+        """Return the result and the learning curve as HTML, for notebooks."""
         from warpvox.algos.report.charts import picture
 
         points = [(row["steps"], row.get("eval_return", np.nan)) for row in self.rows]
@@ -176,17 +176,17 @@ class TrainedRun:
 
     @property
     def best_return(self) -> float | None:
-        """The best mean return of a deterministic evaluation; None: there was none."""
+        """Best mean return of a deterministic evaluation; None: there was no evaluation."""
         return self.summary["best_return"]
 
     @property
     def metrics(self) -> dict[str, np.ndarray]:
-        """The columns of ``metrics.csv``, float64 ``[iterations]`` each; NaN where an iteration has no such value."""
+        """Columns of ``metrics.csv`` as float64 arrays ``[iterations]``; NaN where an iteration has no value."""
         return {name: np.array([row.get(name, np.nan) for row in self.rows], float) for name in COLUMNS}
 
 
 def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:
-    """Environments and policy of a run or a stored robot, see :func:`warpvox.algos.training.playing.load_trained`."""
+    """Return environments and policy of a run (see :func:`load_trained`) or of a stored robot."""
     if run.robot is not None:
         if designs is not None:
             raise ConfigError("Other bodies go with a run over many of them; a stored robot has its own.")
@@ -195,7 +195,7 @@ def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) ->
 
 
 def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv, Any]:
-    """Environments and policy of a stored robot; exact, with the recorded seeds, unless asked otherwise.
+    """Return environments and policy of a stored robot; exact, with recorded seeds, unless ``config`` differs.
 
     ``config.seed`` is that of the first episode; the others follow it, as an entry is judged.
     """

@@ -1,4 +1,4 @@
-"""Trained policies in environments of their run, to be played and evaluated."""
+"""Trained policies in environments of their run, for playing and evaluation."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -24,19 +24,19 @@ from warpvox.errors import ConfigError
 from warpvox.runs import CONFIG, Run
 
 SHOWN = 4
-"""Episodes that are shown where they differ, unless told otherwise."""
+"""Default number of episodes to show where episodes differ."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Playing:
-    """How the policy of a run is played; None: as the run says.
+    """Settings for playing the policy of a run; None: as in the run.
 
     Attributes:
         task, policy: code of the user's own that the run names, see :func:`warpvox.code.passed_code`.
         stochastic: sample actions as in training, instead of taking their mean.
         protocol: the disturbances of the episodes, see :mod:`warpvox.algos.disturbance`.
-        num_envs: of each disturbance; they lie behind one another. None: one for each design, :data:`SHOWN` if
-            something is random, or of many bodies.
+        num_envs: environments for each disturbance, in consecutive blocks. None: one for each design, or :data:`SHOWN`
+            if something is random or the policy is for many bodies.
     """
 
     num_envs: int | None = 1
@@ -54,19 +54,19 @@ class Playing:
 
 
 def own_code(settings: Any) -> dict[str, Any]:
-    """Task and policy that the user has named in ``settings`` of a run, for :class:`Playing`."""
+    """Return the user's own task and policy code that ``settings`` name, as arguments for :class:`Playing`."""
     policy = getattr(settings, "policy", None)
     task = settings.task if is_code(settings.task) or isinstance(settings.task, TaskSpec) else None
     return {"task": task, "policy": policy if is_code(policy) else None}
 
 
 class SampledPolicy:
-    """Draws actions from the Gaussian distribution that a policy was trained with, instead of taking its mean.
+    """Policy that draws actions from the Gaussian distribution it was trained with, instead of taking the mean.
 
     Args:
-        policy: the mean.
-        actor: the state of the checkpoint's actor, which has the deviations.
-        seed: of what is drawn.
+        policy: gives the mean action.
+        actor: the checkpoint's actor, which holds the standard deviations.
+        seed: of the random actions.
     """
 
     def __init__(self, policy: Policy, actor: Mapping[str, torch.Tensor], seed: int = 0) -> None:
@@ -80,7 +80,7 @@ class SampledPolicy:
 
     @torch.no_grad()
     def __call__(self, obs: torch.Tensor) -> torch.Tensor:
-        """``obs`` ``[n, num_obs]`` to actions ``[n, num_actions]`` in [0.6, 1.6]."""
+        """Draw actions ``[n, num_actions]`` in [0.6, 1.6] for the observations ``[n, num_obs]``."""
         mean = self.policy.network(obs).float()
         noise = torch.randn(mean.shape, generator=self._generator, device=mean.device)
         deviation = self._std
@@ -91,12 +91,13 @@ class SampledPolicy:
 
 
 def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:
-    """Environments and policy of a run, which is no stored robot.
+    """Return environments and policy of a training run (not of a stored robot).
 
     Args:
         config: :class:`Playing`, or the keys of a command that has the same.
-        designs: bodies for a policy over many bodies; None: those held out, as many as there are environments.
-        every: of such a policy, all bodies, the same number of environments for each.
+        designs: bodies to run a policy for many bodies on; None: those held out. There are no more bodies than
+            environments.
+        every: run such a policy on all bodies, with the same number of environments for each.
     """
     device = resolve_device(config.device, config.num_envs or SHOWN)
     path = run.find_checkpoint(config.checkpoint)
@@ -116,7 +117,8 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
     content = load_checkpoint(path, device)
     policy = policy_of(content, path, trained.policy).double()
     parts = parts_of(getattr(config, "protocol", NOMINAL), feedback=policy.spec.has_feedback)
-    judged, drawn = bodies.judged, config.stochastic or parts != (NOMINAL,) or get_task(trained.task).is_random
+    judged = bodies.judged
+    drawn = config.stochastic or parts != (NOMINAL,) or get_task(trained.task).is_random
     if trained.is_many:
         judged = judged if designs is None else read_bodies(designs, trained.seed, "designs", bodies.trained)
         count = config.num_envs or min(SHOWN, len(judged))
@@ -138,7 +140,7 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
 
 
 def load_result(run: Run, settings: Any, device: str = "cpu") -> tuple[VoxelVecEnv, Any]:
-    """Policy of a run that has just been made, and one environment for each of its designs, for an episode to show.
+    """Return the policy of a run that has just ended, and one environment for each of its designs, to show an episode.
 
     ``settings``: of the training or design search, with the code that the user has named.
     """
@@ -148,18 +150,18 @@ def load_result(run: Run, settings: Any, device: str = "cpu") -> tuple[VoxelVecE
 
 
 def check_episodes(episodes: int, bodies: int) -> None:
-    """Raise ConfigError unless all bodies have equally many episodes."""
+    """Raise ConfigError unless ``episodes`` can be divided evenly among ``bodies``."""
     if episodes % bodies:
         raise ConfigError(f"{bodies} bodies need a multiple of that of episodes; got {episodes}.")
 
 
 def disturbed(policy: Any, env: VoxelVecEnv, parts: Sequence[str], seed: int) -> Any:
-    """The policy as it acts in the blocks of disturbances of ``env``, which from the next reset on draw the same."""
+    """Wrap ``policy`` so that each block of environments gets its disturbance; all draw the same random numbers."""
     if parts == (NOMINAL,):
         return policy
     episodes = env.num_envs // len(parts)
     check_episodes(episodes, env.num_designs)
-    # the numbers of as many environments as a single disturbance has
+    # every block gets the random numbers of the first
     numbers = torch.arange(episodes).view(env.num_designs, 1, -1)
     env.draw_as(numbers.expand(-1, len(parts), -1).flatten())
     return Disturbed(policy, env, parts, seed)

@@ -1,4 +1,4 @@
-"""Mean returns of trained policies with confidence intervals, and of runs with the same settings side by side."""
+"""Mean returns of evaluated policies with confidence intervals, and comparisons of runs grouped by settings."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ from warpvox.runs import Run
 
 @dataclass(frozen=True)
 class EvaluatedPolicy:
-    """A row: the returns of all episodes, and of those that are independent.
+    """One row of the table: a policy and its returns in episodes of one disturbance.
 
-    Of many bodies, of which another policy would meet others, these are the means of the bodies; so is that of equal
-    episodes. ``drawn``: episodes with a body differ by chance.
+    ``returns`` are those of all episodes; ``independent`` is the sample that the interval is computed from: with
+    several bodies, or episodes that are all equal, one mean for each body, else ``returns``. ``drawn``: episodes with
+    the same body differ by chance.
     """
 
     name: str
@@ -41,7 +42,7 @@ class EvaluatedPolicy:
     def each(
         cls, name: str, env: VoxelVecEnv, policy: Any, level: float, parts: Sequence[str], drawn: bool
     ) -> list[EvaluatedPolicy]:
-        """A row of each disturbance, after one episode in each environment; ``drawn``: all of them differ by chance."""
+        """Run one episode in each environment and return a row for each disturbance in ``parts``."""
         blocks = evaluate(env, policy).returns.view(env.num_designs, len(parts), -1).transpose(0, 1)
         rows = []
         for part, block in zip(parts, blocks.tolist(), strict=True):
@@ -53,28 +54,31 @@ class EvaluatedPolicy:
 
     @property
     def interval(self) -> Interval:
-        """Student's interval of the mean return."""
+        """Confidence interval of the mean return, by Student's t distribution."""
         return mean_interval(self.independent, self.level)
 
     @property
     def mean(self) -> float:
-        """The mean return."""
+        """Mean return."""
         return self.interval.mean
 
     @property
     def low_tenth(self) -> float:
-        """The 10 % quantile of the returns."""
+        """10 % quantile of the returns in ``independent``."""
         return float(np.quantile(self.independent, 0.1))
 
 
 class PolicyTable(tuple[EvaluatedPolicy, ...]):
-    """Rows in the order in which policies were given; printed as a table."""
+    """Rows in the order in which the policies were given; shown as a table by ``print`` and in notebooks."""
 
     def _cells(self) -> Iterator[tuple[str, ...]]:
+        """Yield the header and then each row, as tuples of text."""
         percent = f"{100 * self[0].level:g} % interval"
         yield "policy", "task", "episodes", "mean return", percent, "10 % quantile", "n"
         for row in self:
-            low, high, n = row.interval.low, row.interval.high, row.interval.n
+            low = row.interval.low
+            high = row.interval.high
+            n = row.interval.n
             interval = f"{low:.3f} to {high:.3f}" if n > 1 else "-"
             yield row.name, row.task, row.disturbance, f"{row.mean:.3f}", interval, f"{row.low_tenth:.3f}", str(n)
 
@@ -89,7 +93,7 @@ class PolicyTable(tuple[EvaluatedPolicy, ...]):
 
 
 def evaluate_run(run: Run, config: Any, designs: Any = None, level: float = 0.95) -> list[EvaluatedPolicy]:
-    """One episode in each environment that :func:`load_run` gives: a row of each disturbance of the protocol."""
+    """Run one episode in each environment of :func:`load_run` and return a row for each disturbance."""
     env, policy = load_run(run, config, designs, every=True)
     parts = policy.parts if isinstance(policy, Disturbed) else (NOMINAL,)
     return EvaluatedPolicy.each(str(run.folder), env, policy, level, parts, config.stochastic)
@@ -97,7 +101,7 @@ def evaluate_run(run: Run, config: Any, designs: Any = None, level: float = 0.95
 
 @dataclass(frozen=True)
 class Judged:
-    """Runs with the same settings, and what each has got in episodes of one disturbance."""
+    """Runs with the same settings, and the evaluation of each in episodes of one disturbance."""
 
     group: Group
     rows: list[EvaluatedPolicy]
@@ -109,17 +113,17 @@ class Judged:
 
     @property
     def over(self) -> str:
-        """Sample of an interval: runs where there are several, else the episodes of the only one."""
+        """Sample of the interval: ``runs`` if there are several, else the ``episodes`` of the only run."""
         return "runs" if len(self.rows) > 1 else "episodes"
 
     @property
     def values(self) -> list[float]:
-        """Independent values: the mean return of each run, or the returns of the only one."""
+        """Independent values: the mean return of each run, or the returns of the only run."""
         return [row.mean for row in self.rows] if len(self.rows) > 1 else self.rows[0].independent
 
 
 def judged_groups(groups: Iterable[Group], rows_of: Callable[[Run], Sequence[EvaluatedPolicy]]) -> list[Judged]:
-    """Each group in each disturbance that all of its runs have been evaluated under, in the order of both."""
+    """Return a :class:`Judged` for each group and each disturbance that all runs of the group were evaluated with."""
     found = []
     for group in groups:
         by_part = [{row.disturbance: row for row in rows_of(run)} for run in group.runs]
@@ -129,7 +133,7 @@ def judged_groups(groups: Iterable[Group], rows_of: Callable[[Run], Sequence[Eva
 
 
 def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged, Interval]]:
-    """Differences of mean returns on one task under one disturbance, first less second, with Welch's interval."""
+    """Return each pair with the same task and disturbance, and Welch's interval of first minus second mean return."""
     pairs = [
         (first, second)
         for first, second in combinations(judged, 2)
@@ -139,10 +143,13 @@ def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged
 
 
 def tables(judged: Sequence[Judged], level: float) -> dict[str, list[dict[str, Any]]]:
-    """``runs``, ``groups`` and ``comparisons``, as rows."""
-    runs, groups, pairs = [], [], []
+    """Return the tables ``runs``, ``groups`` and ``comparisons``, each as a list of rows."""
+    runs = []
+    groups = []
+    pairs = []
     for entry in judged:
-        settings, episodes = {"settings": entry.group.label}, {"episodes": entry.disturbance}
+        settings = {"settings": entry.group.label}
+        episodes = {"episodes": entry.disturbance}
         for run, one in zip(entry.group.runs, entry.rows, strict=True):
             found = {"quantile_10": one.low_tenth, "returns": one.returns}
             which = {"run": str(run.folder), "seed": run.config.get("seed")}
@@ -155,5 +162,6 @@ def tables(judged: Sequence[Judged], level: float) -> dict[str, list[dict[str, A
 
 
 def _row(interval: Interval, name: str = "mean") -> dict[str, Any]:
+    """Return the columns of an interval: the mean as ``name``, ``low``, ``high`` (None where not finite) and ``n``."""
     low, high = ((value if math.isfinite(value) else None) for value in (interval.low, interval.high))
     return {name: interval.mean, "low": low, "high": high, "n": interval.n}

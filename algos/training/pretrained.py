@@ -1,4 +1,4 @@
-"""The key ``pretrained``: a policy that was trained before, which another training or a design search begins with."""
+"""The key ``pretrained``: a trained policy that another training or a design search starts from."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OBS_OF_VOXELS = {"task": "voxel", "timed": "timed_voxel"}
 
 
 def find_pretrained(source: str, output_dir: str) -> tuple[Path, dict[str, Any]]:
-    """The file that ``pretrained`` names, and the configuration of its run; empty for a file by itself."""
+    """Return the checkpoint that ``source`` names and the configuration of its run; empty for a file without a run."""
     path = Path(source).expanduser()
     if path.is_file() and not (path.parent / CONFIG).is_file():
         return path, {}
@@ -33,7 +33,7 @@ def find_pretrained(source: str, output_dir: str) -> tuple[Path, dict[str, Any]]
 
 
 def check_learned(path: Path, content: Mapping[str, Any], network: str | None) -> PolicySpec:
-    """The policy of a checkpoint, all of which is checked, if a training can go on from it."""
+    """Check a whole checkpoint and return its policy's specification; raises if it cannot be trained further."""
     from warpvox.algos.checkpoints.files import checked_weights
     from warpvox.algos.checkpoints.policy import policy_of
 
@@ -48,18 +48,18 @@ def check_learned(path: Path, content: Mapping[str, Any], network: str | None) -
 
 
 def observed_by(spec: Mapping[str, Any] | None) -> str:
-    """Observations of a policy for voxels, by its ``PolicySpec`` if that is known."""
+    """Return the key ``obs`` of a voxel policy, ``voxel`` or ``timed_voxel``, from the policy's specification."""
     voxels = (spec or {}).get("voxels") or {}
     return "timed_voxel" if voxels.get("layout", {}).get("timed") else "voxel"
 
 
 def is_on_grid(layout: Mapping[str, Any]) -> bool:
-    """Return whether a policy for voxels controls any body in its grid; else it was made for one, in no grid."""
+    """Return whether a voxel policy has an action for every cell of its grid, and so can control any body in it."""
     return layout["actions"] == layout["rows"] * layout["columns"]
 
 
 def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[Training, dict[str, Any]]:
-    """The configuration of a training that begins with the policy ``pretrained``, and this policy's checkpoint.
+    """Return ``config`` changed to start from the policy ``pretrained``, and the content of its checkpoint.
 
     Network and observations are those of the policy. One that sees voxels keeps its grid, which other bodies
     lie in.
@@ -81,13 +81,14 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
     if spec.voxels is None:
         ppo |= {"hidden": list(spec.hidden), "activation": spec.activation, "rnn": spec.rnn}
     else:
-        name, settings = spec.voxels["network"], dict(spec.voxels["settings"])
+        name = spec.voxels["network"]
+        settings = dict(spec.voxels["settings"])
         changes |= {"policy": name, "network": settings or None, "obs": observed_by(content["policy"])}
         taken = inspect.signature(NETWORKS.get(name) or load_code(name)).parameters.values()
         usual["network"] = {one.name: one.default for one in taken if one.default is not one.empty}
         layout = spec.voxels["layout"]
         if is_on_grid(layout):
-            changes["designs"] = _on_the_grid(config, layout)
+            changes["designs"] = _designs_on_grid(config, layout)
     known = changes | {f"ppo.{key}": value for key, value in ppo.items()}
     known["network"] = usual["network"] | (known["network"] or {})
     for key in [key for key in known if key in named and key != "designs"]:
@@ -100,11 +101,12 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
     return dataclasses.replace(config, **changes), content
 
 
-def _on_the_grid(config: Training, layout: dict[str, Any]) -> Any:
-    """``designs`` of the policy's grid; a training for one body has it alone, and is judged by it."""
+def _designs_on_grid(config: Training, layout: dict[str, Any]) -> Any:
+    """Return ``designs`` with the grid of the policy; if it has no bodies, with the one body of ``config``."""
     from warpvox.algos.training.bodies import load_bodies  # and torch with it, for which mistakes in keys do not wait
 
-    designs, grid = config.designs, [layout["rows"], layout["columns"]]
+    designs = config.designs
+    grid = [layout["rows"], layout["columns"]]
     if designs.bodies is None:
         loaded = load_bodies(config.design, config.seed)
         bodies = [body.tolist() for body in loaded if not isinstance(body, dict)]

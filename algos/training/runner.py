@@ -48,17 +48,19 @@ COUNTERS = {
     "elapsed": float, "best_return": float, "best_iteration": int, "processes": int, "env": dict, "random": dict,
     "memory": dict,
 }  # fmt: skip
-"""Entries of a state beside networks and optimiser, and their types."""
+"""Entries of a training state besides networks and optimiser, and their types."""
 
 HOST_BOUND = 0.1
-"""Where the host waits for a GPU for a smaller part of the time, the GPU waits for its host."""
+"""Training is host-bound if the host waits for the GPU for less than this fraction of the time."""
 
 
 @dataclass(frozen=True)
 class _Evaluation:
-    """An evaluation that a thread makes while learning goes on.
+    """An evaluation that runs in a thread while learning continues.
 
-    ``policy``: what is evaluated, as a checkpoint has it. ``state``: of the runner, to come back to; None: not wanted.
+    ``result``: its outcome, once it has ended. ``policy``: checkpoint content of the policy under evaluation.
+    ``state``: of the runner at that time, to return to if the evaluation reaches ``stop_return``; None: there is no
+    such goal.
     """
 
     result: Future[EpisodeReturns]
@@ -68,7 +70,7 @@ class _Evaluation:
 
 @dataclass(frozen=True)
 class Schedule:
-    """When things happen, in iterations.
+    """Iterations at which training saves, evaluates and ends.
 
     ``total``: iterations of the whole run; ``save``, ``evaluate``: intervals; ``stop_return``: an evaluation
     that reaches it ends the run.
@@ -81,7 +83,7 @@ class Schedule:
 
 
 def adapt(env: Any, ppo: Ppo, apart: bool = False) -> RslRlVecEnv:
-    """Wrap a :class:`VoxelVecEnv` with the settings of ``ppo``; ``apart``: designs share no running moments."""
+    """Wrap a :class:`VoxelVecEnv` for rsl-rl as ``ppo`` says; ``apart``: designs share no running moments."""
     if env.num_obs > WIDEST:  # of a checkpoint more are not read
         raise ConfigError(f"A policy takes {WIDEST:,} observations at most; this task and body have {env.num_obs:,}.")
     own = {name: getattr(ppo, name) for name in ("action_scale", "reward_scale", "bootstrap_time_limit")}
@@ -90,10 +92,10 @@ def adapt(env: Any, ppo: Ppo, apart: bool = False) -> RslRlVecEnv:
 
 @dataclass
 class TimeSpent:
-    """Seconds of iterations, evaluations left out: what they were spent on, and what the host did for a GPU.
+    """Seconds that iterations have taken (evaluations left out), by what they were spent on.
 
-    ``simulation``: rollouts, with the policy's part in them. ``launching`` and ``waiting``: of the host, until the GPU
-    was done with what it was given; 0 on a CPU.
+    ``simulation``: rollouts, the policy's forward passes included; ``learning``: updates. ``launching`` and
+    ``waiting``: of the host, giving work to a GPU and waiting until it is done; 0 on a CPU.
     """
 
     simulation: float = 0.0
@@ -103,16 +105,17 @@ class TimeSpent:
 
     @property
     def shares(self) -> dict[str, float]:
-        """The parts of simulation and learning, which add up to 1; none where nothing is known."""
+        """Fractions of time spent on simulation and on learning, which add up to 1; empty at the beginning."""
         whole = self.simulation + self.learning
         return {"simulation": self.simulation / whole, "learning": self.learning / whole} if whole else {}
 
     @property
     def is_host_bound(self) -> bool:
-        """True where a GPU is done almost as soon as the host has launched the last of its work."""
+        """True if the GPU finishes almost as soon as the host has launched its last work."""
         return self.launching > 0 and self.waiting < HOST_BOUND * (self.launching + self.waiting)
 
     def __str__(self) -> str:
+        """Return the shares in percent, with a note if training is host-bound."""
         parts = [", ".join(f"{name} {100 * share:.0f} %" for name, share in self.shares.items())]
         if self.is_host_bound:
             parts.append("host-bound: more environments cost nothing")
@@ -120,9 +123,9 @@ class TimeSpent:
 
 
 class _Rollout(Logger):
-    """Collects what rsl-rl's runner tells of an iteration, in the place of its logger.
+    """Replaces rsl-rl's logger: collects what its runner reports of one iteration.
 
-    ``ended``: bool ``[num_envs]``, where episodes have ended. ``steps``: of a rollout.
+    ``ended``: bool ``[num_envs]``, environments in which an episode has ended. ``steps``: control steps of a rollout.
     """
 
     writer = None
@@ -133,7 +136,7 @@ class _Rollout(Logger):
         self.spent = spent
 
     def init_logging_writer(self) -> None:
-        """An iteration begins."""
+        """Start the record of a new iteration."""
         self._began = time.perf_counter()
         self._logs: list[dict[str, torch.Tensor]] = []
         self.ended = torch.tensor(False)
@@ -141,7 +144,7 @@ class _Rollout(Logger):
     def process_env_step(
         self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict, intrinsic_rewards: object = None
     ) -> None:
-        """A control step is done."""
+        """Record the logs and ended episodes of one control step; after the last one on CUDA, measure the wait."""
         self._logs.append(extras["log"])
         self.ended = dones | self.ended
         if self.bodies is not None:
@@ -154,7 +157,7 @@ class _Rollout(Logger):
             self.spent.waiting += time.perf_counter() - launched
 
     def log(self, *, loss_dict: dict[str, float], collect_time: float, learn_time: float, **_: object) -> None:
-        """The update is done."""
+        """Record the losses and times of the update, and average the logs over the control steps."""
         self.losses = loss_dict
         self.spent.simulation += collect_time
         self.spent.learning += learn_time
@@ -247,21 +250,23 @@ class Runner(OnPolicyRunner):
         self.best_return = -math.inf
         self.best_iteration = 0
         self.last_return = math.nan
-        self._kept = -math.inf  # the return of the file of the best, which may be later than the state
-        self._turned_back = False  # to a checkpoint beside a state that may be of a later iteration
+        self._kept = -math.inf  # return of the policy in model_best.pt, which may be newer than the state
+        self._turned_back = False  # whether training continues from a checkpoint that may be older than state.pt
 
-        # What learns in the place of `alg`, which is behind until somebody asks for it
+        # On CUDA this learns instead of `alg`, which is only brought up to date when it is needed
         self._iteration: Iteration | None = None
         self._is_behind = False
 
-        # Rows that are not reported yet, with what loggers get besides, and the evaluation that the first waits for
+        # Rows that are not reported yet, each with further means for loggers; the evaluation that the first waits for
         self._rows: list[tuple[dict[str, float], dict[str, float]]] = []
         self._evaluation: _Evaluation | None = None
 
     def _configure_multi_gpu(self) -> None:
-        """As rsl-rl's, for processes that have met already, on CPUs, too."""
+        """Set the process group's ranks as rsl-rl's method does, for processes that are already connected."""
         group = self.group
-        self.is_distributed, self.gpu_world_size, self.gpu_global_rank = False, group.size, group.rank
+        self.is_distributed = False
+        self.gpu_world_size = group.size
+        self.gpu_global_rank = group.rank
         ranks = {"global_rank": group.rank, "local_rank": group.local_rank, "world_size": group.size}
         self.cfg["multi_gpu"] = ranks if group.size > 1 else None
 
@@ -271,17 +276,17 @@ class Runner(OnPolicyRunner):
 
     @property
     def steps(self) -> int:
-        """Control steps of all environments so far."""
+        """Number of control steps of all environments so far."""
         return self.current_learning_iteration * self.steps_per_iteration
 
     @property
     def policy(self) -> Policy:
-        """The policy as it is now, without exploration, on the CPU."""
+        """Current policy, without exploration, on the CPU."""
         self._catch_up()
         return Policy(self.spec, self.alg.get_policy().state_dict())
 
     def run(self) -> None:
-        """Learn until the schedule's total or ``stop_return`` is reached.
+        """Train until the schedule's total number of iterations or ``stop_return`` is reached.
 
         The first interrupt waits for the end of the iteration, saves, and then raises KeyboardInterrupt.
 
@@ -295,7 +300,7 @@ class Runner(OnPolicyRunner):
             self.learn(left, init_at_random_ep_len=self.ppo.random_start)
 
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
-        """Learn for so many iterations; random lengths apply to the very first one only."""
+        """Train for ``num_learning_iterations``; random first episode lengths apply to the very first one only."""
         end = self.current_learning_iteration + num_learning_iterations
         self._rows.clear()
         self._evaluation = None
@@ -307,64 +312,64 @@ class Runner(OnPolicyRunner):
             # torch's number of threads is a setting of every thread
             with (
                 ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(threads,)) as self._thread,
-                deferred_interrupts() as interrupted,
+                deferred_interrupts() as interrupt,
             ):
                 while self.current_learning_iteration < end and not self._reached_goal():
-                    self._learn_once(end)
+                    # Run one iteration; if it diverges, report the rows before it.
+                    try:
+                        with self._own_torch():
+                            row = self._iterate(end)
+                    except DivergenceError:
+                        self._await_evaluation()
+                        self._report()
+                        if not self._reached_goal():
+                            raise
+                        continue
+                    self._rows.append((row, self.logger.means))
 
                     # Report, unless a thread still evaluates and may go on with that
                     done = self.current_learning_iteration
                     is_saved = done % self.schedule.save == 0 and done != end
-                    is_stopped = self.group.any(bool(interrupted))
-                    is_wanted = is_saved or is_stopped or done == end or self._is_due(done + 1, end)
+                    is_wanted = is_saved or done == end or self._is_due(done + 1, end)
                     if self._evaluation is None or is_wanted or self._evaluation.result.done():
                         self._await_evaluation()
                         self._report()
 
                     # Save as scheduled, or because somebody has asked to stop
+                    is_stopped = self.group.any(bool(interrupt))
                     if is_saved or is_stopped:
+                        self._await_evaluation()
+                        self._report()
                         self.save_all()
                     if is_stopped:
-                        interrupted.stop()
+                        interrupt.raise_interrupt()
             self._catch_up()
             self.save_all()
         finally:
             if self._metrics is not None:
                 self._metrics.close()
 
-    def _learn_once(self, end: int) -> None:
-        """One iteration, whose row waits in ``_rows``; where it diverges, what was before it is reported."""
-        try:
-            with self._own_torch():
-                row = self._iterate(end)
-        except DivergenceError:
-            self._await_evaluation()
-            self._report()
-            if not self._reached_goal():
-                raise
-        else:
-            self._rows.append((row, self.logger.means))
-
     def _report(self) -> None:
-        """Write and report the rows that wait."""
+        """Write the rows in ``_rows`` to the metrics, pass them to ``report``, and empty ``_rows``."""
         while self._rows:
             row, means = self._rows.pop(0)
-            self.logger.means = means  # which trackers look at
+            self.logger.means = means  # trackers read them
             if self._metrics is not None:
                 self._metrics.write(row, means)
             if self.report is not None and self.group.is_main_process:
                 self.report(row)
 
     def _is_due(self, iteration: int, end: int) -> bool:
-        """Whether an iteration is evaluated."""
+        """Return whether ``iteration`` is evaluated: those of the interval, and the last one, ``end``."""
         return iteration % self.schedule.evaluate == 0 or iteration == end
 
     def _reached_goal(self) -> bool:
+        """Return whether the last evaluation reached ``stop_return``."""
         goal = self.schedule.stop_return
         return goal is not None and self.last_return >= goal
 
     def _own_torch(self) -> contextlib.AbstractContextManager[None]:
-        """torch for one iteration, in which no other training disturbs this one.
+        """Return a context for one iteration with torch settings and a global seed of its own.
 
         Code of the user's may draw from torch's global generators: the same numbers again if the run is resumed.
         """
@@ -372,7 +377,7 @@ class Runner(OnPolicyRunner):
         return own_torch(self.torch_threads, seed, self.env.network_dtype)
 
     def _begin(self, init_at_random_ep_len: bool) -> None:
-        """Prepare the environments, the folder and the networks of other processes."""
+        """Prepare a call of :meth:`learn`: first state file, episode lengths, metrics, other processes' networks."""
         # A run can be resumed whenever it is killed.
         if self.current_learning_iteration == 0 or self._turned_back:
             self.save_state()
@@ -383,7 +388,7 @@ class Runner(OnPolicyRunner):
             lengths = torch.randint(longest, (self.env.num_envs,), generator=self.generators.on("cpu"))
             self.env.episode_length_buf = lengths.to(self.env.device)
 
-        # Later checkpoints go with the rows that will be written again.
+        # Remove later checkpoints: their iterations will be repeated.
         if self.folder is not None and self.group.is_main_process:
             for number in Run(self.folder, {}).iterations:
                 if number > self.current_learning_iteration > 0:
@@ -393,34 +398,41 @@ class Runner(OnPolicyRunner):
         if self.group.size > 1:
             self.alg.broadcast_parameters()
 
-        # On CUDA launches are what takes time: an iteration is one graph where nothing but our own PPO learns.
+        # On CUDA kernel launches take most of the time: if our own PPO can learn, an iteration becomes one graph.
         is_ours = self.spec.is_mlp and not self.ppo.extra and self.group.size == 1
         if self._iteration is None and is_ours and torch.device(self.device).type == "cuda":
             self._iteration = self._make_iteration()
 
     def _make_iteration(self) -> Iteration:
-        """An iteration that goes on from where ``alg`` is."""
+        """Return an iteration on the device that starts with the networks and optimiser state of ``alg``."""
         settings = {name: value for name, value in self.cfg["algorithm"].items() if name != "class_name"}
         algorithm = PopulationPPO.in_place_of(self.alg, self.generators.on(self.device), **settings)
         inner = self.env.env
         return Iteration(self.env, algorithm, None if inner.dump is not None else inner.capture)
 
     def _catch_up(self) -> None:
-        """Have ``alg`` be what was learned in its place."""
+        """Copy to ``alg`` what the iteration on the device has learned, if that is newer."""
         if self._iteration is not None and self._is_behind:
             self._iteration.algorithm.copy_to(self.alg)
             self._is_behind = False
 
     def _iterate(self, end: int) -> dict[str, float]:
-        """One iteration: collect, learn, exchange bodies, evaluate as scheduled; returns its row of the metrics."""
+        """Run one iteration: collect, learn, exchange bodies, evaluate if due; returns its row of the metrics."""
         started = time.perf_counter()
 
-        # Collect and learn; results that are no figures are in `logger`.
-        figures = self._learn_by_rsl_rl() if self._iteration is None else self._learn_on_device(self._iteration)
+        # Collect and learn; tensors and means that do not go into the row are in `logger`.
+        if self._iteration is None:
+            try:
+                super().learn(1)
+            except ActionError as error:
+                raise self._diverged(str(error)) from error
+            figures = self._figures_of_rsl_rl()
+        else:
+            figures = self._learn_on_device(self._iteration)
 
         # Exchange bodies
         if self.bodies is not None and self.bodies.refresh != "none":
-            # in the mode in which the environments have made steps
+            # in the same torch mode as the steps of the environments
             with torch.inference_mode() if self._iteration is None else torch.no_grad():
                 self.bodies.exchange(self.env, self.logger.ended)
                 self.alg.actor.reset(self.logger.ended)
@@ -439,12 +451,8 @@ class Runner(OnPolicyRunner):
         self.elapsed += time.perf_counter() - started
         return self._row(figures, seconds, evaluated)
 
-    def _learn_by_rsl_rl(self) -> dict[str, float]:
-        """Collect and learn; returns figures as :meth:`Iteration.read` does."""
-        try:
-            super().learn(1)
-        except ActionError as error:
-            raise self._diverged(str(error)) from error
+    def _figures_of_rsl_rl(self) -> dict[str, float]:
+        """Return the figures of the iteration that rsl-rl has made, under the names of :meth:`Iteration.read`."""
         learned = [value for group in self.alg.optimizer.param_groups for value in group["params"]]
         learned += self.alg.get_policy().buffers()
         deviations: Any = self.alg.get_policy().distribution
@@ -457,7 +465,7 @@ class Runner(OnPolicyRunner):
         }
 
     def _learn_on_device(self, iteration: Iteration) -> dict[str, float]:
-        """Collect and learn without rsl-rl; returns figures."""
+        """Collect and learn with :class:`Iteration` instead of rsl-rl; returns what :meth:`Iteration.read` does."""
         began = time.perf_counter()
         iteration()
         self._is_behind = True
@@ -488,16 +496,17 @@ class Runner(OnPolicyRunner):
             raise self._diverged("the networks have weights that are NaN or infinite")
 
     def _diverged(self, reason: str) -> DivergenceError:
+        """Return the DivergenceError for the current iteration, with ``reason`` and advice."""
         return DivergenceError(
             f"Learning diverged in iteration {self.current_learning_iteration + 1} ({reason}); checkpoints hold what"
             " was before. Try a new run with a lower ppo.learning_rate, or with values of ppo nearer to the defaults."
         )
 
     def _evaluate(self) -> float:
-        """The mean return of a deterministic evaluation; keeps the policy if it is the best so far.
+        """Evaluate the policy without exploration, keep it if it is the best so far, and return its mean return.
 
-        NaN where there is no evaluator, and where a thread evaluates: while a graph is replayed the host has nothing
-        else to do. The first evaluation is made at once, for it loads kernels.
+        The result is NaN without an evaluator, and where the evaluation is started in a thread, while the GPU replays a
+        graph and the host is idle. The first evaluation never runs in a thread, because it loads kernels.
         """
         is_replayed = self._iteration is not None and self._iteration.is_replayed
         if is_replayed and self._judged is not None and self.evaluator is not None and self._is_default_type_ours:
@@ -522,18 +531,20 @@ class Runner(OnPolicyRunner):
         return value
 
     def _keep_if_best(self, value: float, iteration: int, policy: Callable[[], dict[str, Any]]) -> None:
-        """Note the return of an evaluation, and write the policy to a file if it is the best so far."""
+        """Set ``last_return``; if ``value`` is the best so far, update ``best_return`` and write ``model_best.pt``."""
         self.last_return = value
         if value > self.best_return:
-            self.best_return, self.best_iteration = value, iteration
+            self.best_return = value
+            self.best_iteration = iteration
             if self.folder is not None and self.group.is_main_process and value >= self._kept:
                 save_checkpoint(self.folder / BEST, policy() | {"eval_return": value})
 
     def _await_evaluation(self) -> None:
-        """Take in what a thread has found, if one evaluates: as if it had been known when its iteration was done."""
+        """Wait for the evaluation in the thread, if any, and put its result into the row of its iteration."""
         if self._evaluation is None:
             return
-        evaluation, self._evaluation = self._evaluation, None
+        evaluation = self._evaluation
+        self._evaluation = None
         iteration = evaluation.policy["iter"]
         began = time.perf_counter()
         try:
@@ -545,7 +556,7 @@ class Runner(OnPolicyRunner):
         finally:
             self.elapsed += time.perf_counter() - began
 
-        # At the goal later iterations have not been made.
+        # If the goal is reached, undo the iterations that were run meanwhile.
         value = self._judged.mean_return
         goal = self.schedule.stop_return
         if goal is not None and value >= goal and self.current_learning_iteration > iteration:
@@ -553,13 +564,14 @@ class Runner(OnPolicyRunner):
             with self._own_torch():
                 self.set_state(evaluation.state or {})
 
-        # The rows, of which the first is that of the evaluation
+        # Complete the rows; the first one belongs to the evaluation.
         self._keep_if_best(value, iteration, lambda: evaluation.policy)
         self._rows[0][0].update({"eval_return": value, **self._quantiles(value)})
         for row, _ in self._rows:
             row["best_return"] = self.best_return
 
     def _row(self, figures: dict[str, float], seconds: float, evaluated: float) -> dict[str, float]:
+        """Return the row of ``metrics.csv`` for the current iteration."""
         return {
             "iteration": self.current_learning_iteration,
             "steps": self.steps,
@@ -577,14 +589,14 @@ class Runner(OnPolicyRunner):
         }
 
     def _quantiles(self, evaluated: float) -> dict[str, float]:
-        """Quantiles of the returns of the last evaluation, over its bodies where there are several."""
+        """Return the 10, 50 and 90 % quantiles of the last evaluation over its bodies; empty for a single body."""
         fitness = () if math.isnan(evaluated) or self._judged is None else self._judged.fitness
         if len(fitness) < 2:
             return {}
         return {f"eval_q{share}": float(torch.quantile(fitness, share / 100)) for share in (10, 50, 90)}
 
     def _episodes(self, figures: dict[str, float]) -> dict[str, float]:
-        """Number, mean return and length of the episodes that have ended in all processes; how many were stopped."""
+        """Return count, mean return and mean length of episodes ended in all processes, and how many were stopped."""
         own = self.env.pop_episodes() if self._iteration is None else self.env.episodes_of(figures)
         count = own["episodes"]
         sums = [count, *(count * own[name] if count else 0.0 for name in ("return", "length"))]
@@ -594,6 +606,7 @@ class Runner(OnPolicyRunner):
         return {"episodes": int(count), "return_mean": mean, "length_mean": length} | stopped
 
     def summary(self) -> dict[str, Any]:
+        """Return the progress so far for ``summary.json``: iterations, steps, best and last return, times."""
         known = math.isfinite(self.best_return)
         return {
             "iterations": self.current_learning_iteration,
@@ -606,12 +619,13 @@ class Runner(OnPolicyRunner):
         }
 
     def _time_spent(self) -> dict[str, Any]:
-        """Where time has gone in this process; nothing before its first iteration."""
+        """Return how time was spent in this process, for the summary; empty before the first iteration."""
         shares = {name: round(share, 3) for name, share in self.spent.shares.items()}
         found: dict[str, Any] = {"time": shares} if shares else {}
         return found | ({"host_bound": self.spent.is_host_bound} if self.spent.launching else {})
 
     def _policy_content(self) -> dict[str, Any]:
+        """Return the content of a checkpoint: networks, optimiser, iteration and the policy's specification."""
         self._catch_up()
         own = {"iter": self.current_learning_iteration, "infos": None, "policy": spec_dict(self.spec)}
         return self.alg.save() | own | {"eval_return": self.last_return, "trained_on": self.trained_on}
@@ -624,13 +638,14 @@ class Runner(OnPolicyRunner):
         self.save_state()
 
     def save_state(self) -> None:
+        """Write this process's state file to the run's folder, if there is one, and set ``saved_iteration``."""
         if self.folder is not None:
             check_folder(self.folder)
             save_checkpoint(self.state_file(self.folder / STATE), self.state())
         self.saved_iteration = self.current_learning_iteration
 
     def state(self) -> dict[str, Any]:
-        """The complete state of training, for :meth:`set_state`."""
+        """Return the complete state of training, for :meth:`set_state`."""
         own = {
             "env": self.env.state(),
             "random": self.generators.state(),
@@ -645,15 +660,15 @@ class Runner(OnPolicyRunner):
         return self._policy_content() | own
 
     def state_file(self, path: Path) -> Path:
-        """The state of this process beside that of the first one, which is at ``path``."""
+        """Return where this process keeps its state: ``path`` in the first process, a file beside it in others."""
         return path if self.group.is_main_process else path.with_name(f"{path.stem}_{self.group.rank}{path.suffix}")
 
     def resume(self, path: Path) -> None:
-        """Go on from a checkpoint file.
+        """Continue from a checkpoint file: load the networks and, from ``state.pt``, the complete state.
 
-        From ``state.pt`` learning goes on exactly as if it had not been stopped; any other checkpoint
-        restores the networks, the optimiser and the schedule, with new episodes; later checkpoints are removed when
-        learning begins. The best policy of its folder stays until there is a better one.
+        From ``state.pt`` learning goes on exactly as if it had not been stopped. Any other checkpoint restores the
+        networks, the optimiser and the schedule, with new episodes; later checkpoints are removed when learning begins.
+        ``model_best.pt`` in the folder stays until there is a better policy.
         """
         content = load_checkpoint(path, self.device)
         with damaged(path):
@@ -673,13 +688,14 @@ class Runner(OnPolicyRunner):
             check_like(best, {"eval_return": float, "iter": int})
             self._kept = best["eval_return"]
             if self._turned_back:
-                self.best_return, self.best_iteration = best["eval_return"], best["iter"]
+                self.best_return = best["eval_return"]
+                self.best_iteration = best["iter"]
 
     def begin_with(self, learned: Mapping[str, Any], optimizer: bool = False) -> None:
-        """Begin with the networks of a checkpoint that another training has left, at the beginning of the schedule.
+        """Load the networks of a checkpoint from another training, and start at the beginning of the schedule.
 
         Args:
-            optimizer: whether to take the moments of its optimiser, and the rate that an adaptive schedule has found.
+            optimizer: whether to load the optimiser's moments, and the learning rate that an adaptive schedule found.
         """
         check_fits(self.spec, spec_of(learned["policy"]))
         self._iteration = None
@@ -692,7 +708,7 @@ class Runner(OnPolicyRunner):
             self.alg.set_learning_rate(self.ppo.learning_rate)
 
     def set_state(self, content: dict[str, Any]) -> None:
-        """Go on from :meth:`state`, or with new episodes from the content of ``model_<iteration>.pt``."""
+        """Restore what :meth:`state` returned; from the content of ``model_<iteration>.pt``, with new episodes."""
         check_like(content, {"iter": int, "eval_return": float} | (COUNTERS if "env" in content else {}))
         self._iteration = None
         self.alg.load(content, None, True)
@@ -706,4 +722,5 @@ class Runner(OnPolicyRunner):
         self.alg.set_memory(content["memory"])
         self.generators.set_state(content["random"])
         self.elapsed = content["elapsed"]
-        self.best_return, self.best_iteration = content["best_return"], content["best_iteration"]
+        self.best_return = content["best_return"]
+        self.best_iteration = content["best_iteration"]

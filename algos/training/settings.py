@@ -130,11 +130,13 @@ class Training(Settings):
     )
 
     def __post_init__(self) -> None:
+        """Convert short forms to settings, NumPy values to plain ones, and check all values."""
         if isinstance(self.designs, str | list | tuple):
             self.designs = Designs(self.designs)
         self.physics = PhysicsConfig.of(self.physics)
         convert(self, without=("task",))  # or a specification of a task
-        self.design, self.network = plain(self.design, "design"), plain(self.network, "network")
+        self.design = plain(self.design, "design")
+        self.network = plain(self.network, "network")
         self.design = design_for(getattr(self.task, "id", self.task), self.design)
         for name in ("bodies", "held_out"):
             setattr(self.designs, name, plain(getattr(self.designs, name), f"designs.{name}"))

@@ -24,7 +24,7 @@ FPS = round(1 / FRAME_SECONDS)
 
 
 class Adapter:
-    """Environments of :func:`warpvox.make_vec` behind another interface.
+    """Environments of :func:`warpvox.make_vec` behind the interface of another library.
 
     Attributes:
         vec: the environments themselves, with torch tensors.
@@ -38,7 +38,7 @@ class Adapter:
     def _make(
         self, task: Any, designs: Any, num_envs: int, options: dict[str, Any], defaults: dict[str, Any], **fixed: Any
     ) -> None:
-        """Make the environments.
+        """Make the environments and set ``vec``.
 
         Args:
             options: what the adapter was given besides its own arguments.
@@ -56,7 +56,7 @@ class Adapter:
         self.vec = make_vec(task, designs, num_envs, **options, **fixed)
 
     def pictures(self, envs: Sequence[int] | None = None) -> Sequence[np.ndarray]:
-        """A picture of every environment as it is now, or of those numbers, uint8 ``[height, width, 3]`` each."""
+        """Return a picture of every environment, or of those numbered ``envs``: uint8 ``[height, width, 3]`` each."""
         if self._view is None or self._view.worlds is not self.vec.sim.world_numbers:  # bodies have been exchanged
             from warpvox.view.painter import LiveView
 
@@ -65,7 +65,7 @@ class Adapter:
 
 
 class BatchAdapter(Adapter):
-    """Many environments in one batch, which other libraries also ask one by one.
+    """Environments in one batch behind an interface that also reaches each environment by itself.
 
     Attributes:
         num_envs: the number of environments.
@@ -79,7 +79,7 @@ class BatchAdapter(Adapter):
 
     @cached_property
     def envs(self) -> list["SubEnv"]:
-        """The environments one by one."""
+        """The environments as single ones, in order."""
         return [SubEnv(self, number) for number in range(self.num_envs)]
 
     def restart(self, mask: np.ndarray, seeds: Sequence[int] | None) -> np.ndarray:
@@ -97,7 +97,7 @@ class BatchAdapter(Adapter):
 
 
 class OneEnv:
-    """Views of an environment of a :class:`warpvox.envs.vec_env.VoxelVecEnv`.
+    """Properties of one environment of a :class:`warpvox.envs.vec_env.VoxelVecEnv`.
 
     Attributes:
         vec: the environments that it is one of.
@@ -114,12 +114,12 @@ class OneEnv:
 
     @property
     def voxels(self) -> dict[str, Any]:
-        """With ``obs="voxel"`` the :class:`warpvox.envs.voxels.VoxelLayout` of every robot, by name."""
+        """The :class:`warpvox.envs.voxels.VoxelLayout` of every robot by name, with ``obs="voxel"``."""
         return self.vec.voxels
 
     @property
     def body(self) -> np.ndarray | dict[str, np.ndarray]:
-        """int8 ``[rows, columns]``: the robot; of several robots all, by name."""
+        """The body of the robot, int8 ``[rows, columns]``, a copy; of several robots ``{name: body}``."""
         return copy.deepcopy(self.vec.designs[int(self.vec.design_index[self.number])])
 
 
@@ -185,7 +185,7 @@ class SubEnv(OneEnv, gymnasium.Env[np.ndarray, np.ndarray]):
         )
 
     def render(self) -> np.ndarray | None:
-        """The present state, uint8 ``[height, width, 3]``; without a mode a warning and None."""
+        """Return a picture of the present state, uint8 ``[height, width, 3]``; without a mode warn and return None."""
         if self.render_mode is None:
             gymnasium.logger.warn("render() does nothing without render_mode='rgb_array'.")
             return None
@@ -193,30 +193,34 @@ class SubEnv(OneEnv, gymnasium.Env[np.ndarray, np.ndarray]):
 
 
 def flat(terms: Mapping[str, Values]) -> dict[str, Values]:
-    """Values of reward terms as entries of ``info``: libraries do not take dictionaries of dictionaries."""
+    """Return values of reward terms under the names that ``info`` has for them: ``reward_terms/NAME``.
+
+    Libraries do not take nested dictionaries.
+    """
     return {f"reward_terms/{name}": value for name, value in terms.items()}
 
 
 def metadata_here(metadata: dict[str, Any]) -> dict[str, Any]:
-    """Metadata of an environment with those render modes alone that work on this machine."""
+    """Return the metadata of an environment with only the render modes that work on this machine."""
     if window.why_no_window() is None:
         return metadata
     return metadata | {"render_modes": [mode for mode in metadata.get("render_modes", ()) if mode not in WINDOWED]}
 
 
 def spaces_of(env: Any) -> tuple[Box, Box]:
-    """The spaces of observations and actions of a single environment of a :class:`warpvox.envs.vec_env.VoxelVecEnv`.
+    """Return the spaces of observations and of actions of a single environment of a ``VoxelVecEnv``.
 
     An entry's bounds are those of the terms (:mod:`warpvox.envs.about`) that it belongs to in some design, or with
     ``grid`` in any that may be put in; what has none, such as places and velocities, may become as large as it likes.
     Both have the precision of the environment.
     """
     dtype = np.dtype(env.sim.options.dtype)
-    padding = np.arange(int(env.num_obs)) >= env.layout.always  # is 0
+    padding = np.arange(int(env.num_obs)) >= env.layout.num_never_padded  # may be padded with 0
     low = np.where(padding, 0.0, np.inf)
     high = np.where(padding, 0.0, -np.inf)
     for term in env.spec.observations:
-        at = env.layout.places[term.name]
-        low[at], high[at] = np.minimum(low[at], term.about.low), np.maximum(high[at], term.about.high)
+        at = env.layout.possible_columns[term.name]
+        low[at] = np.minimum(low[at], term.about.low)
+        high[at] = np.maximum(high[at], term.about.high)
     actions = Box(ACTION_LOW, ACTION_HIGH, (env.num_actions,), dtype)
     return Box(low.astype(dtype), high.astype(dtype), dtype=dtype), actions

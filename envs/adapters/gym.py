@@ -19,14 +19,14 @@ NAMESPACE = "warpvox"
 
 
 def register() -> None:
-    """Make all tasks known to gymnasium as ``warpvox/<id>``. Harmless to repeat."""
+    """Register all tasks with gymnasium as ``warpvox/<id>``; may be called again."""
     for task in task_ids():
         if f"{NAMESPACE}/{task}" not in gymnasium.registry:
             _register(NAMESPACE, task, task)
 
 
 def register_task(task: str | TaskSpec, namespace: str) -> str:
-    """Make a task of your own known to gymnasium; return its id ``<namespace>/<task id>``.
+    """Register a task of your own with gymnasium; return its id ``<namespace>/<task id>``.
 
     Args:
         task: a specification, or ``module:NAME``, which other processes (``vectorization_mode="async"``) can import.
@@ -41,6 +41,7 @@ def register_task(task: str | TaskSpec, namespace: str) -> str:
 
 
 def _register(namespace: str, name: str, task: str | TaskSpec) -> str:
+    """Register a task with gymnasium; return its id there."""
     gymnasium.register(  # pyright: ignore[reportUnknownMemberType] # its types leave arguments open
         f"{namespace}/{name}",
         entry_point="warpvox.envs.adapters.gym:VoxelEnv",
@@ -120,7 +121,7 @@ class VoxelEnv(Adapter, OneEnv, gymnasium.Env):
         return obs[0].cpu().numpy(), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """One control step.
+        """Do one control step.
 
         Returns:
             Observation, reward, terminated, truncated (always False here), and a dictionary with ``unstable``
@@ -158,7 +159,7 @@ class VoxelEnv(Adapter, OneEnv, gymnasium.Env):
         return obs, sum(terms.values()), terminated, False, info
 
     def render(self) -> np.ndarray | None:
-        """The present state, uint8 ``[height, width, 3]``, in the mode ``rgb_array``.
+        """Return a picture of the present state, uint8 ``[height, width, 3]``, in the mode ``rgb_array``.
 
         In the mode ``human`` it is shown, as after every step, and None returned. Without a mode gymnasium's
         convention is a warning and None.
@@ -170,7 +171,7 @@ class VoxelEnv(Adapter, OneEnv, gymnasium.Env):
         return self.pictures()[0] if self.render_mode == "rgb_array" else None
 
     def _show(self) -> None:
-        """In human mode: the state in the window, which is opened if need be; one that was closed stays closed."""
+        """Show the present state in a window in the mode ``human``; a window that was closed stays closed."""
         if self.render_mode != "human" or (self._window is not None and self._window.closed):
             return
         picture = self.pictures()[0]  # refuses a size before there is a window of it
@@ -181,6 +182,6 @@ class VoxelEnv(Adapter, OneEnv, gymnasium.Env):
         self._next_frame = time.perf_counter() + FRAME_SECONDS
 
     def close(self) -> None:
-        """Close the window. Harmless to repeat."""
+        """Close the window, if there is one."""
         if self._window is not None:
             self._window.close()

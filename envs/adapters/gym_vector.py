@@ -16,7 +16,7 @@ from warpvox.errors import ConfigError, SimulationError, did_you_mean, listing
 
 
 class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
-    """A :class:`warpvox.envs.vec_env.VoxelVecEnv` behind gymnasium's vector interface: one batch, no processes.
+    """Environments behind gymnasium's vector interface, in one batch and one process.
 
     Observations ``[num_envs, num_obs]``, rewards float64 and flags ``[num_envs]`` are numpy arrays; ``infos`` holds
     ``unstable``, ``diverged`` and ``reward_terms/NAME``, as they are for a single environment. An environment that has
@@ -134,21 +134,24 @@ class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
         return self._obs.copy(), {}
 
     def restart(self, mask: np.ndarray, seeds: Sequence[int] | None) -> np.ndarray:
-        """Begin an episode where ``mask`` is True; the others keep their observation. Returns those of all."""
+        """Begin an episode where ``mask`` is True; return all observations, those of the others unchanged."""
         fresh = self._reset(seeds, mask).cpu().numpy()
         self._obs = np.where(mask[:, None], fresh, self._obs)
         self._ended = self._ended & ~mask
         return self._obs
 
     def set_designs(self, designs: object, mask: np.ndarray, connections: Sequence[object] | None = None) -> np.ndarray:
-        """:meth:`warpvox.envs.vec_env.VoxelVecEnv.set_designs`; observations of the others are of the last step."""
+        """Replace bodies by :meth:`warpvox.envs.vec_env.VoxelVecEnv.set_designs`; return all observations.
+
+        Those of environments outside ``mask`` are unchanged.
+        """
         fresh = self.vec.set_designs(designs, mask, connections).cpu().numpy()
         self._obs = np.where(np.asarray(mask)[:, None], fresh, self._obs)
         self._ended = self._ended & ~np.asarray(mask)
         return self._obs.copy()
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One control step everywhere; ``actions`` ``[num_envs, num_actions]``.
+        """Do one control step in all environments; ``actions`` are ``[num_envs, num_actions]``.
 
         Raises:
             ActionError: wrong shape, or entries that are not finite. SimulationError: with ``DISABLED`` an environment
@@ -196,19 +199,19 @@ class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
         return self._obs.copy(), rewards, terminations, truncations, infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """A picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
+        """Return a picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
         if self.render_mode is None:
             gymnasium.logger.warn("render() does nothing without render_mode='rgb_array'.")
             return None
         return tuple(self.pictures())
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method of each environment and return the results; of an attribute that is no method, the values."""
+        """Call a method of each environment and return the results; for an attribute that is no method, its values."""
         found = [env.get_wrapper_attr(name) for env in self.envs]
         return tuple(value(*args, **kwargs) if callable(value) else value for value in found)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """An attribute of each environment."""
+        """Return an attribute of each environment."""
         return self.call(name)
 
     def set_attr(self, name: str, values: Any) -> None:
@@ -229,7 +232,7 @@ class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
 
 
 def _masked(values: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, Any]:
-    """Values in gymnasium's form: 0 where the mask is False, and the mask itself under ``_name``."""
+    """Return values as gymnasium's infos have them: 0 where the mask is False, with the mask under ``_name``."""
     out: dict[str, Any] = {}
     for name, value in values.items():
         out[name] = np.where(mask, value, np.zeros_like(value))

@@ -25,7 +25,7 @@ OBS_GROUP = "policy"
 
 
 class RslRlVecEnv(VecEnv):
-    """Adapter: scales outputs of the policy to actions, scales rewards, and separates time limits from terminations.
+    """Environments behind rsl-rl's interface: scales policy outputs and rewards, and reports time limits.
 
     ``extras`` of a step hold ``log`` (means of this step for TensorBoard), ``returns`` (of the episodes so far,
     ``[num_envs]``), ``whole`` (bool ``[num_envs]``: episodes that have ended and had no random start) and, if time
@@ -61,13 +61,16 @@ class RslRlVecEnv(VecEnv):
             raise ConfigError("Training needs environments that reset themselves: make_vec(auto_reset=True).")
         self.env = env
         self.network_dtype = torch.get_default_dtype()  # that of the networks which are made now
-        self.num_envs, self.num_actions = env.num_envs, env.num_actions
+        self.num_envs = env.num_envs
+        self.num_actions = env.num_actions
         self.max_episode_length = env.max_episode_steps
         self.device = env.device
         self.cfg = {"task": env.spec.id, "rules": env.rules}
-        self.action_scale, self.reward_scale = action_scale, reward_scale
+        self.action_scale = action_scale
+        self.reward_scale = reward_scale
         self.bootstrap_time_limit = bootstrap_time_limit
-        self.apart, self.reward_norm = apart, None
+        self.apart = apart
+        self.reward_norm = None
         if reward_gamma is not None:
             self.reward_norm = _ReturnScale(env.num_envs, reward_gamma, env.device, env.num_designs if apart else 1)
         # The length that random starts pretend is none that the policy has lived through.
@@ -77,17 +80,17 @@ class RslRlVecEnv(VecEnv):
 
     @property
     def unwrapped(self) -> RslRlVecEnv:
-        """Where rsl-rl looks for :attr:`step_dt`: this adapter."""
+        """This adapter, in which rsl-rl looks for :attr:`step_dt`."""
         return self
 
     @property
     def step_dt(self) -> float:
-        """Seconds of a control step, by which rsl-rl multiplies the weight of intrinsic rewards."""
+        """Duration of a control step, by which rsl-rl multiplies the weight of intrinsic rewards."""
         return self.env.sim.physics.substeps * self.env.sim.physics.dt
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
-        """long ``[num_envs]``: control steps of the episode so far. rsl-rl assigns it to spread the ends."""
+        """Control steps of the present episodes, long ``[num_envs]``; rsl-rl assigns it for random starts."""
         return self.env.episode_length
 
     @episode_length_buf.setter  # a variable in rsl-rl
@@ -97,7 +100,7 @@ class RslRlVecEnv(VecEnv):
         self._shortened.fill_(True)
 
     def get_observations(self) -> TensorDict:
-        """The current observations, group ``policy``: ``[num_envs, num_obs]`` in the precision of networks."""
+        """Return the current observations, group ``policy``: ``[num_envs, num_obs]`` in the precision of networks."""
         return self._group(self._obs)
 
     def set_designs(self, designs: Sequence[object], mask: torch.Tensor) -> None:
@@ -105,19 +108,19 @@ class RslRlVecEnv(VecEnv):
         self._begin(self.env.set_designs(designs, mask), mask)
 
     def reset(self) -> TensorDict:
-        """Begin new episodes everywhere."""
+        """Begin new episodes everywhere; return the observations."""
         self._begin(self.env.reset()[0], torch.ones_like(self._shortened))
         return self.get_observations()
 
     def _begin(self, obs: torch.Tensor, mask: torch.Tensor) -> None:
-        """Take note that episodes have begun where ``mask`` is True."""
+        """Store the observations ``obs`` and forget returns where ``mask`` is True: new episodes begin there."""
         self._obs.copy_(obs)
         self._shortened.logical_and_(~mask)
         if self.reward_norm is not None:
             self.reward_norm.forget(mask)
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """One control step; ``actions`` ``[num_envs, num_actions]`` are outputs of the policy."""
+        """Do one control step; ``actions`` ``[num_envs, num_actions]`` are outputs of the policy."""
         obs, reward, terminated, truncated, info = self.env.step(self.goals(actions))
         self._obs.copy_(obs)
         done = terminated | truncated
@@ -138,7 +141,7 @@ class RslRlVecEnv(VecEnv):
         return self._group(obs), reward * self.reward_scale, done, extras
 
     def goals(self, outputs: torch.Tensor) -> torch.Tensor:
-        """Actions of the environments from outputs of the policy, both ``[num_envs, num_actions]``."""
+        """Return the actions of the environments for outputs of the policy, both ``[num_envs, num_actions]``."""
         return ACTION_CENTER + self.action_scale * outputs
 
     def _group(self, obs: torch.Tensor) -> TensorDict:
@@ -146,7 +149,7 @@ class RslRlVecEnv(VecEnv):
         return TensorDict(group, batch_size=[self.num_envs], device=self.device)
 
     def pop_episodes(self) -> dict[str, float]:
-        """The number of ``episodes`` that ended since the last call, their mean ``return`` and ``length`` (NaN: none).
+        """Return the number of episodes that ended since the last call, and their mean return and length (NaN: none).
 
         Returns are the task's own, not scaled. Episodes that were shortened for a random start do not count, except
         in ``unstable`` and ``diverged``: how many ended by a step that was stopped, and by divergence among them.
@@ -155,21 +158,24 @@ class RslRlVecEnv(VecEnv):
         return self.episodes_of(dict(zip(EPISODE_SUMS, map(float, self.take_sums().cpu()), strict=True)))
 
     def take_sums(self) -> torch.Tensor:
-        """Sums over the episodes that ended since the last call, float64, on the device: :data:`EPISODE_SUMS`."""
+        """Return the sums :data:`EPISODE_SUMS` over episodes that ended since the last call, and set them to 0.
+
+        They are float64, on the device.
+        """
         sums = self._sums.clone()
         self._sums.zero_()
         return sums
 
     @staticmethod
     def episodes_of(sums: Mapping[str, float]) -> dict[str, float]:
-        """The result of :meth:`pop_episodes` from sums by name."""
+        """Return the result of :meth:`pop_episodes` from sums by name."""
         count, total, length, *ends = (sums[name] for name in EPISODE_SUMS)
         means = (total / count, length / count) if count else (nan, nan)
         names = ("episodes", "return", "length", *STOP_CAUSES)
         return dict(zip(names, (int(count), *means, *map(int, ends)), strict=True))
 
     def state(self) -> dict[str, Any]:
-        """Everything that changes, as tensors: what :meth:`set_state` takes back."""
+        """Return everything that changes, as tensors, for :meth:`set_state`."""
         return {
             "env": self.env.state(),
             "obs": self._obs.clone(),
@@ -179,7 +185,7 @@ class RslRlVecEnv(VecEnv):
         }
 
     def pick(self, designs: Sequence[int]) -> dict[str, Any]:
-        """:meth:`state` as an adapter of these designs alone, in this order, would have it.
+        """Return :meth:`state` as it would be with these designs alone, in this order.
 
         Raises:
             ConfigError: the designs do not scale their rewards apart.
@@ -195,7 +201,7 @@ class RslRlVecEnv(VecEnv):
         return state | {"sums": torch.zeros_like(self._sums), "reward_norm": norm}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from :meth:`state` of an adapter with the same task, designs and settings.
+        """Restore a :meth:`state` of an adapter with the same task, designs and settings.
 
         Raises:
             SimulationError: the state is that of other worlds or another number of environments, or lacks something.
@@ -224,6 +230,7 @@ class _ReturnScale:
         self._moments = start[:, None].repeat(1, groups)
 
     def __call__(self, reward: torch.Tensor, done: torch.Tensor) -> torch.Tensor:
+        """Update the deviation with the rewards of a step; return the rewards divided by it, clipped to +-10."""
         self._return.mul_(self.gamma).add_(reward)
         count, mean, squares = self._moments
         grouped = self._return.view(len(count), -1)
@@ -237,14 +244,14 @@ class _ReturnScale:
         return (reward / scale).clamp(-10.0, 10.0).to(reward.dtype)
 
     def forget(self, mask: torch.Tensor) -> None:
-        """These environments begin new episodes."""
+        """Set the discounted return to 0 where ``mask`` is True, as episodes begin there."""
         self._return.masked_fill_(mask, 0.0)
 
     def state(self) -> dict[str, torch.Tensor]:
         return {"return": self._return.clone(), "moments": self._moments.clone()}
 
     def pick(self, rows: torch.Tensor, groups: list[int]) -> dict[str, torch.Tensor]:
-        """:meth:`state` of these environments and groups alone."""
+        """Return :meth:`state` of these environments and groups alone."""
         return {"return": self._return[rows], "moments": self._moments[:, groups]}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:

@@ -21,7 +21,7 @@ except ImportError as error:
 
 
 class VoxelSB3VecEnv(BatchAdapter, VecEnv):
-    """A :class:`warpvox.envs.vec_env.VoxelVecEnv` behind Stable-Baselines3's ``VecEnv``: one batch, no processes.
+    """Environments behind Stable-Baselines3's ``VecEnv``, in one batch and one process.
 
     Observations ``[num_envs, num_obs]`` and rewards ``[num_envs]`` are float32. Environments that end are reset in the
     same step; their ``infos`` then hold ``terminal_observation``, ``TimeLimit.truncated`` (ended by the time limit
@@ -64,7 +64,7 @@ class VoxelSB3VecEnv(BatchAdapter, VecEnv):
         super().__init__(self.vec.num_envs, observations, actions)  # pyright: ignore[reportUnknownMemberType] # bare Space
 
     def reset(self) -> np.ndarray:
-        """Begin an episode everywhere; seeds that :meth:`seed` has set apply."""
+        """Begin an episode everywhere, with the seeds that :meth:`seed` has set; return the observations."""
         seeds = None if None in self._seeds else [int(seed) for seed in self._seeds if seed is not None]
         self._reset_seeds()
         self._reset_options()
@@ -79,7 +79,7 @@ class VoxelSB3VecEnv(BatchAdapter, VecEnv):
         self._actions = np.asarray(actions)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """One control step everywhere: observations, rewards, dones and infos.
+        """Do one control step everywhere; return observations, rewards, dones and infos.
 
         Raises:
             ActionError: wrong shape, or entries that are not finite.
@@ -106,18 +106,18 @@ class VoxelSB3VecEnv(BatchAdapter, VecEnv):
         return values.to(torch.float32).cpu().numpy()
 
     def get_images(self) -> list[np.ndarray | None]:
-        """A picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
+        """Return a picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
         if self.render_mode is None:
             return [None] * self.num_envs
         return list(self.pictures())
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing: there is nothing to close."""
 
     # ------------------------------------------------------- what Stable-Baselines3 asks of each environment
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """An attribute of each environment."""
+        """Return an attribute of each environment."""
         return [env.get_wrapper_attr(attr_name) for env in self._chosen(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
@@ -126,11 +126,11 @@ class VoxelSB3VecEnv(BatchAdapter, VecEnv):
             setattr(env, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **options: Any) -> list[Any]:
-        """Call a method of each environment."""
+        """Call a method of each environment; return the results."""
         return [env.get_wrapper_attr(method_name)(*args, **options) for env in self._chosen(indices)]
 
     def env_is_wrapped(self, wrapper_class: type, indices: VecEnvIndices = None) -> list[bool]:
-        """False: there are no wrappers around single environments."""
+        """Return False for each environment: there are no wrappers around single environments."""
         return [False for _ in self._chosen(indices)]
 
     def _chosen(self, indices: VecEnvIndices) -> list[SubEnv]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Sensors:
-    """Sensing of a simulation of one environment, as rows ``[1, ...]``.
+    """Sensing of a simulation of one environment, with numpy arrays ``[1, ...]``.
 
     The methods are those of :class:`warpvox.Simulation`, with the same values: launches of the same kernels, into
     buffers of our own. Rows are fresh.
@@ -39,13 +39,16 @@ class Sensors:
         """Whether something has moved since the centres were sensed."""
 
     def _record(self, method: str, args: tuple[Any, ...]) -> tuple[torch.Tensor, Any, list[torch.Tensor]]:
-        """The result of a method of the simulation, its kernel launch (None: none), and the launch's buffers."""
+        """Call a method of the simulation; return its result, its kernel launch (or None) and the launch's buffers."""
         with self._sim.sensing_anew() as launches:
             value = getattr(self._sim, method)(*args)
         command, buffers = next(iter(launches.values()), (None, list[torch.Tensor]()))
         return value, command, buffers
 
     def _centre(self, name: str, which: int) -> np.ndarray:
+        """Return the centre of mass (``which`` 1) or its velocity (2), ``[1, 2]``; sense both again if points have
+        moved.
+        """
         if self.moved:
             if self._centres is None:
                 _, command, buffers = self._record("com", (name,))
@@ -57,15 +60,18 @@ class Sensors:
         return self._centres[which][name].copy()
 
     def com(self, name: str) -> np.ndarray:
+        """Return the centre of mass of an object, ``[1, 2]``."""
         return self._centre(name, 1)
 
     def velocity(self, name: str) -> np.ndarray:
+        """Return the velocity of an object's centre of mass, ``[1, 2]``."""
         return self._centre(name, 2)
 
     def robot_actions(self, name: str) -> np.ndarray:
         return self._sim.robot_actions(name).numpy()
 
     def relative_positions(self, name: str) -> np.ndarray:
+        """Return all points of an object minus the centre of mass, ``[1, 2, points]``."""
         if name not in self._points:
             self._points[name] = self._find_points(name)
         points = self._points[name]
@@ -78,7 +84,7 @@ class Sensors:
         return found
 
     def _find_points(self, name: str) -> np.ndarray | None:
-        """A view ``[1, 2, points]`` on the simulation's own positions; None: they do not lie so."""
+        """Return a view ``[1, 2, points]`` on the simulation's positions; None if their order is another one."""
         sim = self._sim
         body = next((body for body in sim.designs[0].bodies if body.name == name), None)
         places = sim.array("pos").numpy()
@@ -89,18 +95,30 @@ class Sensors:
         return points if np.array_equal(points, there) else None
 
     def launched(self, method: str, *args: Any) -> np.ndarray:
-        """A quantity by the launch that the simulation makes for it."""
+        """Return a quantity by the recorded launch of the simulation's ``method``, which the first call records."""
         key = (method, *args)
         if key not in self._senses:
             self._senses[key] = self._sense(method, args)
         return self._senses[key]()
 
     def __getattr__(self, method: str) -> Callable[..., np.ndarray]:
+        """Return a function that calls :meth:`launched` for a method of the simulation, and keep it as an attribute.
+
+        Raises:
+            AttributeError: the simulation has no public method of that name.
+        """
+        if method.startswith("_") or not callable(getattr(type(self._sim), method, None)):
+            raise AttributeError(f"A simulation has no method {method!r} that senses.", name=method, obj=self)
         ask = partial(self.launched, method)
         setattr(self, method, ask)
         return ask
 
     def _sense(self, method: str, args: tuple[Any, ...]) -> Callable[[], np.ndarray]:
+        """Record a method of the simulation; return a function that launches it and returns a new array.
+
+        Raises:
+            NotImplementedError: the method does more than one launch.
+        """
         value, command, buffers = self._record(method, args)
         if command is None:  # what never moves
             fixed = value.numpy()
@@ -135,18 +153,18 @@ class RowTerms:
         self._terminations = [(term.name, term.function, dict(term.params), term.bonus) for term in spec.terminations]
 
     def compared(self, state: Snapshot) -> tuple[Quantity, ...]:
-        """The quantities that rewards ask of the state before a step."""
+        """Return the quantities that rewards read from the state before a step."""
         for _, reward, params, _ in self._rewards:
             reward(state, Snapshot(state.sim, state.memory_values), **params)
         return state.quantities
 
     def observe(self, state: Snapshot) -> np.ndarray:
-        """A fresh observation ``[num_obs]``."""
+        """Return the observation in a state, a new array ``[num_obs]``."""
         parts = [term(state, **params).reshape(-1) for term, params in self._observations]
         return np.concatenate(parts, dtype=self._dtype, casting="same_kind")
 
     def judge(self, before: Snapshot, after: Snapshot, stopped: bool) -> tuple[dict[str, float], bool]:
-        """The parts of the reward, by name, and whether the episode terminates."""
+        """Return the terms of the reward by name, and whether the episode terminates."""
         terms = {name: f(before, after, **params).item() * weight for name, f, params, weight in self._rewards}
         terms["unstable"] = float(stopped) * self._penalty
         ended = stopped
@@ -158,7 +176,7 @@ class RowTerms:
 
 
 class SingleStepper:
-    """Steps the one environment of a :class:`warpvox.envs.vec_env.VoxelVecEnv` that does not reset itself.
+    """Steps a single environment with numpy: a ``VoxelVecEnv`` of one environment that does not reset itself.
 
     Args:
         env: on the CPU, with terms of warpvox's own.
@@ -181,19 +199,19 @@ class SingleStepper:
         self.begin()
 
     def begin(self) -> None:
-        """Go on from where the environments stand: after a reset, or when something else has moved them."""
+        """Read the present state of the environment: after a reset, or when something else has changed it."""
         self._times_set = self._episodes.times_set
         self._sensors.moved = True
         memory = {name: value.copy() for name, value in self._memory.items()}
         self._before = Snapshot(self._sensors, memory).fetch(self._episodes.before)
 
     def evaluate(self) -> tuple[np.ndarray, tuple[dict[str, float], bool]]:
-        """The observation, and what :meth:`RowTerms.judge` gives, in the present state, without a step."""
+        """Return the observation and the result of :meth:`RowTerms.judge` in the present state, without a step."""
         state = Snapshot(self._sensors, self._before.memory_values)
         return self._terms.observe(state), self._terms.judge(self._before, state, False)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, dict[str, float], bool, bool, bool]:
-        """One control step with a finite ``action``.
+        """Do one control step with a finite ``action``.
 
         Returns:
             Observation ``[num_obs]``, what each term has added to the reward, terminated, whether the step was
@@ -227,7 +245,7 @@ class SingleStepper:
 
 
 def fast_stepper(env: VoxelVecEnv) -> SingleStepper | None:
-    """The fast stepper of a single environment; None if the environment needs torch (see the module's docstring)."""
+    """Return a :class:`SingleStepper` of ``env``; None if ``env`` needs torch (see the module's docstring)."""
     terms = [*env.spec.observations, *env.spec.rewards, *env.spec.terminations]
     functions = [term.function for term in terms] + [memory.update for memory in env.spec.memory if memory.update]
     # Terms of this package follow the rules: functions of states alone, without branches on values.

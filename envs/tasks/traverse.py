@@ -19,7 +19,7 @@ def _course(
     ends: tuple[Termination, ...],
     **paper: Any,
 ) -> TaskSpec:
-    """A way to the right over ``objects``, which the robot sees below it."""
+    """Return a task of moving to the right over ``objects``, whose height below the robot is observed."""
 
     def sees(terrain: Function) -> tuple[Observation, ...]:
         below = observes(terrain, reach=5, objects=tuple(obj.name for obj in objects))
@@ -38,17 +38,17 @@ def _course(
 
 
 def _passes(limit: float, bonus: float = 2.0) -> Termination:
-    """The end of a terrain: the centre of mass has passed ``limit``."""
+    """Return the end of an episode at the end of a terrain: the centre of mass has passed ``limit``."""
     return terminates(beyond, axis="x", limit=limit, bonus=bonus)
 
 
 def _tilts(degrees: float) -> Termination:
-    """The penalty for turning further than this to either side."""
+    """Return the end of an episode, with a penalty, when the robot has turned further than ``degrees`` either way."""
     return terminates(tilted, low=radians(degrees), high=radians(360 - degrees), bonus=-3.0)
 
 
 def _arrives(limit: float, bonus: float) -> tuple[Termination, ...]:
-    """The end of a terrain that a wall closes a voxel beyond ``limit``: the front of the robot has passed it.
+    """Return the end of an episode at a wall one voxel beyond ``limit``: the robot's front has passed ``limit``.
 
     Reading of the paper's "end of the terrain", whose line lies a voxel before the edge of open terrain, too.
     """
@@ -56,7 +56,7 @@ def _arrives(limit: float, bonus: float) -> tuple[Termination, ...]:
 
 
 def _platforms(*places: tuple[int, int, int]) -> tuple[WorldObject, ...]:
-    """Platforms of these widths at these cells, named from platform_1 on."""
+    """Return platforms with these widths and lower left cells (width, x, y), named platform_1, platform_2, ..."""
     return tuple(block(f"platform_{k}", width, 1, x=x, y=y) for k, (width, x, y) in enumerate(places, 1))
 
 
@@ -64,7 +64,7 @@ _FALLS = terminates(short, axis="y", limit=0.4, bonus=-3.0)
 
 
 def _blocks() -> tuple[WorldObject, ...]:
-    """Rigid squares in three layers, named from block_0 on."""
+    """Return rigid squares in three layers, named block_0, block_1, ..."""
     # By the height of the layer: column and size of each
     layers = {
         1: [(20, 3), (24, 3), (27, 2), (31, 3), (34, 3), (38, 2), (41, 3), (45, 3)],

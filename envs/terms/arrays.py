@@ -17,41 +17,41 @@ Array: TypeAlias = "np.ndarray | Tensor"
 
 
 def library(array: Array) -> Any:
-    """The module with ``where``, ``floor``, ``amin``, ... for an array: numpy or torch."""
+    """Return the module with ``where``, ``floor``, ``amin``, ... for an array: numpy or torch."""
     return np if isinstance(array, np.ndarray) else sys.modules["torch"]
 
 
 def double(array: Array) -> Any:
-    """The same in float64."""
+    """Return the array in float64."""
     return array.astype(np.float64) if isinstance(array, np.ndarray) else array.double()
 
 
 def long(array: Array) -> Any:
-    """The same in int64, cut towards 0."""
+    """Return the array in int64, rounded towards 0."""
     return array.astype(np.int64) if isinstance(array, np.ndarray) else array.long()
 
 
 def filled(like: Array, shape: tuple[int, ...], value: float) -> Any:
-    """An array of one value, with the type and device of ``like``."""
+    """Return an array of one value, with the type and device of ``like``."""
     return np.full(shape, value, like.dtype) if isinstance(like, np.ndarray) else like.new_full(shape, value)
 
 
 def replaced(array: Array, where: Any, value: float) -> Any:
-    """The same with ``value`` where a mask is True; the two are broadcast."""
+    """Return the array with ``value`` where the mask ``where`` is True; array and mask are broadcast."""
     if isinstance(array, np.ndarray):
         return np.where(where, array.dtype.type(value), array)
     return array.masked_fill(where, value)  # a number for `where` would have to be brought to the device
 
 
 def taken(array: Array, index: Any) -> Any:
-    """Entries of every row ``[rows, n]`` by their places, integers ``[rows, k]``."""
+    """Return the entries of every row of ``array`` ``[rows, n]`` at ``index``, integers ``[rows, k]``."""
     if isinstance(array, np.ndarray):
         return array[np.arange(len(array))[:, None], index]
     return array.gather(1, index)
 
 
 def extremes_at(array: Array, index: Any, values: Any, which: str) -> None:
-    """Replace entries by the least (``amin``) or largest (``amax``) of themselves and ``values`` that go there.
+    """Set ``array[row, index]`` to the minimum (``amin``) or maximum (``amax``) of itself and the values for it.
 
     Args:
         array: ``[rows, n]``, written to.

@@ -22,7 +22,9 @@ LONGEST = 64  # goals that a list can hold; a way of 100 takes 10 on average, mo
 
 
 def draw_goals(draws: RandomStream, low: int, high: int, start: int, way: int | None) -> Tensor:
-    """Goals in [low, high) until the way from ``start`` past all of them is ``way`` voxels or longer.
+    """Return random goals in [low, high), long ``[num_envs, LONGEST]``, in voxels; 0 behind the last.
+
+    Goals are drawn until the way from ``start`` past all of them has a length of ``way`` voxels.
 
     ``way=None``: the list does not end (within an episode).
     """
@@ -35,12 +37,15 @@ def draw_goals(draws: RandomStream, low: int, high: int, start: int, way: int | 
 
 
 def first_goal(draws: RandomStream) -> Tensor:
-    """The number of the first goal."""
+    """Return the index of the first goal, 0: long ``[num_envs, 1]``."""
     return draws.zeros(1)
 
 
 def next_goal(state: Snapshot, name: str, within: float) -> Tensor:
-    """The first goal from the present one on that is not within a distance of the object, else their count."""
+    """Return the index of the first goal, from the present one on, that is ``within`` or further away in x.
+
+    If there is none, the index behind the list.
+    """
     goals = state.memory("goals")
     count = goals.shape[1]
     xp = library(goals)
@@ -51,7 +56,7 @@ def next_goal(state: Snapshot, name: str, within: float) -> Tensor:
 
 
 def goal_x(state: Snapshot) -> Tensor:
-    """float64 ``[num_envs, 1]``: the present goal; after the last one still that."""
+    """Return x of the present goal, float64 ``[num_envs, 1]``; after all goals are reached, of the last one."""
     goals = state.memory("goals")
     last = (goals > 0).sum(1)[:, None] - 1
     return double(taken(goals, library(goals).minimum(state.memory("goal"), last))) * VOXEL
@@ -59,12 +64,12 @@ def goal_x(state: Snapshot) -> Tensor:
 
 @about("-Δ|x of the goal - x_{name}|")
 def approach_goal(before: Snapshot, after: Snapshot, name: str) -> Tensor:
-    """How much closer the object has come to the goal that it has after the step, in x."""
+    """Return how much closer in x the object has come to its present goal, which is that after the step."""
     goal = goal_x(after)[:, 0]
     return abs(goal - before.com(name)[:, 0]) - abs(goal - after.com(name)[:, 0])
 
 
 @about("all goals reached by {name}")
 def all_goals_reached(state: Snapshot, name: str) -> Tensor:
-    """There is no goal left."""
+    """Return whether there is no goal left."""
     return state.memory("goal")[:, 0] >= (state.memory("goals") > 0).sum(1)

@@ -17,10 +17,11 @@ PATH = 40  # bits of a key for the path; below them 3 for way and corner, above 
 
 @builder
 def note_one(kit: Kit):
-    """Function: remember a contact of a corner of the voxel at one leaf with a side of that at another."""
+    """Build a function that stores one contact: of a corner of a voxel with a side of another."""
 
     @kit.func
     def add(data, pack, k, hit: wp.vec4i, ends: wp.vec2i, side: wp.vec3d):
+        """Append the contact to the list of lane k, or set OVERFLOW if the list is full."""
         n = data.hits[pack, k]
         if n >= data.hit.shape[1]:
             data.status[pack, k] = data.status[pack, k] | OVERFLOW
@@ -35,18 +36,22 @@ def note_one(kit: Kit):
 
 @builder
 def note(kit: Kit):
-    """Function: remember what :func:`warpvox.kernels.contact.apply` adds; inside one object from both sides."""
+    """Build a function that stores the contacts that :func:`warpvox.kernels.contact.apply` would add at once.
+
+    A contact inside one object is stored for both orders of its two leaves.
+    """
     add = note_one(kit)
 
     @kit.func
     def leaf(model, mesh, v):
-        """Leaf of a surface voxel or, below 0, of a terrain cell."""
+        """Return the leaf (number of its node in the box tree) of surface voxel v; v < 0: of terrain cell -1 - v."""
         if v < 0:
             return model.cell_leaf[mesh, -1 - v]
         return model.leaf[mesh, v]
 
     @kit.func
     def act(model, data, mesh, pack, k, i, j, c, p, ends: wp.vec2i, side: wp.vec3d, times: real):
+        """Store a contact of corner c (point p) of voxel i with a side of voxel j; in one object for both orders."""
         m, r = leaf(model, mesh, i), leaf(model, mesh, j)
         mine, other = model.node[mesh, m][2], model.node[mesh, r][2]
         if mine <= other:
@@ -59,10 +64,11 @@ def note(kit: Kit):
 
 @builder
 def path_key(kit: Kit):
-    """Function: a number for the place of two leaves in the descent."""
+    """Build a function that returns a sort key: where the release's descent through two box trees meets two leaves."""
 
     @kit.func
     def area(model, data, mesh, pack, k, n):
+        """Return the area of the box of node n in lane k."""
         if n >= model.nodes[mesh]:
             return model.node_area[mesh, n]
         wide = data.node_box[pack, 4 * n + 1, k] - data.node_box[pack, 4 * n, k]
@@ -70,6 +76,9 @@ def path_key(kit: Kit):
 
     @kit.func
     def key(model, data, mesh, pack, k, first, second, last):
+        """Return the sort key of the contact of leaves ``first`` and ``second``; ``last`` tells apart contacts of
+        both.
+        """
         to_a, to_b = model.node[mesh, first], model.node[mesh, second]
         a, b = int(to_a[3]), int(to_b[3])  # the roots
         path = wp.int64(to_a[2] * model.objects[mesh] + to_b[2])
@@ -97,13 +106,15 @@ def path_key(kit: Kit):
 
 @builder
 def take(kit: Kit):
-    """Function: the forces of all contacts noted, into ``contact``."""
+    """Build the stage that adds the forces of all stored contacts to ``contact``, in the released order."""
     width = kit.width
-    boxes, key, forces = kit.stage("exact/tree_boxes.h"), path_key(kit), contact_forces(kit)
+    boxes = kit.stage("exact/tree_boxes.h")
+    key = path_key(kit)
+    forces = contact_forces(kit)
 
     @kit.func
     def sort(model, data, mesh, pack, k):
-        """Keys in ascending order, and which contact each is of."""
+        """Write the keys of all stored contacts of lane k in ascending order, and the contact of each key."""
         for n in range(data.hits[pack, k]):
             hit = data.hit[pack, n, k]
             mine = key(model, data, mesh, pack, k, hit[0], hit[1], hit[2])
@@ -117,6 +128,7 @@ def take(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
+        """Add the forces of the stored contacts of the unit's lanes in the order of their keys."""
         most = int(0)
         for k in range(lane, lane + int(width)):
             most = wp.max(most, data.hits[pack, k])
@@ -138,9 +150,10 @@ def take(kit: Kit):
 
 @builder
 def contacts(kit: Kit):
-    """Stage: all contact forces, in the released order."""
+    """Build the stage that finds all contacts and adds their forces in the released order."""
     width = kit.width
-    search, in_order = find(kit, note(kit)), take(kit)
+    search = find(kit, note(kit))
+    in_order = take(kit)
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):

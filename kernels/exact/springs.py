@@ -9,13 +9,13 @@ from warpvox.kernels.kit import Kit, builder
 
 @builder
 def runge_kutta(kit: Kit):
-    """Stage: position and new velocity of every free point after dt."""
+    """Build the stage that computes position and new velocity of every free point after ``dt``."""
     return kit.stage("native/tanh.h", "native/springs.h", "exact/substep.h")
 
 
 @builder
 def limit(kit: Kit):
-    """Stage: strain limits on the new positions; then true velocity and drift."""
+    """Build the stage that applies the strain limits to the new positions, then computes true velocity and drift."""
     return kit.stage("native/springs.h", "exact/limit.h")
 
 

@@ -1,9 +1,11 @@
 """Killed, interrupted, on a full disk, with damaged files: nothing is lost, and one line says what to do."""
 
 import errno
+import itertools
 import json
 import os
 import pathlib
+import pkgutil
 import shutil
 import signal
 import sqlite3
@@ -313,26 +315,37 @@ def test_a_run_that_another_process_continued_meanwhile_goes_on_from_there(
     assert yaml.safe_load((run / "config.yaml").read_text().partition("...")[0])["max_iterations"] == max(asked, 5)
 
 
+UPDATE, REPORT = "warpvox.algos.ppo.stock.PPO.update", "warpvox.progress.training.Terminal.iterated"
+
+
 @pytest.mark.parametrize(
-    ("numbers", "code", "words"),
+    ("place", "numbers", "code", "words"),
     [
-        ([signal.SIGTERM], 143, "interrupted, state saved after 64 control steps"),
-        ([signal.SIGHUP, signal.SIGHUP], 129, "interrupted, state saved after 64 control steps"),
-        ([signal.SIGTERM, signal.SIGINT], 130, "interrupted, the state of iteration 1 is kept, after 64 control"),
+        (UPDATE, [signal.SIGTERM], 143, "interrupted, state saved after 64 control steps"),
+        (UPDATE, [signal.SIGHUP, signal.SIGHUP], 129, "interrupted, state saved after 64 control steps"),
+        (
+            REPORT,
+            [signal.SIGTERM, signal.SIGINT],
+            130,
+            "interrupted, the state of iteration 1 is kept, after 64 control",
+        ),
     ],
 )
 def test_a_signal_waits_for_the_iteration_and_a_second_one_does_not(
-    numbers: list, code: int, words: str, warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, runs: dict
+    place: str, numbers: list, code: int, words: str, warpvox: Callable, tmp_path: Path, monkeypatch, runs: dict
 ) -> None:
+    """It comes in the second iteration, or when this one is reported."""
     usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
     before = {number: signal.signal(number, handler) for number, handler in usual.items()}
+    function, calls = pkgutil.resolve_name(place), itertools.count(1)
 
-    def send(_: Any, row: dict) -> None:
-        for number in numbers if row["iteration"] == 2 else ():
+    def interrupted(*words: Any) -> Any:
+        for number in numbers if next(calls) == 2 else ():
             signal.raise_signal(number)
+        return function(*words)
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpvox.progress.training.Terminal.iterated", send)
+        patch.setattr(place, interrupted)
         outcome = warpvox(*TRAIN, code=code)
     for number, handler in before.items():
         signal.signal(number, handler)
@@ -393,7 +406,7 @@ def test_a_search_that_could_not_make_its_archive_is_made_when_it_is_repeated(tm
         return wv.codesign(search=ToySearch(), evaluation=Judge(), **options).summary
 
     with monkeypatch.context() as patch:
-        patch.setattr(Archive, "_fill", refuse)
+        patch.setattr(Archive, "_create_tables", refuse)
         with pytest.raises(StorageError):
             search()
     assert search()["status"] == "done"
@@ -409,7 +422,7 @@ def test_a_search_that_could_not_begin_leaves_the_next_one_nothing_to_begin_with
     for name, corner in {"a": 1, "b": 2, "c": 4}.items():
         wv.save_design(tmp_path / f"{name}.json", np.array([[corner, 3, 3], [3, 0, 3], [3, 0, 3]]))
     with monkeypatch.context() as patch:
-        patch.setattr(Archive, "_fill", Mock(side_effect=sqlite3.OperationalError("database or disk is full")))
+        patch.setattr(Archive, "_create_tables", Mock(side_effect=sqlite3.OperationalError("database or disk is full")))
         with pytest.raises(StorageError):
             search(f"{tmp_path}/a.json", f"{tmp_path}/b.json")
     assert search(f"{tmp_path}/c.json")["status"] == "done"

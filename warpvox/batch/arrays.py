@@ -16,7 +16,7 @@ from warpvox.kernels.state import CONSTANTS, CONTACT, DATA, MODEL, STALE, alloca
 
 @dataclass
 class Buffers:
-    """The arguments of all kernels: the structs, their arrays and the places of environments in them.
+    """The arguments of all kernels: structs, arrays, and the pack and lane of each environment.
 
     ``group`` says what the group kernel is compiled for (see :mod:`warpvox.kernels.group`), None in the lanes layout;
     ``scratch`` takes the place of its shared memory on the CPU.
@@ -42,7 +42,7 @@ class Buffers:
 
 
 def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
-    """Allocate and fill Model and Data for a batch; None where the group layout does not take them.
+    """Allocate and fill Model and Data for a batch; return None if the group layout has no room for its worlds.
 
     It has no room for large worlds, and no twins: points that stand for one point where connections are cut.
     """
@@ -119,7 +119,7 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
 
 
 def array_sizes(batch: Batch, tables: dict[str, np.ndarray], room: dict[str, int]) -> dict[str, int]:
-    """The shape symbols of :mod:`warpvox.kernels.state`, with one mesh for each of ``tables``.
+    """Return the size of every shape symbol of :mod:`warpvox.kernels.state`, with one mesh for each of ``tables``.
 
     Args:
         tables: those of all packs and of all frames.
@@ -174,7 +174,7 @@ def array_sizes(batch: Batch, tables: dict[str, np.ndarray], room: dict[str, int
 
 
 def put_tables(state: Buffers, tables: dict[str, np.ndarray], rows: np.ndarray | None = None) -> None:
-    """Copy tables into the beginning of every axis of the Model's arrays, or of some of their ``rows``."""
+    """Copy tables into the Model's arrays, from the beginning of each axis; ``rows`` chooses rows of the first axis."""
     for name in MODEL.keys() & tables.keys():
         if not tables[name].size:
             continue
@@ -184,7 +184,7 @@ def put_tables(state: Buffers, tables: dict[str, np.ndarray], rows: np.ndarray |
 
 
 def _capacities(voxels: int, movables: int, width: int, grouped: bool) -> dict[str, int]:
-    """Capacities of the broad phase for a number of surface voxels, of those that are movable, and of lanes.
+    """Return the sizes of the broad phase's arrays for numbers of surface voxels, movable ones, and lanes.
 
     A group lists the cells of the terrain that may be touched behind the pairs.
     """

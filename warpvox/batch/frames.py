@@ -20,7 +20,7 @@ from warpvox.world import World, WorldObject
 
 
 def frame_key(world: World) -> tuple:
-    """Equal exactly for worlds of one frame."""
+    """Return a value that is equal for worlds of one frame, and only for these."""
     objects = sorted(world.objects.values(), key=lambda obj: obj.name)
     robots = tuple((obj.name, obj.x, obj.y) for obj in objects if obj.is_robot)
     others = tuple(obj.key() for obj in objects if not obj.is_robot)
@@ -28,7 +28,7 @@ def frame_key(world: World) -> tuple:
 
 
 def is_cut(obj: WorldObject) -> bool:
-    """Whether some neighbouring cells of an object are not connected."""
+    """Return whether some neighbouring cells of an object are not connected."""
     filled = obj.grid != 0
     beside = np.count_nonzero(filled[:, 1:] & filled[:, :-1])
     above = np.count_nonzero(filled[1:] & filled[:-1])
@@ -36,7 +36,7 @@ def is_cut(obj: WorldObject) -> bool:
 
 
 class Frame:
-    """The common part of the worlds of a batch of packs, and the tables of such packs.
+    """The parts that the worlds of a group of packs have in common, and the tables of these packs.
 
     Args:
         worlds: all of one frame.
@@ -69,7 +69,7 @@ class Frame:
         return RobotBodies.of([world.objects[name] for world in worlds], grid)
 
     def rank(self, copies: np.ndarray, lanes: int) -> np.ndarray:
-        """An order of the bodies in which those that share packs differ little in what doubles points.
+        """Return the rank of each body, int ``[bodies]``: bodies with the same double points are near each other.
 
         Args:
             copies: how many environments have each body.
@@ -99,17 +99,19 @@ class Frame:
         return rank
 
     def add(self, worlds: Sequence[World]) -> None:
-        """Add the bodies of more worlds, which fit the grid."""
+        """Add the bodies of more worlds; they must fit the grid."""
         for k, name in enumerate(self.names):
             bodies = self.bodies[k]
             self.bodies[k] = bodies.join(self._bodies(name, worlds, bodies.cells.shape[1:]))
 
     def keep(self, kept: np.ndarray) -> None:
-        """Forget all bodies but some, bool ``[bodies]``."""
+        """Forget the bodies where ``kept``, bool ``[bodies]``, is False."""
         self.bodies = [bodies.take(kept) for bodies in self.bodies]
 
     def tables(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        """Tables of packs whose lanes hold these bodies, int ``[packs, lanes]``; see :class:`_PackTables`."""
+        """Return tables of packs whose lanes hold the bodies ``index``, int ``[packs, lanes]``; see
+        :class:`_PackTables`.
+        """
         # So many packs at once that the largest array has a million entries: it stays in the cache.
         cells = sum(bodies.cells[0].size for bodies in self.bodies)
         most = max(1, 1_000_000 // max(1, 200 * cells * index.shape[1]))
@@ -124,7 +126,7 @@ class Frame:
 
 
 class _Rows:
-    """Rows of a table for the entries of a grid that some lane has, counted on from those before it.
+    """Table rows for the entries of a grid that some lane has; numbers go on from the rows in use.
 
     Attributes:
         row: int ``[packs, entries]``; of an entry that no lane has, that of the one before it.
@@ -142,12 +144,12 @@ class _Rows:
         self._target = self._source[0], self.row[self._source]
 
     def put(self, table: np.ndarray, values: np.ndarray) -> None:
-        """Values ``[packs, entries, ...]`` into their rows."""
+        """Write ``values`` ``[packs, entries, ...]`` into their rows of ``table``."""
         table[self._target] = values[self._source]
 
 
 class _PackTables:
-    """Fills the tables of :data:`warpvox.kernels.state.MODEL` for packs of one frame.
+    """The tables of :data:`warpvox.kernels.state.MODEL` for packs of one frame.
 
     The rows of robots come first in each table, then those of the other objects, which are the same in all packs and
     lanes. ``arrays`` holds the tables by name with packs first, and besides ``object_points``, int ``[packs, objects,
@@ -173,6 +175,7 @@ class _PackTables:
         self._objects()
 
     def _number(self) -> None:
+        """Give a row to each point, spring and surface voxel that some lane has."""
         # Rows of what some lane has of each robot
         self.points: list[_Rows] = []
         self.springs: list[_Rows] = []
@@ -196,22 +199,26 @@ class _PackTables:
         self._count("first_other", self.first_voxel, 0)
 
     def _count(self, name: str, robots: np.ndarray, others: int) -> None:
-        """Store the rows of each pack: those of its robots, int ``[packs]``, and those of the other objects."""
+        """Store a count of each pack: of its robots, int ``[packs]``, plus of the other objects."""
         self.arrays[name] = (robots + others).astype(np.int32)
 
     def _table(self, count: str, *more: int, kind: type = np.int32, fill: int = 0) -> np.ndarray:
-        """A table ``[packs, rows, *more]`` of ``fill``, with the largest ``count`` of a pack as its rows."""
+        """Return a table ``[packs, rows, *more]`` of ``fill``; its rows are the largest ``count`` of a pack."""
         rows = max(1, int(self.arrays[count].max()))
         return np.full((self.packs, rows, *more), fill, kind)
 
     def _append(self, table: np.ndarray, first: np.ndarray, count: int, values: np.ndarray | int) -> None:
-        """The rows of the other objects, ``count`` from ``first`` on in every pack; lanes are the last axis."""
+        """Write ``values`` of the other objects into ``count`` rows from ``first`` on, in every pack.
+
+        Lanes are the last axis of ``values``.
+        """
         if count:
             pack = np.arange(self.packs)[:, None]
             row = first[:, None] + np.arange(count)
             table[pack, row] = values
 
     def _points(self) -> None:
+        """Make the tables of points: positions at time 0, in which lanes they are free, and the active ones."""
         rest_pos = self._table("points", 2, self.lanes, kind=np.float64)
         free_lanes = self._table("points")
         tied = np.zeros(free_lanes.shape, bool)  # a spring ends here
@@ -236,7 +243,7 @@ class _PackTables:
         self.arrays["free_lanes"] = free_lanes
 
     def _twins(self) -> None:
-        """Points that stand for one point in some lanes: (twin, leader) and in which lanes."""
+        """Make the table of twins, (twin, leader): in some lanes both points are one; and a mask of these lanes."""
         twin_slot = [twin for twin, _ in TWIN_PAIRS]
         leader_slot = [leader for _, leader in TWIN_PAIRS]
         all_pairs = [np.zeros((self.packs, 0, 2), int)]
@@ -276,6 +283,7 @@ class _PackTables:
         self.arrays["twin_lanes"] = twin_lanes
 
     def _springs(self) -> None:
+        """Make the tables of springs: ends, lengths, stiffness, and the actions that drive them."""
         spring_ends = self._table("springs", 2)
         rest = self._table("springs", kind=np.float64, fill=1)
         spring_lanes = self._table("springs")
@@ -314,7 +322,7 @@ class _PackTables:
         self.arrays["stiffness"] = stiffness[..., 0]
 
     def _rigid(self) -> None:
-        """Springs that are sides of rigid voxels: in which lanes."""
+        """Make the table of the sides of rigid voxels, as springs, and a mask of the lanes that have each."""
         rigid_rows = []
         start = np.zeros(self.packs, int)  # sides so far
         for mesh in self.meshes:
@@ -337,7 +345,7 @@ class _PackTables:
         self.arrays["rigid_lanes"] = rigid_lanes
 
     def _links(self) -> None:
-        """Springs point by point: s where it begins at the point, -1 - s where it ends there."""
+        """Make the table of springs by point: s for a spring that begins there, -1 - s for one that ends there."""
         others = self.others
         num_others = len(others["link"])
 
@@ -372,7 +380,7 @@ class _PackTables:
         self.arrays["link"] = link
 
     def _twin_ends(self) -> None:
-        """Where a spring pulls at a twin of its end, in order of the springs: spring, point, end, lanes."""
+        """Make the table of spring ends that are a twin in some lanes: spring, point, end, lanes; sorted by spring."""
         parts = [np.zeros((0, 5), int)]
         for mesh, points, springs in zip(self.meshes, self.points, self.springs, strict=True):
             at_node = mesh.springs.at_node  # [nodes, 12]: springs around a node, -1: none
@@ -410,7 +418,7 @@ class _PackTables:
         self.arrays["twin_end"] = table
 
     def _order_active(self) -> None:
-        """Active points in the order in which the springs, one after another, are done with them."""
+        """Make the table of active points, sorted by the last spring that acts on each."""
         spring_ends = self.arrays["spring_ends"]  # [packs, springs, 2]
         twin_end = self.arrays["twin_end"]  # [packs, entries, 4]: spring, point, end, lanes
         num_springs = spring_ends.shape[1]
@@ -439,6 +447,7 @@ class _PackTables:
         self.arrays["active"] = rows.reshape(self.packs, -1).astype(np.int32)
 
     def _voxels(self) -> None:
+        """Make the tables of surface voxels: corners, sides, cells, owners, and which can move."""
         corner = self._table("voxels", 4)
         side_lanes = self._table("voxels", 4)
         grid = self._table("voxels", 2)
@@ -492,7 +501,7 @@ class _PackTables:
         self.arrays["robots"] = np.full(self.packs, num_robots, np.int32)
 
     def _objects(self) -> None:
-        """The points of each object in the order of its observation, object after object, and how many they are."""
+        """Make the tables of each object's points in the order of observations, and of their numbers."""
         counts = []  # [packs, lanes] each
         orders = []  # [packs, lanes, points] each, -1: none
 
@@ -518,7 +527,7 @@ class _PackTables:
 
 
 def _by_first_end(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The arrays of a world with its springs, and with those of each point, in the order of their lower ends."""
+    """Return the arrays of a world with springs, also those of each point, sorted by their lower end."""
     ends = np.sort(arrays["spring_ends"], axis=1)
     order = np.argsort(ends[:, 0], kind="stable")
     ends = ends[order]
@@ -539,7 +548,7 @@ def _by_first_end(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def capacities(frame: Frame, rows: int, columns: int, cut: bool) -> dict[str, int]:
-    """The most points, springs and so on that bodies on a grid may need in one pack of a frame."""
+    """Return the most points, springs, ... that bodies on a grid may need in one pack of a frame."""
     robots = len(frame.names)
     others = frame.arrays
     cells = rows * columns

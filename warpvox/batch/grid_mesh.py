@@ -31,7 +31,7 @@ NOBODY = -1
 
 @dataclass
 class RobotBodies:
-    """The bodies of one robot, an entry each, on the smallest common grid (lower left corners together).
+    """The distinct bodies of one robot on their smallest common grid, aligned at the lower left corner.
 
     Attributes:
         cells: int8 ``[bodies, rows, columns]``; ``right``, ``down``: bool, same shape, connections with the right and
@@ -45,7 +45,7 @@ class RobotBodies:
 
     @classmethod
     def of(cls, robots: Sequence[WorldObject], grid: tuple[int, int] = (1, 1)) -> RobotBodies:
-        """Bodies of objects, on a grid of at least ``(rows, columns)``."""
+        """Return the bodies of these objects, on a grid of at least ``(rows, columns)``."""
         height = np.array([robot.height for robot in robots])
         rows = max(grid[0], height.max())
         columns = max(grid[1], *(robot.width for robot in robots))
@@ -66,7 +66,7 @@ class RobotBodies:
         return cls(cells, right, down, height)
 
     def split_nodes(self) -> np.ndarray:
-        """bool ``[bodies, nodes]``: inner grid nodes where two cells touch without being connected."""
+        """Return at which inner grid nodes two cells touch without being connected, bool ``[bodies, nodes]``."""
         # The four cells around each inner node, bool [bodies, rows - 1, columns - 1]
         filled = self.cells != 0
         above_left = filled[:, :-1, :-1]
@@ -86,7 +86,7 @@ class RobotBodies:
         return split.reshape(len(filled), -1)
 
     def join(self, other: RobotBodies) -> RobotBodies:
-        """These bodies and others on a grid of the same size."""
+        """Return these bodies followed by others on a grid of the same size."""
         return RobotBodies(
             np.concatenate([self.cells, other.cells]),
             np.concatenate([self.right, other.right]),
@@ -95,19 +95,22 @@ class RobotBodies:
         )
 
     def take(self, kept: np.ndarray) -> RobotBodies:
-        """Those of them that are ``kept``, bool ``[bodies]``."""
+        """Return the bodies where ``kept``, bool ``[bodies]``, is True."""
         return RobotBodies(self.cells[kept], self.right[kept], self.down[kept], self.height[kept])
 
 
 def most_points(rows: int, columns: int, cut: bool = False) -> int:
-    """The most points that a body on a grid may have: inner nodes may hold two; four where connections are ``cut``."""
+    """Return the most points that a body on a grid may have; more if connections may be ``cut``.
+
+    An inner node then holds up to four points, else two.
+    """
     if cut:
         return 4 * rows * columns
     return (rows + 1) * (columns + 1) + (rows - 1) * (columns - 1)
 
 
 def pack_bits(lanes: np.ndarray) -> np.ndarray:
-    """int32 ``[...]`` from bool ``[..., lanes]``: bit k speaks of lane k; -1 where all lanes are set."""
+    """Return bool ``[..., lanes]`` as masks, int32 ``[...]``: bit k is lane k; -1 where all lanes are True."""
     width = lanes.shape[-1]
     padded = np.zeros((*lanes.shape[:-1], 32), bool)
     padded[..., :width] = lanes
@@ -117,7 +120,7 @@ def pack_bits(lanes: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Springs:
-    """Every spring that some body on a grid may have, in a fixed order; index arrays of one entry a spring.
+    """Every spring that some body on a grid may have, in a fixed order: arrays with an entry for each spring.
 
     A side between two cells stands twice: as ``first`` of the cell above (left of) it and as that of the cell below
     (right of) it. They are one where the cells share their corners, and two where they do not.
@@ -139,6 +142,8 @@ class _Springs:
 
 @functools.lru_cache(maxsize=64)
 def _springs(rows: int, columns: int) -> _Springs:
+    """Return the springs of a grid."""
+
     def cell(row: int, column: int) -> int:
         inside = 0 <= row < rows and 0 <= column < columns
         return row * columns + column if inside else NOBODY
@@ -204,7 +209,7 @@ def _springs(rows: int, columns: int) -> _Springs:
 
 
 class GridMesh:
-    """The mesh of one robot in all lanes of packs: what some lane may have, with bool arrays over lanes.
+    """The mesh of one robot in all lanes of packs: all that a body on the grid may have, and which lanes have it.
 
     The rows of arrays number what the grid may have at most: ``node * 4 + slot`` for points, the springs of
     :func:`_springs`, cells row by row. :mod:`warpvox.batch.packs` leaves out what no lane of a pack has.
@@ -246,13 +251,13 @@ class GridMesh:
         self._mark_surface()
 
     def _around(self, values: np.ndarray) -> list[np.ndarray]:
-        """``[P, nodes, L]`` of the four cells around every node, from ``[P, rows, columns, L]``."""
+        """Return the values ``[P, rows, columns, L]`` of the four cells around every node, ``[P, nodes, L]`` each."""
         padded = np.pad(values, ((0, 0), (1, 1), (1, 1), (0, 0)))
         parts = padded[:, :-1, :-1], padded[:, :-1, 1:], padded[:, 1:, :-1], padded[:, 1:, 1:]
         return [part.reshape(len(part), -1, part.shape[-1]) for part in parts]
 
     def _share_points(self) -> None:
-        """``owner`` [4, P, nodes, L]: which of the cells around a node has made the point that a cell has there."""
+        """Set ``owner`` [4, P, nodes, L]: which cell around a node has made the point that each cell has there."""
         filled = self._around(self.grid != Cell.EMPTY)
 
         # Connections between the four cells
@@ -279,6 +284,7 @@ class GridMesh:
         self.slot = _spread(self.owner)
 
     def _number_points(self) -> None:
+        """Set which points exist, their leaders, which are fixed, and their positions."""
         packs, nodes, lanes = self.owner.shape[1:]
 
         # Whose point each slot of a node holds
@@ -315,7 +321,7 @@ class GridMesh:
         self._order_points(used, row, column)
 
     def _order_points(self, used: np.ndarray, row: np.ndarray, column: np.ndarray) -> None:
-        """Points by the cell that made them and its corner; a point counts once, as its leader."""
+        """Set ``order`` and ``count``: points sorted by the cell that made them and its corner; twins count once."""
         packs, nodes, _, lanes = used.shape
 
         # The key of the four cells around each node, int [nodes, 4]: the cell's number on a grid with a border, and
@@ -339,11 +345,12 @@ class GridMesh:
         self.order = np.where(np.arange(most) < self.count[..., None], order, NOBODY)
 
     def _of(self, values: np.ndarray, cells: np.ndarray, empty: int) -> np.ndarray:
-        """Values [P, V, L] of the cells of springs; ``empty`` where there is none."""
+        """Return the values of ``cells`` from ``values`` [P, V, L]; ``empty`` where the cell is -1."""
         out = values[:, np.maximum(cells, 0)]
         return np.where((cells >= 0)[None, :, None], out, empty)
 
     def _place_springs(self) -> None:
+        """Set which springs exist, their ends, stiffness, actions, and the points they pull at; and rigid sides."""
         springs = self.springs
 
         # The cells of each spring, bool [P, E, L]: there are its own, the other one, and they are connected
@@ -399,7 +406,7 @@ class GridMesh:
         self._drop_fixed()
 
     def _joined(self, connections: np.ndarray) -> np.ndarray:
-        """bool [P, E, L]: the two cells of a side are connected."""
+        """Return which sides have two connected cells, bool [P, E, L]."""
         springs = self.springs
         first = np.where(springs.second, springs.other, springs.cell)  # the upper or left one
         return self._of(connections.reshape(self.cells.shape), first, False)
@@ -407,6 +414,7 @@ class GridMesh:
     def _stiffness(
         self, kind: np.ndarray, other_kind: np.ndarray, has_cell: np.ndarray, shared: np.ndarray
     ) -> np.ndarray:
+        """Return the stiffness of springs, [P, E, L], by the preset's rule for shared sides; 0 without a spring."""
         table = np.array([self.physics.stiffness(cell) for cell in Cell])  # of sides, of diagonals
         own = table[kind, 0]
         other = table[other_kind, 0]
@@ -422,7 +430,7 @@ class GridMesh:
         return np.where(self.spring, stiffness, 0.0)
 
     def _drop_fixed(self) -> None:
-        """Springs between two fixed points are always at rest, unless they are driven: no force, no strain."""
+        """Drop springs between two fixed points that no action drives: they give no force."""
         begins_fixed = np.take_along_axis(self.fixed, self.ends[:, :, 0, None], axis=1)
         ends_fixed = np.take_along_axis(self.fixed, self.ends[:, :, 1, None], axis=1)
         at_rest = self.spring & begins_fixed & ends_fixed & (self.drive == NOBODY).all(axis=2)
@@ -433,6 +441,7 @@ class GridMesh:
             self.rigid = self.rigid & ~at_rest[:, self.springs.of_cell]
 
     def _link_springs(self) -> None:
+        """Set ``link``: which springs pull at each point."""
         packs, _, lanes = self.point.shape
         at_node = self.springs.at_node
         has_spring = self.spring[:, at_node] & (at_node >= 0)[None, :, :, None]  # [P, nodes, 12, L]
@@ -442,6 +451,7 @@ class GridMesh:
         self.link = link.reshape(packs, -1, 12, lanes)
 
     def _mark_surface(self) -> None:
+        """Set ``side`` and ``corner``: the surface sides and the corner points of each cell."""
         packs, _, lanes = self.cells.shape
 
         # Sides at which a cell is not connected
@@ -463,13 +473,14 @@ class GridMesh:
 
 
 def _spread(owner: np.ndarray) -> np.ndarray:
-    """int8 [4, P, nodes]: on which of a node's points each of the cells around it lies; -1: no lane has that cell.
+    """Return the slot of a node's points for each cell around it, int8 [4, P, nodes]; -1: no lane has the cell.
 
     Cells that have different points in some lane lie on different ones. Two rows of cells on a point each are tried
     first, as this doubles the fewest springs, then two columns.
     """
 
     def apart(a: int, b: int) -> np.ndarray:
+        """Return at which nodes cells a and b have different points in some lane."""
         return ((owner[a] != owner[b]) & (owner[a] >= 0) & (owner[b] >= 0)).any(-1)
 
     # Which neighbours need points of their own, bool [P, nodes]

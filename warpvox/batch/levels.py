@@ -6,7 +6,9 @@ import numpy as np
 
 
 def by_level(tables: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The tables ``rigid_spring`` and ``rigid_lanes`` with sides level by level; -1 - s is the last side of a level.
+    """Return the tables ``rigid_spring`` and ``rigid_lanes`` with sides sorted by level.
+
+    The last side s of a level is written as -1 - s.
 
     The level of a side is one more than the highest of an earlier side that shares a point with it. So sides of a level
     share no point and may be corrected at once, and of two that share one the earlier remains the earlier: the result

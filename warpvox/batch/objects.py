@@ -17,7 +17,7 @@ from warpvox.world import World
 
 
 class CompiledWorlds(Sequence):
-    """The worlds of a batch compiled one by one, in fast arithmetic when they are asked for."""
+    """The worlds of a batch compiled one by one; in fast arithmetic a world is compiled when it is asked for."""
 
     def __init__(self, batch: Batch) -> None:
         self._batch = batch
@@ -27,6 +27,7 @@ class CompiledWorlds(Sequence):
         return len(self._batch.entries)
 
     def __getitem__(self, number: int) -> CompiledWorld:
+        """Return the compiled world with index ``number``."""
         entry = self._batch.entries[number]  # IndexError ends a loop over them
         if self._batch.arithmetic == "exact":
             return self._batch.compiled[entry.group]
@@ -36,13 +37,13 @@ class CompiledWorlds(Sequence):
         return self._made[id(world)][1]
 
     def forget(self) -> None:
-        """Drop those of worlds that are not in the batch any more."""
+        """Drop the compiled worlds that the batch no longer has."""
         used = {id(entry.world) for entry in self._batch.entries}
         self._made = {key: kept for key, kept in self._made.items() if key in used}
 
 
 class Objects:
-    """Objects of all environments of a batch.
+    """Names and points of the objects of a batch, and where an environment's points lie in the arrays.
 
     Attributes:
         names: robots first, then by name.
@@ -65,7 +66,7 @@ class Objects:
         self.num_points = self._most_points()
 
     def refresh(self) -> None:
-        """Update which points the environments have."""
+        """Read again which points the environments have, after worlds have changed."""
         # The tables of each environment
         state = self._state
         pack = wp.to_torch(state.env_pack).long()
@@ -87,7 +88,7 @@ class Objects:
         self._example = torch.as_tensor(first, device=order.device)  # an environment of every world
 
     def index(self, name: str) -> int:
-        """The place of an object in ``names``.
+        """Return the index of an object in ``names``.
 
         Raises:
             SimulationError: there is no such object.
@@ -98,7 +99,7 @@ class Objects:
         return self.names.index(name)
 
     def moving(self, name: str) -> int:
-        """The place of an object that can move.
+        """Return the index in ``names`` of an object that can move.
 
         Raises:
             SimulationError: there is no such object, or it never moves.
@@ -109,11 +110,11 @@ class Objects:
         return index
 
     def _still(self, name: str) -> list[Body | None]:
-        """The mesh of an object in every frame in which it never moves, else None."""
+        """Return the mesh of an object for every frame; None for a frame in which it can move or that lacks it."""
         return [_named(compiled.statics, name) for compiled in self._batch.compiled]
 
     def counts(self, name: str) -> torch.Tensor:
-        """int ``[worlds]``: points of an object in every world."""
+        """Return the number of an object's points in every world, int ``[worlds]``."""
         points = self.point_range[self._example, self.index(name)]
         counts = points[:, 1] - points[:, 0]
         if name in self.terrain:
@@ -122,7 +123,7 @@ class Objects:
         return counts
 
     def _most_points(self) -> dict[str, int]:
-        """By name the most points that an object has in any world, or may have."""
+        """Return by name the most points that an object has in any world, or may have with ``batch.grid``."""
         moving = self.point_range[self._example]
         counts = (moving[..., 1] - moving[..., 0]).amax(0).tolist()
         most: dict[str, int] = dict(zip(self.names, counts, strict=True))
@@ -136,12 +137,12 @@ class Objects:
         return most
 
     def point_mask(self, name: str) -> torch.Tensor:
-        """bool ``[worlds, points]``: which points a world's object has."""
+        """Return which points an object has in every world, bool ``[worlds, points]``."""
         counts = self.counts(name)[:, None]
         return (torch.arange(self.num_points[name], device=self.device) < counts).cpu()
 
     def still_points(self, name: str, dtype: torch.dtype, relative: bool) -> tuple[torch.Tensor, torch.Tensor]:
-        """Points of an object where it never moves, ``[num_envs, points, 2]``, and bool: where that is."""
+        """Return an object's points where it never moves, ``[num_envs, points, 2]``, and a bool mask of these."""
         bodies = self._still(name)
         fixed = torch.zeros((len(bodies), self.num_points[name], 2), dtype=torch.float64)
         is_fixed = torch.zeros((len(bodies), self.num_points[name], 1), dtype=torch.bool)
@@ -154,7 +155,9 @@ class Objects:
         return fixed[frame].to(self.device, dtype), is_fixed[frame].to(self.device)
 
     def loose_points(self, names: Sequence[str]) -> tuple[torch.Tensor, ...]:
-        """All points of loose objects, for every environment: row, cell and height of the object, column and row."""
+        """Return the points of loose objects, ``[num_envs, points]``: index, object's cell and height, column and
+        row.
+        """
         # Of each frame: x, y and height of the object, column and row of its points
         tables: list[list[list[int]]] = []
         for compiled in self._batch.compiled:
@@ -187,7 +190,10 @@ class Objects:
         return rows, table[..., 0:2], table[..., 2], table[..., 3:5]
 
     def scan_tables(self, objects: tuple[str, ...] | None) -> tuple[wp.array, wp.array, wp.array]:
-        """For scans: static points in voxels by lattice column, where each column starts, and listed moving objects."""
+        """Return the tables of a scan: fixed points in voxels by lattice column, and objects that move.
+
+        First where each column's points start, then the points, then the indices of listed objects that can move.
+        """
         for name in objects or ():
             self.index(name)
 

@@ -23,7 +23,7 @@ _WIDTHS = (1, 8, 16, 32)
 
 @dataclass(frozen=True)
 class SimOptions:
-    """Options of a simulation: taken by everything that makes some, whole as ``sim`` or one by one by name.
+    """Options of a simulation, passed as ``sim`` or one by one by name.
 
     Attributes:
         device: ``auto`` (CUDA where there is one, from 256 environments on), ``cpu``, ``cuda[:<index>]``.
@@ -59,7 +59,7 @@ class SimOptions:
 
     @classmethod
     def of(cls, sim: SimOptions | None, given: Mapping[str, Any], *functions: Callable[..., Any]) -> SimOptions:
-        """``sim``, or the defaults, with options that were given by name to the first of ``functions``.
+        """Return ``sim`` (None: the defaults) with the fields in ``given``, arguments by name of ``functions[0]``.
 
         Raises:
             ConfigError: see :func:`check_known`; or ``sim`` is something else.
@@ -70,7 +70,7 @@ class SimOptions:
         return replace(sim or cls(), **given)
 
     def resolved(self, num_envs: int, preset: str = "evogym") -> ResolvedOptions:
-        """These options with everything chosen but the lanes, for so many environments.
+        """Return these options for ``num_envs`` environments with every default but that of ``lanes`` chosen.
 
         Args:
             preset: of the physics, if none is named.
@@ -115,7 +115,7 @@ class SimKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class ResolvedOptions(SimOptions):
-    """Options with everything chosen but the lanes, see :meth:`SimOptions.resolved`."""
+    """Options with every default but that of ``lanes`` chosen, see :meth:`SimOptions.resolved`."""
 
     arithmetic: str = "fast"
     physics: Physics = field(default_factory=Physics)
@@ -124,7 +124,7 @@ class ResolvedOptions(SimOptions):
 
 
 def resolve_arithmetic(arithmetic: str | None, dtype: str) -> str:
-    """'fast' or 'exact'; None means 'fast' in float32 and 'exact' in float64.
+    """Return 'fast' or 'exact'; for None 'fast' in float32 and 'exact' in float64.
 
     Raises:
         SimulationError: neither of them, or 'exact' in float32.
@@ -140,7 +140,7 @@ def resolve_arithmetic(arithmetic: str | None, dtype: str) -> str:
 
 
 def resolve_layout(layout: str | None, arithmetic: str, device: str, lanes: int | None) -> str:
-    """'group' or 'lanes': None means 'group' on CUDA in fast arithmetic, unless ``lanes`` are asked for.
+    """Return 'group' or 'lanes'; for None 'group' on CUDA in fast arithmetic, unless ``lanes`` are given.
 
     Raises:
         SimulationError: neither of them, or a group for exact arithmetic or with lanes.
@@ -156,19 +156,19 @@ def resolve_layout(layout: str | None, arithmetic: str, device: str, lanes: int 
 
 
 def lanes_for(environments: int) -> int:
-    """The lanes that are chosen on the CPU for environments that can share packs: the fewest that hold them."""
+    """Return the fewest lanes on the CPU that hold all ``environments``, which can share packs."""
     return next(width for width in _WIDTHS if width >= min(environments, most_lanes()))
 
 
 def most_lanes() -> int:
-    """The most lanes that are chosen on the CPU: 32 with AVX-512; the fewer registers of others serve 16 faster."""
+    """Return the most lanes of a pack on the CPU: 32 with AVX-512, else 16, which is faster with fewer registers."""
     import torch
 
     return MAX_WIDTH if torch.backends.cpu.get_cpu_capability() == "AVX512" else 16
 
 
 def choose_lanes(index: np.ndarray, lanes: int | None, device: str) -> int:
-    """Lanes of a pack, from the number of what each environment can share a pack with."""
+    """Return the lanes of a pack; environments with the same number in ``index`` can share packs."""
     if device != "cpu":  # one thread each
         if lanes is not None and (type(lanes) is not int or lanes != MAX_WIDTH):
             raise SimulationError(f"lanes must be {MAX_WIDTH} or None on CUDA, got {lanes!r}.")

@@ -20,7 +20,7 @@ Actuators = tuple[tuple[str, int], ...]
 
 
 def group(worlds: Sequence[World]) -> tuple[dict[bytes, World], list[int]]:
-    """Copies of the different worlds by their keys, and for every world the number of the one that is equal to it."""
+    """Return a copy of every distinct world by its key, and for each of ``worlds`` the index of its copy."""
     seen: dict[bytes, int] = {}
     by_id: dict[int, int] = {}
     different = {}
@@ -35,6 +35,7 @@ def group(worlds: Sequence[World]) -> tuple[dict[bytes, World], list[int]]:
 
 
 def _actuators(world: World) -> Actuators:
+    """Return names and numbers of actuators of a world's robots; SimulationError: there are too many."""
     found = tuple(sorted((obj.name, obj.num_actuators) for obj in world.objects.values() if obj.is_robot))
     total = sum(count for _, count in found)
     most = 0xFFFF  # the two actions of a spring share 32 bits (warpvox.compile.pack_drives)
@@ -44,7 +45,7 @@ def _actuators(world: World) -> Actuators:
 
 
 class Entry(NamedTuple):
-    """One of the different worlds of a batch.
+    """A distinct world of a batch.
 
     Attributes:
         key: what :meth:`World.key` gives.
@@ -60,7 +61,7 @@ class Entry(NamedTuple):
 
 @dataclass
 class Batch:
-    """Which world every environment has, and in which lane of which pack it lies.
+    """The world of every environment, and the pack and lane in which the environment lies.
 
     Args:
         different: the worlds, by their keys. index: the number of each environment's world.
@@ -84,6 +85,7 @@ class Batch:
     pack_group: list[int] = field(default_factory=list)
 
     def __post_init__(self, different: Mapping[bytes, World]) -> None:
+        """Group the worlds, assign the environments to packs and lanes, and check the bodies against ``grid``."""
         self.physics = self.options.physics
         self.arithmetic = self.options.arithmetic
         self.device = self.options.device
@@ -136,8 +138,31 @@ class Batch:
             for world in worlds:
                 self._check_bodies(world, self.grid)
 
+    def _check_bodies(self, world: World, grid: tuple[int, int]) -> None:
+        """Raise SimulationError unless the bodies of all robots of a world can be part of a batch with this ``grid``.
+
+        A body must not be larger than ``grid`` (rows, columns). If every first body had all neighbouring cells
+        connected, this one must, too.
+        """
+        rows, columns = grid
+        for obj in world.objects.values():
+            if obj.is_robot and (obj.height > rows or obj.width > columns):
+                raise SimulationError(
+                    f"The {obj.height}x{obj.width} body of {obj.name!r} does not fit the simulation's grid of"
+                    f" {rows}x{columns}."
+                )
+            if obj.is_robot and not self.cut and is_cut(obj):
+                raise SimulationError(
+                    f"Neighbouring cells of {obj.name!r} are not connected; the simulation was made for connected ones."
+                )
+
     def _rank(self, group: int) -> np.ndarray:
-        """Which worlds of a group shall lie near each other: a pack is as slow as all of its bodies together."""
+        """Return int ``[entries]``: the order in which the worlds of a group fill packs, similar bodies side by side.
+
+        A pack computes everything that one of its lanes needs, so that similar bodies in a pack save time.
+
+        A pack computes everything that one of its lanes needs, so that similar bodies in a pack save time.
+        """
         rank = np.arange(len(self.entries))
         if self.arithmetic == "fast" and self.layout == "lanes":
             members = self.groups == group
@@ -147,11 +172,11 @@ class Batch:
 
     @property
     def groups(self) -> np.ndarray:
-        """int ``[entries]``: the group of each."""
+        """Group of each distinct world, int ``[entries]``."""
         return np.array([entry.group for entry in self.entries])
 
     def replace(self, envs: Sequence[int], worlds: Sequence[World]) -> np.ndarray:
-        """Give environments other worlds of their frames; return the packs that this concerns.
+        """Give environments other worlds of the same frame; return the numbers of the packs whose worlds have changed.
 
         Raises:
             SimulationError: the batch has no ``grid``, or a world does not belong to it.
@@ -186,20 +211,8 @@ class Batch:
         place = {entry.key: k for k, entry in enumerate(self.entries)}
         return self._assign(envs, [place[key] for key in chosen])
 
-    def _check_bodies(self, world: World, grid: tuple[int, int]) -> None:
-        rows, columns = grid
-        for obj in world.objects.values():
-            if obj.is_robot and (obj.height > rows or obj.width > columns):
-                raise SimulationError(
-                    f"The {obj.height}x{obj.width} body of {obj.name!r} does not fit the simulation's grid of"
-                    f" {rows}x{columns}."
-                )
-            if obj.is_robot and not self.cut and is_cut(obj):
-                raise SimulationError(
-                    f"Neighbouring cells of {obj.name!r} are not connected; the simulation was made for connected ones."
-                )
-
     def _assign(self, envs: Sequence[int], worlds: Sequence[int]) -> np.ndarray:
+        """Assign entries to environments, drop entries that are no longer used; return the packs that have changed."""
         index = np.array(self.index)
         index[list(envs)] = worlds
         packs = np.unique(self.env_pack[list(envs)])
@@ -222,11 +235,11 @@ class Batch:
         return packs
 
     def frame_of_envs(self) -> np.ndarray:
-        """int ``[num_envs]``: the entry of ``compiled`` with what an environment's world has besides robots."""
+        """Return int ``[num_envs]``: the index in ``compiled`` for each environment's group of worlds."""
         return self.groups[self.index]
 
     def tables(self, packs: np.ndarray | None = None) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Tables of the different packs among ``packs`` (None: all), and which each of them has."""
+        """Return the tables of the distinct packs among ``packs`` (None: all), and for each pack which it has."""
         packs = np.arange(len(self.pack_group)) if packs is None else packs
         groups = np.asarray(self.pack_group)[packs]
         if self.arithmetic == "exact":
@@ -255,7 +268,7 @@ class Batch:
         return tables, which.reshape(-1)
 
     def _spans(self, counts: np.ndarray, names: list[list[str]]) -> np.ndarray:
-        """int [tables, objects, lanes, 2]: where the points of each object lie in the order of points."""
+        """Return int ``[tables, objects, lanes, 2]``: begin and end of each object's points in the order of points."""
         stop = np.cumsum(counts, axis=1)
         start = stop - counts
         spans = np.zeros((len(counts), len(self.object_names), counts.shape[2], 2), np.int32)
@@ -267,13 +280,13 @@ class Batch:
         return spans
 
     def frame_tables(self) -> dict[str, np.ndarray]:
-        """Tables of the terrain of all frames; in exact arithmetic :meth:`tables` of all packs has them."""
+        """Return the tables of the terrain of all frames; empty in exact arithmetic, where :meth:`tables` has them."""
         names = ("fixed_at", "terrain", "terrain_side", "terrain_box")
         parts = [{name: frame.arrays[name][None] for name in names} for frame in self.frames]
         return join(parts) if parts else {}
 
     def capacities(self) -> dict[str, int]:
-        """Capacities that bodies up to ``grid`` may need; empty without one."""
+        """Return the sizes of arrays that hold any bodies up to ``grid``, by name; empty without ``grid``."""
         if self.grid is None:
             return {}
         most = [capacities(frame, *self.grid, self.cut) for frame in self.frames]

@@ -41,7 +41,7 @@ COMMANDS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code.
+    """Run the command that ``argv`` names; return the exit code.
 
     Args:
         argv: arguments without the program's name; None: those of the process.
@@ -116,6 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _complain(error: WarpvoxError | str) -> int:
+    """Print an error as one line on standard error; return the exit code 2."""
     from warpvox.io.text import escaped
 
     # one line, with the blanks of paths as they are

@@ -1,4 +1,4 @@
-"""From the words of a command line to its settings: parsed once, composed once by Hydra, checked when they are made."""
+"""Settings from the words of a command line: parsed by Hydra's grammar, composed by Hydra, checked at the end."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -24,12 +24,12 @@ from warpvox.runs import CODESIGN, CONFIG, TRAINING, search_as_now, without_serv
 
 
 def load(command: str, words: Sequence[str], config_dir: Path | None = None) -> Any:
-    """The settings that the words of a command line ask for, see :func:`settings_of`."""
+    """Return the settings that the words of a command line give, see :func:`settings_of`."""
     return settings_of(command, read_words(command, words), config_dir)
 
 
 def settings_of(command: str, overrides: Mapping[str, Override], config_dir: Path | None = None) -> Any:
-    """The settings of a command: its defaults, above them a stored configuration, above that what is given.
+    """Compose the settings of a command: defaults, overridden by a stored configuration, then by ``overrides``.
 
     A group that is given takes the place of its section in the stored configuration.
 
@@ -41,7 +41,7 @@ def settings_of(command: str, overrides: Mapping[str, Override], config_dir: Pat
         ConfigError: an unknown key, a value that it does not take, or a file that is or has none. RunError: there is no
             run to resume.
     """
-    # What is given
+    # Values given on the command line
     keys = keys_of(command)
     given = {}
     for key, override in overrides.items():
@@ -55,7 +55,7 @@ def settings_of(command: str, overrides: Mapping[str, Override], config_dir: Pat
             value = [value]  # export=gif
         given[key] = value
 
-    # What is stored, but for the groups that are given
+    # Stored values, except those of groups that are given
     stored, place = _stored(command, given)
     origin = "" if place is None else f"{place}: "
     choosing = [*groups_of(command), *[PRESET] * (PRESET in keys_of(command))]
@@ -64,7 +64,7 @@ def settings_of(command: str, overrides: Mapping[str, Override], config_dir: Pat
     if place is not None and PRESET in groups:
         raise ConfigError(f"{place} and {PRESET}={groups[PRESET]} both say where to start: give one of them.")
 
-    # The node of a group is the one given, else the one stored.
+    # Choice of each group: the one given, else the one stored
     choices = dict(groups)
     for group in nodes_of(command):
         section = stored.get(group)
@@ -72,7 +72,7 @@ def settings_of(command: str, overrides: Mapping[str, Override], config_dir: Pat
         if name:
             choices[group] = str(name)
 
-    with uninterrupted():  # OmegaConf's clean-up turns an interrupt into errors of its own
+    with uninterrupted():  # an interrupt would become an error of OmegaConf's clean-up
         names = {PRESET: f"{PRESET}/{command}@_global_"}
         with hydras_errors(origin):
             chosen = [f"{names.get(key, key)}={quoted(choice)}" for key, choice in choices.items()]
@@ -91,9 +91,9 @@ def settings_of(command: str, overrides: Mapping[str, Override], config_dir: Pat
 
 
 def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
-    """The words of a command line by their keys, as Hydra's grammar has them. Keys may still be unknown.
+    """Parse the words of a command line by Hydra's grammar; return them by key. Keys may still be unknown.
 
-    A text that the grammar cannot read, or takes for a number, is quoted for it; so is what names a path.
+    Texts that the grammar cannot read, or would read as numbers, and existing paths are quoted first.
 
     Raises:
         ConfigError: a word that is not ``KEY=VALUE``, or a key that is given twice.
@@ -101,7 +101,7 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
     keys = keys_of(command)
     found: dict[str, Override] = {}
 
-    # Other names of keys, by command: short ones, those of another command, older ones and those of config.yaml
+    # Other names of keys by command: short, old, another command's, or those of config.yaml
     renamed = {
         "train": {"designs": "designs.bodies"},
         "play": {"designs": "design", "format": "export"},
@@ -119,7 +119,7 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
         override = _parsed(f"{name}{given}{text}")
         if given and text and name in keys and keys[name].takes_text:
             place = os.path.expanduser(text)
-            # Hydra's grammar may take a text for a number, a list or the like.
+            # Hydra's grammar may read a text as a number or a list.
             is_other = (
                 override is not None
                 and not override.is_sweep_override()
@@ -138,15 +138,19 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
 
 
 def _parsed(word: str) -> Override | None:
-    """A word as Hydra's grammar has it; None: it cannot be read."""
+    """Parse a word by Hydra's grammar; None: it is not valid."""
     try:
         return OverridesParser.create().parse_override(word)
-    except (HydraException, ValueError, RecursionError):  # numbers of thousands of digits, brackets without end
+    except (
+        HydraException,
+        ValueError,
+        RecursionError,
+    ):  # such as numbers of thousands of digits, deeply nested brackets
         return None
 
 
 def _stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path | None]:
-    """The stored configuration that ``config`` or ``resume`` names, and its file; None: they name none.
+    """Read the stored configuration that ``config`` or ``resume`` names; return it and its file, or empty and None.
 
     ``resume`` becomes the folder or checkpoint that it names.
     """
@@ -172,7 +176,7 @@ def _stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path |
     else:
         return {}, None
 
-    # What a run was told to do is no setting.
+    # Drop keys that say what to do, which are not settings of the run.
     own = {key: value for key, value in values.items() if key not in ("resume", "report", "config")}
     return without_services(own), path
 
@@ -189,7 +193,7 @@ def _set(command: str, config: DictConfig, key: str, value: Any) -> None:
 
 
 def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
-    """The error for a key that a composed configuration does not have, with the best hint that there is."""
+    """Return the error for an unknown key, with the best hint that can be given."""
     keys = keys_of(command)
     known = [name for name in flat(cast(Any, OmegaConf.to_container(config))) if name in keys]
     last = key.split(".")[-1]
@@ -204,7 +208,7 @@ def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
     if owners:
         hint = f" It is a setting of {' and '.join(owners)}."
 
-    # What another library calls this, by the last part of our key
+    # Names of other libraries, with the last part of our key
     aliases = {
         "env": "task",
         "lr": "learning_rate",

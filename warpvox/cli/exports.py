@@ -1,4 +1,4 @@
-"""Rollouts of trained runs, and the files made from them."""
+"""Recording of rollouts, and the files and tables made from them."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 ROLLOUT = "rollout.npz"
 _TILES = 16
-"""Environments that a picture shows at most; of a run over many bodies."""
+"""Most environments in a picture; of a run over many bodies there may be more."""
 LARGE = (960, 540)
-"""Size of pictures of more than :data:`_TILES`, and of a window, in pixels."""
+"""Size of a window, and of pictures with more than :data:`_TILES` environments, in pixels."""
 
 
 def record_run(
     run: Run, env: Any, controller: Any, steps: int | None, stochastic: bool = False, protocol: str = NOMINAL
 ) -> Rollout:
-    """One episode of every environment; of several bodies the best first.
+    """Record one episode of every environment; of several bodies the best comes first.
 
     ``stochastic``: whether ``controller`` samples its actions; ``protocol``: by which it is disturbed.
     """
@@ -47,7 +47,7 @@ def record_run(
 
 
 def record_agent(config: Any) -> Rollout:
-    """One episode of every environment under an agent that needs no training."""
+    """Record one episode of every environment under an agent that needs no training."""
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.playing import SHOWN
     from warpvox.envs.vec_env import make_vec
@@ -72,14 +72,14 @@ def record_agent(config: Any) -> Rollout:
 
 
 def tiles_of(rollout: Rollout, most: int = 36) -> list[int]:
-    """The environments that a picture shows: the first ones; of those that have names some, evenly chosen."""
+    """Return the indices of environments that a picture shows: the first ones, or evenly spaced named ones."""
     if "names" not in rollout.metadata:
         return list(range(min(rollout.num_envs, _TILES)))
     return np.linspace(0, rollout.num_envs - 1, min(rollout.num_envs, most)).round().astype(int).tolist()
 
 
 def check_exports(formats: list[str], size: Any) -> None:
-    """Raise RolloutError for a format that cannot be written, before anything is simulated; ``size`` or None."""
+    """Raise RolloutError for a format that cannot be written, before anything is simulated."""
     if "mp4" in formats:
         from warpvox.view.render import check_mp4
 
@@ -89,13 +89,13 @@ def check_exports(formats: list[str], size: Any) -> None:
 def write_exports(
     rollout: Rollout, folder: Path, formats: list[str], console: Console, size: list[int] | None = None, every: int = 1
 ) -> None:
-    """Write each format and say what there is, the rollout itself, if it was written, first.
+    """Write the rollout in each format to ``folder``, and print the files, the rollout's own first.
 
     ``every``: show every n-th control step only; films then run n times as fast.
     """
     written = [folder / ROLLOUT] if (folder / ROLLOUT).is_file() else []
     for name in dict.fromkeys(formats):
-        # format -> file, module, function
+        # File name, module and function by format
         writers = {
             "usd": ("rollout.usd", "warpvox.view.usd", "write_usd"),
             "gif": ("rollout.gif", "warpvox.view.render", "write_gif"),
@@ -114,11 +114,11 @@ def write_exports(
                 options["envs"] = tiles_of(rollout)
                 if len(options["envs"]) > _TILES:
                     options = {"size": LARGE} | options
-            # parameter of a writer for the key every
+            # Name of the writer's parameter for the key `every`
             thinned = {"usd": "stride", "gif": "every", "mp4": "every", "html": "every"}
             if name in thinned:
                 options[thinned[name]] = every
-            # Films take long enough to say how far they are.
+            # Films take long: show progress.
             if name in ("gif", "mp4"):
 
                 def tell(done: int, total: int, status: Status = status, file: str = file) -> None:
@@ -135,7 +135,7 @@ def write_exports(
 
 
 def print_returns(rollout: Rollout, console: Console) -> None:
-    """A table with a row for each environment (the first ones of many) and their mean."""
+    """Print a table with the returns of the environments (the first ones of many) and their mean."""
     returns = rollout.returns[-1]
     lengths = rollout.lengths
     several = len(rollout.scenes) > 1 and "names" not in rollout.metadata
@@ -152,7 +152,7 @@ def print_returns(rollout: Rollout, console: Console) -> None:
     most = 20  # environments that the table shows
     for env in range(min(rollout.num_envs, most)):
         design = [str(rollout.design_index[env])] if several else []
-        row = f"{returns[env]:.3f}", str(lengths[env]), _end(rollout, env)
+        row = f"{returns[env]:.3f}", str(lengths[env]), _reason_of_end(rollout, env)
         table.add_row(literal(rollout.names[env]), *design, *row)
     if rollout.num_envs > most:
         table.add_row("...", *([""] if several else []), "", "", f"{rollout.num_envs - most} more")
@@ -162,7 +162,7 @@ def print_returns(rollout: Rollout, console: Console) -> None:
         table.add_row("mean", *([""] if several else []), *mean)
     console.print(table)
     if agent == "policy" and rollout.num_envs > len(rollout.scenes) and rollout.metadata.get("drawn") is False:
-        # A deterministic policy in a task without chance shows one episode a design, however many are asked for.
+        # A deterministic policy in a deterministic task has one distinct episode for each design.
         designs = len(rollout.scenes)
         alike = "are identical"
         for design in range(designs):
@@ -175,7 +175,8 @@ def print_returns(rollout: Rollout, console: Console) -> None:
         )
 
 
-def _end(rollout: Rollout, env: int) -> str:
+def _reason_of_end(rollout: Rollout, env: int) -> str:
+    """Return in words why the episode of an environment ended."""
     if not rollout.num_steps or not rollout.done[-1, env]:
         return "still going"
     if rollout.metadata.get("diverged"):

@@ -1,4 +1,4 @@
-"""The keys of the commands and what they mean, made from the schema."""
+"""Keys of the commands and their help, made from the dataclasses of their settings."""
 
 import argparse
 import dataclasses
@@ -14,7 +14,7 @@ from warpvox.keys import MISSING, flat
 
 @dataclasses.dataclass(frozen=True)
 class Key:
-    """A key of a command as the schema has it."""
+    """A key of a command: type, default, meaning and choices."""
 
     type: Any
     default: Any
@@ -39,7 +39,7 @@ class Key:
 
 @functools.cache
 def keys_of(command: str) -> dict[str, Key]:
-    """The keys of a command by their dotted names; those with parts come before their parts.
+    """Return the keys of a command by dotted name; a group comes before its own keys.
 
     The parts of a group are those of all its nodes.
     """
@@ -47,7 +47,7 @@ def keys_of(command: str) -> dict[str, Key]:
 
 
 def _keys(schema: type, prefix: str) -> Iterator[tuple[str, Key]]:
-    """The keys of a dataclass, and after those that are dataclasses themselves their parts."""
+    """Yield the keys of a dataclass and of its nested dataclasses, with names that begin with ``prefix``."""
     types = get_type_hints(schema)
     for item in dataclasses.fields(schema):
         name = prefix + item.name
@@ -62,14 +62,14 @@ def _keys(schema: type, prefix: str) -> Iterator[tuple[str, Key]]:
 
 
 def groups_of(command: str) -> list[str]:
-    """The keys of a command that choose a dataclass or a YAML file by its name, but for the preset."""
+    """Return the keys of a command that choose a dataclass or a YAML file by name, without the preset."""
     names = [item.name for item in dataclasses.fields(schema_of(command))]
     # ppo and training take the name of a YAML file in the folder of the same name, and of nothing else.
     return [name for name in names if name in nodes_of(command) or name in ("ppo", "training")]
 
 
 def options_of(command: str, key: str) -> list[str]:
-    """The names that a key takes: of dataclasses, of YAML files, or its choices."""
+    """Return the names that a key takes: dataclasses, YAML files, or choices."""
     folder = files("warpvox.configs") / (f"{PRESET}/{command}" if key == PRESET else key)
     known = [file.name.removesuffix(".yaml") for file in folder.iterdir() if file.is_file()] if folder.is_dir() else []
     choices = keys_of(command)[key].choices if key in keys_of(command) else ()
@@ -77,12 +77,12 @@ def options_of(command: str, key: str) -> list[str]:
 
 
 def flat_values(command: str, values: dict[str, Any]) -> dict[str, Any]:
-    """Nested values by their dotted keys; a value that may be anything is one, also if it is a mapping."""
+    """Flatten nested values to dotted keys; a mapping stays whole if its key takes any value."""
     return flat(values, {name for name, key in keys_of(command).items() if key.type is Any})
 
 
 def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str | None, str]]:
-    """Name, default and meaning of the keys of a command; a group, which sets several keys, has no default.
+    """Yield name, default and meaning of each key of a command; a group has no default.
 
     Args:
         values: the composed defaults by dotted key, for those that the schema leaves open.
@@ -99,7 +99,7 @@ def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str |
 
 
 def add_keys(parser: argparse.ArgumentParser, command: str, values: dict[str, Any]) -> None:
-    """Have the help of a parser list the keys of a command; ``values``: see :func:`help_rows`."""
+    """Add the keys of a command to the help of a parser; ``values``: see :func:`help_rows`."""
     part = parser.add_argument_group("keys")
     for name, value, meaning in help_rows(command, values):
         if value is None:
@@ -108,7 +108,7 @@ def add_keys(parser: argparse.ArgumentParser, command: str, values: dict[str, An
 
 
 def as_typed(value: Any) -> str:
-    """A value as it is typed in a command."""
+    """Return a value as it is typed on a command line."""
     if isinstance(value, Mapping):
         return f"{{{','.join(f'{name}:{as_typed(one)}' for name, one in value.items())}}}"
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""Runs that differ only in their seed, and labels that distinguish such groups."""
+"""Groups of runs that differ only in their seed, with labels that distinguish the groups."""
 
 import hashlib
 import json
@@ -14,7 +14,7 @@ from warpvox.runs import Run
 
 
 def group_runs(runs: Sequence[Run]) -> list[Group]:
-    """Runs with the same settings together, in the order in which they are given.
+    """Group runs with the same settings, in the order in which they are given.
 
     A label says what differs between the groups, of a single one the task.
     """
@@ -28,8 +28,8 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
     keys = differing(groups)
     if keys:
         groups = [_with_presets(values, keys) for values in groups]
-        told = telling(groups, differing(groups))
-        labels = [_label(values, told) for values in groups]
+        shown = telling(groups, differing(groups))
+        labels = [_label(values, shown) for values in groups]
     else:
         labels = [str(values.get("task", "run")) for values in groups]
     if len(set(labels)) < len(labels):  # the first few settings do not distinguish them
@@ -38,14 +38,14 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
 
 
 def settings(run: Run) -> dict[str, Any]:
-    """Settings of a run by dotted keys, without those that only say where and how it was computed.
+    """Return a run's settings by dotted key, without those that only say where and how it was computed.
 
-    Among them the checkpoint that was named, as several of one run are no repetitions.
+    They include the named checkpoint, because several checkpoints of one run are not repetitions.
     """
     flat: dict[str, Any] = flat_values("train", run.config) | {"checkpoint": run.checkpoint and run.checkpoint.name}
     if isinstance(flat.get("device"), str):
         flat["device"] = flat["device"].partition(":")[0]  # which of several GPUs makes no difference
-    # These keys do not make a run another experiment; what a preset has set stands in the other keys.
+    # Keys that do not distinguish experiments; the settings of a preset are in the other keys.
     left_out = (
         "seed", "name", "output_dir", "resume", "config", "export", "threads", "torch_threads", "lanes",
         "save_interval", "nan_guard", "logger", "memory_check", "preset",
@@ -54,16 +54,16 @@ def settings(run: Run) -> dict[str, Any]:
 
 
 def _with_presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
-    """Settings with the name of a preset in the place of what it has set."""
+    """Replace the settings that a preset sets by the name of the preset."""
     result = dict(values)
 
-    # The constants of physics follow from their preset.
+    # Name the physics preset instead of its constants.
     if "physics.preset" in keys:
         result = {key: value for key, value in result.items() if not key.startswith("physics.")}
         if values.get("physics.preset") != values.get("rules"):
             result["physics"] = values.get("physics.preset")
 
-    # Settings of PPO are those of a file of configs/ppo, or they are named one by one.
+    # Name the file of configs/ppo that has these settings; otherwise keep the single settings.
     if sum(key.startswith("ppo.") for key in keys) > SHOWN:
         own = {key.removeprefix("ppo."): value for key, value in values.items() if key.startswith("ppo.")}
         for name in ("parallel", "evogym"):
@@ -74,9 +74,9 @@ def _with_presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
 
 
 def _label(values: dict[str, Any], keys: list[str]) -> str:
-    """The first few settings that tell a group from others."""
+    """Return a label with the first few settings that distinguish a group from others."""
     parts = []
-    for key in [key for key in keys if key in values][:SHOWN]:  # a robot of the zoo has but a few
+    for key in [key for key in keys if key in values][:SHOWN]:  # a robot of the zoo has only some of the keys
         value = values[key]
         if key == "task":
             parts.append(str(value))
@@ -89,7 +89,7 @@ def _label(values: dict[str, Any], keys: list[str]) -> str:
 
 
 def _design(body: Any) -> str:
-    """The name of an example, or the size of a body and what distinguishes it from others of this size."""
+    """Return the name of an example body, or the size of a body and a short hash."""
     for name in example_designs():
         if example_design(name).tolist() == body:
             return name

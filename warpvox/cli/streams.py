@@ -1,4 +1,4 @@
-"""Output that outlives its reader (``| head``, a terminal that is closed) and is never another file (``>&-``)."""
+"""Standard output that survives a closed reader (``| head``, a closed terminal) and a closed stream (``>&-``)."""
 
 import errno
 import io
@@ -12,17 +12,18 @@ from warpvox.system import GONE
 
 
 class _Lasting:
-    """A text stream that goes to the null device once its reader has gone."""
+    """Text stream that switches to the null device once its reader has gone."""
 
     def __init__(self, stream: Any, message: str | None = None) -> None:
         self._stream = stream
         self._message = message
         self._gone = GONE
         if stream.isatty():
-            # A terminal that was closed has these errors; from a file they mean that the disk has failed.
+            # A closed terminal gives these errors; with a file they mean that the disk has failed.
             self._gone = GONE | {errno.EIO, errno.ENXIO, errno.EBADF}
 
     def __getattr__(self, name: str) -> Any:
+        """Return any other attribute of the wrapped stream."""
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
@@ -36,6 +37,7 @@ class _Lasting:
         self._try(self._stream.flush)
 
     def _try(self, function: Any, *words: Any) -> None:
+        """Call a method of the stream; switch to the null device if the reader has gone."""
         try:
             function(*words)
         except OSError as error:
@@ -48,13 +50,13 @@ class _Lasting:
 
 @contextmanager
 def lasting_output(message: str | None = None) -> Iterator[None]:
-    """Within the block standard output and errors outlive their readers; letters that their encoding lacks become ?.
+    """Within the block, let standard output and errors survive readers that close; replace unknown letters by ?.
 
     Args:
         message: a line that is written to standard error when the reader of standard output has gone.
     """
     while (number := os.open(os.devnull, os.O_RDWR)) < 3:
-        pass  # it takes the place of a standard stream that was closed
+        pass  # the null device replaces a standard stream that is closed
     os.close(number)
     before = sys.stdout, sys.stderr
     for stream in before:
@@ -66,13 +68,13 @@ def lasting_output(message: str | None = None) -> Iterator[None]:
     try:
         yield
     finally:
-        # somebody else may have put another stream there meanwhile
+        # restore only our own streams: others may have been set meanwhile
         sys.stdout = before[0] if sys.stdout is ours[0] else sys.stdout
         sys.stderr = before[1] if sys.stderr is ours[1] else sys.stderr
 
 
 def redirect(stream: Any) -> None:
-    """Send what is left in a stream's buffers to the null device; Python would complain at its exit."""
+    """Send what is left in a stream's buffers to the null device, or Python would complain at its exit."""
     with suppress(OSError, ValueError, AttributeError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())

@@ -1,4 +1,4 @@
-"""Several runs by Hydra's sweeper and launcher (``--multirun``), and completion of command lines by a shell."""
+"""Sweeps over several runs by Hydra (``--multirun``), and completion of command lines by a shell."""
 
 import argparse
 import functools
@@ -24,13 +24,13 @@ from warpvox.runs import STAMP, as_name, check_output, label, read_summary
 from warpvox.system import safe_start
 
 LONGEST_LABEL = 80
-"""Characters of a folder's name that say what its run differs by."""
+"""Maximum length of the part of a folder's name that says what its run differs by."""
 _OWN = "++words."
-"""Beginning of our words for Hydra, which adds them to an empty configuration: it is to expand them, not to compose."""
+"""Prefix of our words for Hydra, which adds them to an empty configuration: it only expands their values."""
 
 
 def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
-    """Have Hydra make the runs of all combinations of the values that words list.
+    """Run all combinations of the values that the words list, by Hydra's sweeper and launcher.
 
     Hydra expands the words and launches the runs; each composes its own settings. Every value that is listed is
     checked before the first run begins, those of several keys not in all combinations.
@@ -38,12 +38,12 @@ def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
     Raises:
         WarpvoxError: a value is not valid, or a run has failed; the others are made all the same.
     """
-    # Words that are Hydra's own: which launcher and sweeper, and their settings
+    # Hydra's own words: launcher, sweeper and their settings
     plugins = [word for word in words if word.startswith(("hydra/", "hydra."))]
     overrides = read_words(command, [word for word in words if word not in plugins])
     fixed = {key: str(one.input_line) for key, one in overrides.items() if not one.is_sweep_override()}
 
-    # The values that each word lists; a sweeper that optimises may choose others
+    # Values that each word lists (sweepers that optimise may choose others)
     listed = {}
     for key, one in overrides.items():
         if not (one.is_discrete_sweep() or one.is_range_sweep()):
@@ -55,7 +55,7 @@ def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
         if not listed[key]:
             raise ConfigError(f"'{one.input_line}' makes no runs.")
 
-    # A mistake in the last run should not show after a day.
+    # Check every listed value now, so that a mistake in the last run does not show after a day.
     first = fixed | {key: values[0] for key, values in listed.items()}
     runs = [first]
     for key, values in listed.items():
@@ -78,7 +78,7 @@ def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
 
 
 def _run(command: str, config_dir: Path | None, fixed: Collection[str], _: Any) -> float | None:
-    """Make the run whose words Hydra gives; returns what a sweeper that optimises looks at."""
+    """Make one run of a sweep from Hydra's words; return its best return or fitness for optimising sweepers."""
     job = HydraConfig.get()
     words = [word.removeprefix(_OWN) for word in job.overrides.task]
     given = read_words(command, words)
@@ -103,12 +103,12 @@ def _run(command: str, config_dir: Path | None, fixed: Collection[str], _: Any) 
 
 
 def label_of(varied: Mapping[str, str]) -> str:
-    """``seed-1_ppo.gamma-0.9``: for the name of a folder, in which the task has a place already."""
+    """Return the part of a folder's name that says what a run differs by, such as ``seed-1_ppo.gamma-0.9``."""
     return as_name("_".join(f"{key}-{value}" for key, value in varied.items() if key != "task"))[:LONGEST_LABEL]
 
 
 def _run_hydra(words: Sequence[str], task: Callable[[Any], Any] = lambda _: None) -> None:
-    """Do what ``@hydra.main`` does of a command line, with an empty configuration.
+    """Run Hydra as ``@hydra.main`` does, with these words and an empty configuration.
 
     ConfigError: what Hydra says of a word or plugin. Exception: what ``task`` raises.
     """
@@ -125,7 +125,7 @@ def _run_hydra(words: Sequence[str], task: Callable[[Any], Any] = lambda _: None
 
 
 def complete(words: Sequence[str], commands: Collection[str]) -> None:
-    """Complete the line in ``COMP_LINE`` for a shell (``query=SHELL``), or print code that has it do so.
+    """Print completions of the line in ``COMP_LINE`` (``query=SHELL``), or print code that installs completion.
 
     Args:
         words: what follows ``-sc``: ``query=SHELL``, ``install=SHELL`` or ``uninstall=SHELL``.

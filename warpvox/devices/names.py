@@ -14,7 +14,7 @@ host launches for 0.1 s an iteration, however many environments there are (docs/
 
 
 def missing_cuda() -> str | None:
-    """Which of torch and Warp has no CUDA device, and why; None: both have one."""
+    """Return why torch or Warp has no CUDA device, or None if both have one."""
     start_warp()
     torch_has = torch.cuda.is_available()
     warp_has = wp.is_cuda_available()
@@ -46,7 +46,7 @@ def missing_cuda() -> str | None:
 
 
 def resolve_device(device: str, num_envs: int | None = None) -> str:
-    """The torch name of a device: 'auto', 'cpu', 'cuda', 'cuda:<index>'.
+    """Return torch's name for a device: 'auto', 'cpu', 'cuda' or 'cuda:<index>'.
 
     Args:
         device: 'auto': CUDA where there is one, if there are environments enough for it (:data:`ENOUGH`).

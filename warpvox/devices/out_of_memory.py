@@ -9,7 +9,7 @@ from warpvox.system import available_memory
 
 
 def shortage(error: BaseException) -> str | None:
-    """The allocation that failed according to an error, as part of a sentence; None if it is another error."""
+    """Return which allocation failed according to an error, as part of a sentence; None for another kind of error."""
     if not isinstance(error, (MemoryError, RuntimeError)):
         return None
     text = " ".join(str(error).split())
@@ -36,7 +36,7 @@ def shortage(error: BaseException) -> str | None:
 
 
 def free_memory(device: str) -> int | None:
-    """Bytes that can still be allocated on a device (``cpu``, ``cuda:<index>``); None where that is unknown."""
+    """Return the bytes that can still be allocated on a device (``cpu``, ``cuda:<index>``); None if unknown."""
     if device == "cpu":
         return available_memory()
     import torch
@@ -47,14 +47,14 @@ def free_memory(device: str) -> int | None:
 
 
 def fewer(num_envs: int) -> str:
-    """Advice for :func:`enough_memory`: what to lower when environments take too much."""
+    """Return advice for :func:`enough_memory`: how many environments to take instead."""
     half = f"num_envs={num_envs // 2} instead of {num_envs}" if num_envs > 1 else "a smaller body"
     return f"Take {half}, or free memory that other programs or tensors hold on the device."
 
 
 @contextmanager
 def enough_memory(advice: str) -> Iterator[None]:
-    """Raise what says that memory has run out within the block as a DeviceError with ``advice``, a sentence."""
+    """Turn an error within the block that memory has run out into a DeviceError with ``advice``, a sentence."""
     try:
         yield
     except (MemoryError, RuntimeError) as error:

@@ -30,7 +30,7 @@ _PROCESS = threading.RLock()
 
 
 def start_warp() -> None:
-    """Initialise Warp, unless it is; only what it complains about besides a missing GPU gets through.
+    """Initialise Warp once, and hide its message about a missing GPU.
 
     Raises:
         StorageError: Warp's folder for kernels cannot be made.
@@ -41,6 +41,7 @@ def start_warp() -> None:
 
 @functools.cache
 def _start_warp() -> None:
+    """Initialise Warp, and have it announce the compilation of kernels."""
     import warp as wp
     from warp._src import build, context
 
@@ -62,7 +63,7 @@ def _start_warp() -> None:
 
 
 def _announced(build: Callable[..., Any], where: str) -> Callable[..., Any]:
-    """``build``, with a line before its first call on behalf of this package."""
+    """Return ``build`` with a message before its first call by this package."""
     announced = False
 
     @functools.wraps(build)
@@ -77,7 +78,7 @@ def _announced(build: Callable[..., Any], where: str) -> Callable[..., Any]:
 
 
 def _is_ours() -> bool:
-    """Whether a module of this package has led to the present call, not a kernel of somebody else."""
+    """Return whether a module of this package has led to the present call, not another user of Warp."""
     frame = sys._getframe(2)  # above the function that asks
     while frame is not None:
         name = str(frame.f_globals.get("__name__", ""))
@@ -88,6 +89,7 @@ def _is_ours() -> bool:
 
 
 def _init_without_complaint() -> None:
+    """Initialise Warp, and print what it wrote to stderr except the message about a missing GPU."""
     import warp as wp
 
     sys.stderr.flush()
@@ -112,14 +114,14 @@ def _init_without_complaint() -> None:
 
 
 class _Console(logging.Handler):
-    """Messages of the library go to the output, like those of the commands."""
+    """Prints the library's log messages to the standard output."""
 
     def emit(self, record: logging.LogRecord) -> None:
         print(record.getMessage(), flush=True)
 
 
 def prepare(torch_threads: int, seed: int) -> None:
-    """Settings of the process: threads, random numbers, and no chatter from Warp."""
+    """Set up the process: show messages, start Warp, set torch's threads and seed."""
     if not LOGGER.handlers:
         LOGGER.addHandler(_Console())
     import torch
@@ -131,7 +133,7 @@ def prepare(torch_threads: int, seed: int) -> None:
 
 @contextmanager
 def own_torch(threads: int | None = None, seed: int | None = None, dtype: torch.dtype | None = None) -> Iterator[None]:
-    """Inside, torch is this thread's alone: other threads that ask for it wait. Settings are those of :func:`ambient`.
+    """Give torch to this thread alone within the block, with the settings of :func:`ambient`; others wait.
 
     Nothing inside may wait for another thread. torch's global generators are the caller's again afterwards.
 
@@ -150,7 +152,7 @@ def own_torch(threads: int | None = None, seed: int | None = None, dtype: torch.
 
 @contextmanager
 def ambient(threads: int | None = None, dtype: torch.dtype | None = None) -> Iterator[None]:
-    """Inside, torch has the settings of a new process: float32, the CPU as the default device, gradients.
+    """Give torch the settings of a new process within the block: float32, the CPU as default device, gradients.
 
     Neither inference mode nor autocast are on. Several threads may be inside at the same time.
 
@@ -181,7 +183,7 @@ def ambient(threads: int | None = None, dtype: torch.dtype | None = None) -> Ite
 
 
 class _Shared:
-    """Restores what threads share in torch when the last of those inside leaves."""
+    """A context that several threads enter; the last one that leaves restores torch's process-wide settings."""
 
     def __init__(self) -> None:
         self._inside = 0
@@ -205,7 +207,7 @@ _shared = _Shared()
 
 @contextmanager
 def _restored() -> Iterator[None]:
-    """Afterwards torch's default type and global generators are as they were."""
+    """Restore torch's default type and global generators after the block."""
     import torch
 
     dtype = torch.get_default_dtype()

@@ -31,13 +31,13 @@ _FILE_NAME = re.compile(r"[^\W_][\w.-]{0,63}")
 
 
 def design_of(document: Mapping[str, Any]) -> Design:
-    """The body that a document draws, without empty rows and columns around it."""
+    """Return the body in a document, without empty rows and columns around it."""
     cells = _cells(document, BODY_SIDE, BODY_SIDE)
     return check_design(cells[_box(cells)] if cells.any() else cells)
 
 
 def world_of(document: Mapping[str, Any]) -> World:
-    """The world that a document draws.
+    """Return the world in a document.
 
     Objects are added from the largest to the smallest: the bounding box of an object must lie on cells that are
     free of those before it, and terrain may well reach around a robot.
@@ -79,7 +79,7 @@ def world_of(document: Mapping[str, Any]) -> World:
 
 
 def document_of(content: Design | World) -> dict[str, Any]:
-    """The document that draws a body or a world."""
+    """Return the document that shows a body or a world."""
     if not isinstance(content, World):
         grid = np.asarray(content)
         return _document("body", ["robot"], grid, np.zeros_like(grid))
@@ -103,7 +103,7 @@ def document_of(content: Design | World) -> dict[str, Any]:
 
 
 def check(document: Mapping[str, Any]) -> str:
-    """A sentence that describes a valid document."""
+    """Return a sentence that describes a document; DesignError, WorldError: it is not valid."""
     if _kind(document) == "body":
         body = design_of(document)
         cells = counted((body > 0).sum(), "cells")
@@ -120,7 +120,7 @@ def check(document: Mapping[str, Any]) -> str:
 
 
 def check_file_name(name: object) -> str:
-    """The file that a name stands for, with its suffix."""
+    """Return ``name`` as a file name with its suffix; WorldError: it cannot be one."""
     stem = name.removesuffix(".json") if isinstance(name, str) else ""
     # The file system takes it with its suffix and a temporary one beside it.
     if not _FILE_NAME.fullmatch(stem) or len(stem.encode()) > 200:
@@ -134,17 +134,17 @@ def check_file_name(name: object) -> str:
 
 
 def file_names(folder: Path) -> list[str]:
-    """Names of the JSON files in a folder that the editor may open."""
+    """Return the names of the JSON files in a folder that the editor may open."""
     return sorted(path.name for path in folder.glob("*.json") if _FILE_NAME.fullmatch(path.stem) and _is_here(path))
 
 
 def _is_here(path: Path) -> bool:
-    """Return whether there is such a file, and not by a link that leads out of its folder."""
+    """Return whether a file exists in its folder, not by a link to another folder."""
     return path.is_file() and path.resolve().parent == path.parent.resolve()
 
 
 def save_file(document: Mapping[str, Any], folder: Path, name: object, overwrite: bool = False) -> Path:
-    """Write a document in EvoGym's world format; returns the path.
+    """Write a document in EvoGym's world format; return the path.
 
     A body becomes a world that holds the robot alone. An entry ``body`` with its rows, which EvoGym ignores, lets
     ``design=FILE`` read it, too.
@@ -164,7 +164,7 @@ def save_file(document: Mapping[str, Any], folder: Path, name: object, overwrite
 
 
 def read_file(path: Path) -> dict[str, Any]:
-    """The document of a file: a body (rows of cells, or ``{"body": rows}``) or a world of EvoGym's format."""
+    """Return the document of a file: a body (rows of cells, or ``{"body": rows}``) or a world of EvoGym's format."""
     if not _is_here(path):
         near = did_you_mean(path.stem, (name.removesuffix(".json") for name in file_names(path.parent)))
         raise WorldError(f"There is no file '{path.name}' in {path.parent}.{near}")
@@ -192,6 +192,7 @@ def _kind(document: Mapping[str, Any]) -> str:
 
 
 def _cells(document: Mapping[str, Any], rows: int, columns: int, error: type[WarpvoxError] = DesignError) -> np.ndarray:
+    """Return the cells of a document as an array; raise ``error`` if they are not valid or too many."""
     value = document.get("types")
     # Before numpy looks at it: what is not a rectangle of a modest size is not worth an array.
     if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
@@ -202,7 +203,7 @@ def _cells(document: Mapping[str, Any], rows: int, columns: int, error: type[War
 
 
 def _box(filled: np.ndarray) -> tuple[slice, slice]:
-    """The rows and columns that hold anything."""
+    """Return the slices of rows and columns that hold all filled cells."""
     rows = np.flatnonzero(filled.any(1))
     columns = np.flatnonzero(filled.any(0))
     return slice(*rows[[0, -1]] + (0, 1)), slice(*columns[[0, -1]] + (0, 1))

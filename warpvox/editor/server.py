@@ -46,7 +46,7 @@ LARGEST = 1_000_000
 
 
 class EditorServer(ThreadingHTTPServer):
-    """Serves the editor until it is shut down.
+    """A web server for the editor's page, on this machine only.
 
     Args:
         port: 0 takes a free one.
@@ -76,24 +76,24 @@ class EditorServer(ThreadingHTTPServer):
         return read_file(self.folder / check_file_name(name))
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A tab that was closed is no error; what else goes wrong is ours, and is shown."""
+        """Print an error of a request, unless the browser has closed its connection."""
         if not isinstance(sys.exc_info()[1], ConnectionError):
             super().handle_error(request, client_address)
 
     def check(self, ask: dict[str, Any]) -> dict[str, Any]:
-        """Describe the document, or say what is wrong with it."""
+        """Return a sentence that describes the document in the request ``ask``."""
         return {"message": check(_document(ask))}
 
     def files(self, ask: dict[str, Any]) -> dict[str, Any]:
-        """The files that can be opened."""
+        """Return the names of the files that can be opened."""
         return {"files": file_names(self.folder)}
 
     def open(self, ask: dict[str, Any]) -> dict[str, Any]:
-        """The document of a file."""
+        """Return the document of a file."""
         return self._read(ask.get("name"))
 
     def save(self, ask: dict[str, Any]) -> dict[str, Any]:
-        """Write the document; an existing file is only replaced if ``overwrite`` is set."""
+        """Write the document; replace an existing file only if ``overwrite`` is set."""
         try:
             path = save_file(_document(ask), self.folder, ask.get("name"), ask.get("overwrite") is True)
         except FileExistsError as error:
@@ -103,7 +103,7 @@ class EditorServer(ThreadingHTTPServer):
         return {"message": f"Saved as {path}.", "path": str(path)}
 
     def sample(self, ask: dict[str, Any]) -> dict[str, Any]:
-        """A random valid body."""
+        """Return a document with a random valid body."""
         rows = ask.get("rows", 0)
         columns = ask.get("columns", 0)
         if not all(type(n) is int and 1 <= n <= 10 for n in (rows, columns)):
@@ -111,7 +111,11 @@ class EditorServer(ThreadingHTTPServer):
         return document_of(sample_design((rows, columns)))
 
     def rollout(self, ask: dict[str, Any]) -> dict[str, Any]:
-        """Try the document out; where to look at it, and what it returned. One at a time."""
+        """Simulate the document and keep the page of the rollout; return its number and a message with the return.
+
+        Raises:
+            ConfigError: another rollout is being simulated.
+        """
         if not self._busy.acquire(blocking=False):
             raise ConfigError("Another rollout is being simulated: wait for its end.")
         try:
@@ -137,7 +141,7 @@ def _document(ask: dict[str, Any]) -> dict[str, Any]:
 
 
 class _Refused(Exception):
-    """A request that gets no answer but its reason."""
+    """Raised for a request whose only answer is a status and a reason."""
 
     def __init__(self, status: HTTPStatus, reason: str) -> None:
         super().__init__(reason)
@@ -145,7 +149,7 @@ class _Refused(Exception):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """One request."""
+    """Answers one request."""
 
     # Seconds without a byte from a client, or without one taken by it, after which its connection is closed.
     timeout = 15.0
@@ -155,17 +159,18 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: addresses hold the token."""
+        """Print nothing: addresses hold the token."""
 
     def do_GET(self) -> None:
-        """Answer with the page, or a rollout."""
+        """Answer with the editor's page or the page of a rollout."""
         self._answer(self._page)
 
     def do_POST(self) -> None:
-        """Answer an action: JSON in, JSON out; what is not valid comes back as ``error``."""
+        """Run an action of the server, JSON in and JSON out; an error of warpvox is returned as ``error``."""
         self._answer(self._act)
 
     def _answer(self, make: Callable[[], tuple[bytes, str]]) -> None:
+        """Send what ``make`` returns, or the reason of a refusal."""
         try:
             self._send(*make())
         except _Refused as refusal:
@@ -173,6 +178,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(str(refusal).encode(), "text/plain; charset=utf-8", refusal.status)
 
     def _page(self) -> tuple[bytes, str]:
+        """Return the page of the address, and its type."""
         path = self._path()
         number = path.removeprefix("rollout/")
         page = self.server.rollouts.get(int(number)) if re.fullmatch("[0-9]{1,9}", number) else None
@@ -182,6 +188,7 @@ class _Handler(BaseHTTPRequestHandler):
         return page, "text/html; charset=utf-8"
 
     def _act(self) -> tuple[bytes, str]:
+        """Run the action of the address; return its result as JSON, and the type of that."""
         name = self._path()
         # Only these methods are for pages to call.
         if name not in ("check", "files", "open", "sample", "save", "rollout"):
@@ -194,7 +201,7 @@ class _Handler(BaseHTTPRequestHandler):
         return json.dumps(answer).encode(), "application/json"
 
     def _path(self) -> str:
-        """The part of the address that follows the token."""
+        """Check host, origin and token of the request; return the part of the address after the token."""
         if self.headers.get("Host", "") not in self.server.hosts:
             raise _Refused(HTTPStatus.FORBIDDEN, "This server answers to its own name only.")
         origin = self.headers.get("Origin")
@@ -209,6 +216,7 @@ class _Handler(BaseHTTPRequestHandler):
         return rest
 
     def _body(self) -> dict[str, Any]:
+        """Return the JSON object in the request; _Refused: there is none, or it is too long."""
         if self.headers.get_content_type() != "application/json":
             raise _Refused(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "Expected JSON.")
         length = self.headers.get("Content-Length", "")
@@ -225,6 +233,7 @@ class _Handler(BaseHTTPRequestHandler):
         return ask
 
     def _send(self, content: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
+        """Send ``content`` with headers that forbid other sites to use it."""
         self.send_response(status)
         headers = {
             "Cache-Control": "no-store",
@@ -244,7 +253,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _editor_page(start: dict[str, Any] | None, folder: Path, tasks: list[str]) -> str:
-    """The page as text.
+    """Return the editor's page as text.
 
     Args:
         start: a document with a ``name``, to begin with; None: an example.

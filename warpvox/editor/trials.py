@@ -31,7 +31,7 @@ def try_out(
     task: object,
     tasks: Mapping[str, TaskSpec],
 ) -> Rollout:
-    """Record an episode: of a body in a task, or of a world as it stands.
+    """Record an episode of a body in a task, or of a world without a task.
 
     In a world the reward of a step is how far the centre of mass of the first robot has moved to the right, in
     simulator units (0.1 a voxel); without a robot it is 0.
@@ -83,7 +83,7 @@ def try_out(
 
 
 class _OpenWorld:
-    """A simulation with the interface of an environment, as far as recording needs it."""
+    """A simulation of one world with the methods of an environment that recording calls."""
 
     def __init__(self, sim: Any, seed: int) -> None:
         self.sim = sim
@@ -99,13 +99,13 @@ class _OpenWorld:
         return self.sim.unstable * 0.0 if self._robot is None else self.sim.com(self._robot)[:, 0]
 
     def reset(self) -> tuple[None, dict[str, Any]]:
-        """Go back to the start."""
+        """Put the world back to its start."""
         self.sim.reset()
         self._where = self._place()
         return None, {}
 
     def step(self, actions: Any) -> tuple[Any, ...]:
-        """Take a control step: no observation, progress as reward, terminated where the simulation had to stop."""
+        """Do a control step: no observation, progress as reward, terminated if the simulation stopped the step."""
         self.sim.step(actions)
         before = self._where
         self._where = self._place()

@@ -36,6 +36,7 @@ class Engine:
     """
 
     def __init__(self, world: World) -> None:
+        """Build the simulation and record time 0."""
         self.world = world
         # Objects that may be moved although none of their cells can: a simulation needs something that can move.
         self._loose = tuple(world.objects) if all(obj.is_static for obj in world.objects.values()) else ()
@@ -47,6 +48,7 @@ class Engine:
         self._record()
 
     def _build(self) -> None:
+        """Make the simulation and the views on its arrays."""
         options = SimOptions("cpu", "float64", lanes=1, threads=1)
         # EvoGym takes actions beyond its own range, too.
         anything = (-np.inf, np.inf)
@@ -80,7 +82,8 @@ class Engine:
         self._rows = np.concatenate([np.arange(begin)[self._spans[name]] for name in self._bodies])
 
     def step(self, history: int | None = None) -> bool:
-        """One control step; True if self-folding (or numbers that are not finite) stopped and undid it.
+        """Do one control step; return True if it was stopped and undone: by self-folding or numbers that are not
+        finite.
 
         Args:
             history: how many of the last times are kept, besides time 0; None: all.
@@ -108,7 +111,7 @@ class Engine:
         now[1, : self._moving] = self._views["vel"]
 
     def revert(self, time: int) -> None:
-        """Go back to a recorded time and drop the records after it."""
+        """Go back to a recorded time and drop the records of later times."""
         self._set(self._at(time))
         self.time = time
         self._past = {then: kept for then, kept in self._past.items() if then <= time}
@@ -121,7 +124,7 @@ class Engine:
         self._moved()
 
     def _moved(self) -> None:
-        """Points have moved: what was sensed of them no longer holds."""
+        """Discard what was sensed, after points have moved."""
         self.changes += 1
         self.sensors.moved = True
 
@@ -144,6 +147,7 @@ class Engine:
         self._views["rest_pos"][:] = self._past[0][0, : self._moving]  # what turns are measured from
 
     def _at(self, time: int) -> np.ndarray:
+        """Return the record of a time; raise ArgumentError if there is none."""
         if not isinstance(time, int | np.integer):
             raise ArgumentTypeError(f"time must be an integer, got {time!r} of type {type(time).__name__}.")
         if time not in self._past:
@@ -153,27 +157,28 @@ class Engine:
         return self._past[time]
 
     def _check(self, name: object, kind: str = "object") -> None:
+        """Raise ArgumentError unless ``name`` is an object or, with ``kind="robot"``, a robot."""
         names = self.goals if kind == "robot" else self._spans
         if not isinstance(name, str) or name not in names:
             why = " It has no actuator (cells 3, 4)." if str(name) in self._spans else did_you_mean(name, names)
             raise ArgumentError(f"{name!r:.80} is not a valid {kind} name; {kind}s are {listing(sorted(names))}.{why}")
 
     def _span(self, name: str | None) -> slice | np.ndarray:
-        """Where the points of an object (None: of all) lie in a record."""
+        """Return the indices in a record of the points of an object (None: of all)."""
         if name is not None:
             self._check(name)
         return self._rows if name is None else self._spans[name]
 
     def positions(self, time: int, name: str | None = None) -> np.ndarray:
-        """``[points, 2]`` of an object, or of all; not to be written into."""
+        """Return the positions of an object's points (None: of all), ``[points, 2]``; do not write to them."""
         return self._at(time)[0, self._span(name)]
 
     def velocities(self, time: int, name: str | None = None) -> np.ndarray:
-        """``[points, 2]`` of an object, or of all; not to be written into."""
+        """Return the velocities of an object's points (None: of all), ``[points, 2]``; do not write to them."""
         return self._at(time)[1, self._span(name)]
 
     def orientation(self, time: int, name: str) -> float:
-        """How far an object has turned since time 0, counter-clockwise in [0, 2 pi]."""
+        """Return how far an object has turned since time 0, counter-clockwise in [0, 2 pi]."""
         self._check(name)
         then, _ = self._at(time)
         if self._spans[name].start >= self._moving:
@@ -190,24 +195,24 @@ class Engine:
         return angle
 
     def goals_of(self, robot: str) -> np.ndarray:
-        """The :attr:`goals` of a robot. ArgumentError: there is no such robot."""
+        """Return the :attr:`goals` of a robot; ArgumentError: there is no such robot."""
         self._check(robot, "robot")
         return self.goals[robot]
 
     def actuators(self, robot: str) -> np.ndarray:
-        """int32 ``[actuators]``: flat indices of a robot's actuators, row by row from the top."""
+        """Return the flat indices of a robot's actuators, row by row from the top: int32 ``[actuators]``."""
         self.goals_of(robot)
         grid = self._bodies[robot].source.grid
         return np.flatnonzero(np.isin(grid, (Cell.H_ACT, Cell.V_ACT))).astype(np.int32)
 
     @cached_property
     def cells(self) -> np.ndarray:
-        """int8 ``[voxels]``: types of all cells, object by object."""
+        """Types of all cells, object by object: int8 ``[voxels]``."""
         return np.array([body.kind(cell) for body in self._bodies.values() for cell in body.cells], np.int8)
 
     @cached_property
     def corners(self) -> np.ndarray:
-        """int ``[voxels, 4]``: all points' indices at the top left, top right, bottom right and bottom left."""
+        """Indices of each cell's points at top left, top right, bottom right and bottom left: int ``[voxels, 4]``."""
         bodies = list(self._bodies.values())
         firsts = np.cumsum([0, *(len(body.points) for body in bodies[:-1])])
         corners = [np.array(list(body.corners.values())) for body in bodies]
@@ -215,7 +220,7 @@ class Engine:
 
     @cached_property
     def outlines(self) -> np.ndarray:
-        """int ``[sides, 2]``: all points' indices at the ends of sides that no other cell shares."""
+        """Indices of the end points of sides that no other cell shares, int ``[sides, 2]``."""
         sides = np.stack([self.corners, np.roll(self.corners, -1, axis=1)], axis=-1).reshape(-1, 2)
         _, first, counts = np.unique(np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True)
         return sides[first[counts == 1]]

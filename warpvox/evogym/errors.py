@@ -18,4 +18,4 @@ class RangeError(ArgumentError, AssertionError):
 
 
 class InstallError(WarpvoxError, ImportError):
-    """``import evogym`` cannot be turned to this package."""
+    """``import evogym`` cannot be made to import this package."""

@@ -17,7 +17,7 @@ __all__ = ["EvoSim"]
 
 
 def _in_voxels(method: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
-    """Give in voxels what ``method`` gives in simulator units (0.1 a voxel)."""
+    """Return a method whose result is that of ``method`` in voxels instead of simulator units (0.1 a voxel)."""
 
     @functools.wraps(method)
     def scaled(*args: object, **options: object) -> np.ndarray:
@@ -53,7 +53,7 @@ class EvoSim(Sim):
         self.revert(0)
 
     def get_actuator_indices(self, robot_name: str) -> np.ndarray:
-        """int32 ``[actuators]``: flat indices of a robot's actuators, row by row from the top."""
+        """Return the flat indices of a robot's actuators, row by row from the top: int32 ``[actuators]``."""
         return self._engine.actuators(robot_name)
 
     def get_dim_action_space(self, robot_name: str) -> int:

@@ -80,7 +80,7 @@ class Sim:
     def read_robot_from_array(
         self, grid: np.ndarray, connections: np.ndarray, robot_name: str, x: float, y: float
     ) -> bool:
-        """Add a robot; as :meth:`read_object_from_array`."""
+        """Add a robot; arguments are those of :meth:`read_object_from_array`."""
         return self.read_object_from_array(grid, connections, robot_name, x, y)
 
     def read_object_from_file(self, file_name: str, object_name: str, x: float, y: float) -> bool:
@@ -104,11 +104,11 @@ class Sim:
         return self.read_object_from_array(grid, pairs, object_name, x, y)
 
     def read_robot_from_file(self, file_name: str, robot_name: str, x: float, y: float) -> bool:
-        """Add a robot; as :meth:`read_object_from_file`."""
+        """Add a robot; arguments are those of :meth:`read_object_from_file`."""
         return self.read_object_from_file(file_name, robot_name, x, y)
 
     def step(self) -> bool:
-        """Take a control step of 30 sub-steps; True if a robot has folded into itself: the step is undone then.
+        """Do a control step of 30 sub-steps; return True if it was undone, as a robot folded into itself.
 
         ArgumentError: :attr:`history` is neither None nor an integer from 1 on.
         """
@@ -128,7 +128,7 @@ class Sim:
         self._engine.goals[robot_name][np.searchsorted(known, action[:, 0])] = action[:, 1]
 
     def revert(self, sim_time: int) -> None:
-        """Go back to a recorded time, else ArgumentError, and forget what came after it; targets of actuators stay."""
+        """Go back to a recorded time and drop later records; ArgumentError: it is not recorded. Targets stay."""
         self._engine.revert(sim_time)
 
     def translate_object(self, x: float, y: float, object_name: str) -> None:
@@ -136,7 +136,7 @@ class Sim:
         self._engine.translate(object_name, x, y)
 
     def get_time(self) -> int:
-        """Complete control steps since the beginning."""
+        """Return the number of complete control steps."""
         return self._engine.time
 
     def pos_at_time(self, sim_time: int) -> np.ndarray:
@@ -147,7 +147,7 @@ class Sim:
         return _rows(self._engine.positions(sim_time))
 
     def vel_at_time(self, sim_time: int) -> np.ndarray:
-        """``[2, points]``: velocities of all points, in simulator units per inner time (30 x 1e-4 a step)."""
+        """Return the velocities of all points ``[2, points]``, simulator units per inner time (30 x 1e-4 a step)."""
         return _rows(self._engine.velocities(sim_time))
 
     def object_pos_at_time(self, sim_time: int, object_name: str) -> np.ndarray:
@@ -155,20 +155,20 @@ class Sim:
         return _rows(self._engine.positions(sim_time, object_name))
 
     def object_vel_at_time(self, sim_time: int, object_name: str) -> np.ndarray:
-        """``[2, points]``: velocities of an object's points."""
+        """Return the velocities of an object's points, ``[2, points]``."""
         return _rows(self._engine.velocities(sim_time, object_name))
 
     def object_orientation_at_time(self, time: int, object_name: str) -> float:
-        """The turn of an object since time 0, counter-clockwise, radians in [0, 2 pi]."""
+        """Return the turn of an object since time 0, counter-clockwise, radians in [0, 2 pi]."""
         return self._engine.orientation(time, object_name)
 
     def get_indices_of_actuators(self, robot_name: str) -> np.ndarray:
-        """int32 ``[1, actuators]``: flat indices of their cells, row by row from the top."""
+        """Return the flat indices of a robot's actuators, row by row from the top: int32 ``[1, actuators]``."""
         return self._engine.actuators(robot_name)[None]
 
 
 def _rows(points: np.ndarray) -> np.ndarray:
-    """A copy of ``[n, 2]`` as ``[2, n]``, point by point in memory as the release has it."""
+    """Return a copy of ``[n, 2]`` as ``[2, n]``, point by point in memory as in the release."""
     return points.T.copy(order="F")
 
 
@@ -195,15 +195,15 @@ class Camera:
         self.resolution = (int(x), int(y))
 
     def get_resolution_width(self) -> int:
-        """Pixels from left to right."""
+        """Return the width of the picture in pixels."""
         return self.resolution[0]
 
     def get_resolution_height(self) -> int:
-        """Pixels from top to bottom."""
+        """Return the height of the picture in pixels."""
         return self.resolution[1]
 
     def get_image(self) -> memoryview:
-        """The bytes of the last picture: rows from the top, red, green and blue."""
+        """Return the last picture as bytes: rows from the top, red, green and blue."""
         return self._image.reshape(-1).data
 
 
@@ -216,7 +216,7 @@ class Viewer:
         self._window = None
 
     def init(self) -> None:
-        """Nothing: kept because scripts may call it."""
+        """Do nothing: kept because scripts may call it."""
 
     def render(
         self,
@@ -256,12 +256,12 @@ class Viewer:
             self._window.hide()
 
     def close(self) -> None:
-        """Close the window. Harmless to repeat."""
+        """Close the window, if it is open."""
         self.shown = False
         if self._window is not None:
             self._window.close()
             self._window = None
 
     def get_debug_window_pos(self) -> list[int]:
-        """x and y of the window on the screen; [0, 0] while there is none."""
+        """Return x and y of the window on the screen; [0, 0] without a window."""
         return [0, 0] if self._window is None else list(self._window.place)

@@ -20,11 +20,12 @@ CHILDREN = str(Path(__file__).resolve().parent / "children")
 
 
 class _Alias(MetaPathFinder, Loader):
-    """Finds ``evogym`` and everything below it as the modules of this package: one module under two names."""
+    """Import finder that gives the modules of this package under the name ``evogym``."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
+        """Return the specification of a module ``evogym...`` that this package has, else None."""
         if fullname == THEIRS or fullname.startswith(THEIRS + "."):
             try:
                 here = importlib.util.find_spec(OURS + fullname[len(THEIRS) :])
@@ -35,11 +36,13 @@ class _Alias(MetaPathFinder, Loader):
         return None
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
+        """Import this package's module and return it."""
         module = importlib.import_module(OURS + spec.name[len(THEIRS) :])
         self._own = module.__spec__, module.__loader__, module.__package__
         return module
 
     def exec_module(self, module: ModuleType) -> None:
+        """Give the module its own specification back, which the import system has replaced."""
         # The import system has set these to those of the alias.
         module.__spec__, module.__loader__, module.__package__ = self._own
 
@@ -83,5 +86,7 @@ def install_everywhere() -> None:
 
 
 class _Everywhere:
+    """An object that calls :func:`install_everywhere` in the process that unpickles it."""
+
     def __reduce__(self) -> tuple:
         return install_everywhere, ()  # called where it is unpickled

@@ -51,7 +51,7 @@ def draw(pd: np.ndarray) -> int:
 
 
 def _drawer(pd: object) -> Callable[[], int]:
-    """Make a function that draws indices; the same numbers of ``random`` give the same indices as in the release.
+    """Return a function that draws indices; the same numbers of ``random`` give the same indices as in the release.
 
     RangeError: no weights, a negative one, or all 0.
     """
@@ -91,23 +91,23 @@ def sample_robot(robot_shape: tuple[int, int], pd: np.ndarray | None = None) -> 
 
 
 def is_connected(robot: np.ndarray) -> bool:
-    """Whether all cells that are not empty hang together along edges; False for an empty body."""
+    """Return whether all cells that are not empty hang together along edges; False for an empty body."""
     return bool(design.count_pieces(design.as_grid(robot)) == 1)
 
 
 def has_actuator(robot: np.ndarray) -> bool:
-    """Whether any cell is an actuator."""
+    """Return whether any cell is an actuator."""
     return design.has_actuator(robot)
 
 
 def get_full_connectivity(robot: np.ndarray) -> np.ndarray:
-    """All pairs of neighbouring cells that are not empty, ``[2, k]``: flat indices, row by row from the top."""
+    """Return all pairs of neighbouring cells that are not empty as flat indices, ``[2, k]``."""
     pairs = design.full_connections(robot)
     return pairs.T.astype(np.int64) if len(pairs) else np.empty((2, 0))
 
 
 def hashable(robot: np.ndarray) -> str:
-    """The cells as a word of digits, row by row from the top."""
+    """Return the cells as a string of digits, row by row from the top."""
     return "".join(str(int(cell)) for cell in np.ravel(robot))
 
 
@@ -124,7 +124,7 @@ class Timer:
         self._steps = self._all_steps = self.total_count = 0
 
     def should_step(self) -> bool:
-        """Whether the target allows for another step now."""
+        """Return whether the target allows another step now."""
         # As released, one step a second less than asked for.
         return self._target is None or self._steps < (self._target - 1) * (time.monotonic() - self._begin)
 
@@ -141,6 +141,8 @@ class Timer:
 
 
 def _in_parallel(verb: str, result: Callable[[int, int], int]) -> Callable[[Pair, int | Pair], Pair]:
+    """Return an operator of pairs that applies ``result`` to x and to y."""
+
     def calculate(self: Pair, other: int | Pair) -> Pair:
         x, y = (other.x, other.y) if isinstance(other, Pair) else (other, other)
         if not isinstance(x, int):
@@ -186,11 +188,11 @@ class Pair:
         return hash((self.x, self.y))
 
     def abs(self) -> Pair:
-        """The magnitudes."""
+        """Return the absolute values."""
         return Pair(abs(self.x), abs(self.y))
 
     def copy(self) -> Pair:
-        """An independent Pair."""
+        """Return a copy."""
         return Pair(self.x, self.y)
 
     __copy__ = copy

@@ -69,7 +69,7 @@ class EvoViewer:
         self.resolution = _checked("resolution", resolution, least=1)
 
     def set_target_rps(self, target_rps: int | None) -> None:
-        """Set how many pictures a second are made at most, two or more (else RangeError); None: all that can be."""
+        """Set how many pictures are made per second at most, 2 or more (else RangeError); None: no limit."""
         if target_rps is not None and int(target_rps) < 2:
             raise RangeError(f"The lowest target rps is 2, got {target_rps}.")
         self._timer = Timer(None if target_rps is None else int(target_rps))
@@ -79,7 +79,7 @@ class EvoViewer:
         self._tracked = list(objects)
 
     def set_tracking_settings(self, **settings: object) -> None:
-        """Say how objects are followed.
+        """Set how tracked objects are followed.
 
         Args:
             padding: (x, y), voxels left free around the objects.
@@ -102,7 +102,7 @@ class EvoViewer:
                 self._tracking[name] = _checked(name, value)
 
     def _box(self) -> np.ndarray:
-        """x, y, width and height of the tracked objects' box, with padding and scale."""
+        """Return x, y, width and height of a box around the tracked objects, with padding and scale."""
         sim = self._viewer.sim
         padding = self._tracking["padding"]
         scale = np.array(self._tracking["scale"])
@@ -198,11 +198,12 @@ class EvoViewer:
         self._viewer.hide_debug_window()
 
     def close(self) -> None:
-        """Close the window. Harmless to repeat."""
+        """Close the window, if it is open."""
         self._viewer.close()
 
 
 def _checked(name: str, value: object, least: float = -np.inf) -> tuple:
+    """Return ``value`` if it is a tuple of two finite numbers of ``least`` or more, else raise an ArgumentError."""
     if not isinstance(value, tuple) or len(value) != 2:
         raise ArgumentTypeError(f"{name} must be a tuple of two numbers, got {value!r} of type {type(value).__name__}.")
     if not all(isinstance(each, int | float | np.number) and abs(each) < np.inf and each >= least for each in value):

@@ -24,7 +24,7 @@ __all__ = ["EvoWorld", "WorldObject"]
 
 
 class EvoWorld:
-    """Named objects on a grid of cells that grows with them.
+    """Named objects on a grid of cells, which grows to hold them.
 
     Attributes:
         grid: int ``[height, width]``, row 0 at the bottom.
@@ -38,7 +38,7 @@ class EvoWorld:
 
     @property
     def grid_size(self) -> Pair:
-        """Width and height in cells."""
+        """Width and height of the grid in cells."""
         return Pair(self.grid.shape[1], self.grid.shape[0])
 
     @classmethod
@@ -75,7 +75,7 @@ class EvoWorld:
         self.add_object(obj)
 
     def add_object(self, obj: WorldObject) -> None:
-        """Add an object where it is. WorldError: its name or a cell of its box is taken, or the world is too large."""
+        """Add an object at its position; WorldError: its name or cells are taken, or the world is too large."""
         if obj.name in self.objects:
             raise WorldError(f"The world has an object named '{obj.name}' already; names must differ.")
         x, y = obj.get_pos()
@@ -143,7 +143,7 @@ class EvoWorld:
 
 
 class WorldObject:
-    """A named group of cells with a place.
+    """A named group of cells with a position.
 
     Attributes:
         name: unique in its world.
@@ -164,13 +164,13 @@ class WorldObject:
 
     @classmethod
     def from_json(cls, file_path: str) -> WorldObject:
-        """Make the object of a file; see :meth:`load_from_json`."""
+        """Return the object of a file; see :meth:`load_from_json`."""
         obj = cls()
         obj.load_from_json(file_path)
         return obj
 
     def load_from_json(self, file_path: str) -> None:
-        """Become the one object of a file of EvoGym's design tool.
+        """Replace this object by the only object of a file of EvoGym's design tool.
 
         Raises:
             FileNotFoundError: no such file. WorldError: it is not a world, or not of one object.
@@ -184,13 +184,13 @@ class WorldObject:
 
     @classmethod
     def from_array(cls, name: str, structure: np.ndarray, connections: np.ndarray | None = None) -> WorldObject:
-        """Make an object at (0, 0); see :meth:`load_from_array`."""
+        """Return an object at (0, 0); see :meth:`load_from_array`."""
         obj = cls()
         obj.load_from_array(name, structure, connections)
         return obj
 
     def load_from_array(self, name: str, structure: np.ndarray, connections: np.ndarray | None = None) -> None:
-        """Become an object at (0, 0) made of cells ``[rows, columns]``, row 0 on top.
+        """Replace this object by one at (0, 0) made of cells ``[rows, columns]``, row 0 on top.
 
         ``connections``: ``[2, k]`` pairs of flat indices into ``structure``; None connects all neighbours.
 
@@ -201,7 +201,7 @@ class WorldObject:
         self.grid = self.grid.astype(np.asarray(structure).dtype)
 
     def load_from_parsed_json(self, name: str, json_data: Any, grid_size: Pair) -> None:
-        """Become an object of a parsed world file of the width ``grid_size.x``.
+        """Replace this object by one of a parsed world file of the width ``grid_size.x``.
 
         ``json_data`` has ``indices``, ``types`` and ``neighbors``. WorldError: they contradict each other.
         """
@@ -210,12 +210,13 @@ class WorldObject:
 
     @classmethod
     def from_core(cls, obj: core.WorldObject) -> WorldObject:
-        """The same object as ``obj``, a :class:`warpvox.world.WorldObject`."""
+        """Return the object ``obj``, a :class:`warpvox.world.WorldObject`, as one of this class."""
         made = cls()
         made._become(obj)
         return made
 
     def _become(self, obj: core.WorldObject) -> None:
+        """Replace this object by ``obj``."""
         self.name = obj.name
         self.pos = Pair(obj.x, obj.y)
         self.grid = np.flipud(obj.grid).astype(int)
@@ -229,10 +230,12 @@ class WorldObject:
 
     @functools.cached_property
     def voxels(self) -> list[Pair]:
+        """Column and row of the cells that are not empty, row 0 at the bottom."""
         return _filled(self._made_of)
 
     @functools.cached_property
     def neighbors(self) -> dict[Pair, list[Pair]]:
+        """The connected cells of every cell that is not empty."""
         rows, columns = self._made_of.grid.shape
         neighbors: dict[Pair, list[Pair]] = {voxel: [] for voxel in _filled(self._made_of)}
         for pair in self._made_of.connections.tolist():
@@ -242,7 +245,7 @@ class WorldObject:
         return neighbors
 
     def to_core(self) -> core.WorldObject:
-        """The same object as :class:`warpvox.world.WorldObject`."""
+        """Return this object as a :class:`warpvox.world.WorldObject`."""
         structure = self.get_structure()
         if "neighbors" not in self.__dict__:  # nobody can have changed them
             made_of = self._made_of
@@ -262,11 +265,11 @@ class WorldObject:
         self.pos = pos
 
     def get_structure(self) -> np.ndarray:
-        """Cells ``[rows, columns]``, row 0 on top, of the type of ``grid``."""
+        """Return the cells ``[rows, columns]``, row 0 on top, of the type of ``grid``."""
         return np.flipud(self.grid)
 
     def get_connections(self) -> np.ndarray:
-        """``[2, k]``: pairs of flat indices into the structure, each connection in both directions."""
+        """Return the connections as pairs of flat indices, ``[2, k]``, each in both directions."""
         rows, columns = self.grid.shape
         pairs = [
             [(rows - 1 - cell.y) * columns + cell.x for cell in (voxel, near)]
@@ -276,19 +279,19 @@ class WorldObject:
         return np.array(pairs, int).reshape(-1, 2).T
 
     def get_pos(self) -> tuple[int, int]:
-        """Cell of the lower left corner."""
+        """Return the cell of the lower left corner."""
         return self.pos.x, self.pos.y
 
     def rename(self, name: str) -> None:
-        """Give it another name."""
+        """Set the name."""
         self.name = name
 
     def get_name(self) -> str:
-        """Its name."""
+        """Return the name."""
         return self.name
 
     def copy(self) -> WorldObject:
-        """Make an independent object."""
+        """Return an independent copy."""
         return deepcopy(self)
 
     __copy__ = copy
@@ -301,7 +304,7 @@ class WorldObject:
 
 
 def _filled(obj: core.WorldObject) -> list[Pair]:
-    """Column and row, counted from below, of the cells of an object, from its lowest row on."""
+    """Return column and row (0 at the bottom) of the cells that are not empty, from the lowest row on."""
     return [Pair(x, y) for y, x in np.argwhere(np.flipud(obj.grid)).tolist()]
 
 

@@ -15,7 +15,7 @@ def echo(console: Console, text: str) -> None:
 
 
 def make_console() -> Console:
-    """A console with room for tables also where there is no terminal, for which rich has 80 columns."""
+    """Return a rich console that is wide enough for tables without a terminal, for which rich has 80 columns."""
     console = Console()
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = 200
@@ -23,5 +23,5 @@ def make_console() -> Console:
 
 
 def literal(text: object, style: str = "") -> Text:
-    """``text`` for a table, a title or a rule: no markup, nothing that a terminal would obey."""
+    """Return ``text`` for a table, a title or a rule: no markup, no control characters."""
     return Text(escaped(text), style)

@@ -37,15 +37,15 @@ DEEPEST = 32
 
 
 class Unreadable(ValueError):
-    """A file or text that is not what it should be; the text is the reason, without a full stop."""
+    """Raised for a file or text that is not what it should be; the message is the reason, without a full stop."""
 
 
 class Missing(Unreadable):
-    """A file that does not exist."""
+    """Raised for a file that does not exist."""
 
 
 def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
-    """The content of a file of at most ``limit`` bytes.
+    """Return the content of a file of at most ``limit`` bytes.
 
     Unreadable: no such file, none that can be read, or a longer one.
     """
@@ -54,7 +54,7 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
 
 
 def read_text(path: str | os.PathLike[str], limit: int) -> str:
-    """The text (UTF-8) of a file of at most ``limit`` bytes. Unreadable: as :func:`read_bytes`, or it is not UTF-8."""
+    """Return the UTF-8 text of a file of at most ``limit`` bytes; Unreadable: as :func:`read_bytes`, or not UTF-8."""
     try:
         return read_bytes(path, limit).decode("utf-8-sig")  # some editors begin a file with a byte order mark
     except UnicodeDecodeError as error:
@@ -62,7 +62,7 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
 
 
 def read_table(path: str | os.PathLike[str], limit: int = 1 << 24) -> list[dict[str, str]]:
-    """The rows of a CSV file by the names of its columns; none if there is no file; see :func:`read_text`."""
+    """Return the rows of a CSV file by the names of its columns; none without the file; see :func:`read_text`."""
     try:
         return list(csv.DictReader(io.StringIO(read_text(path, limit), newline="")))
     except Missing:
@@ -70,7 +70,7 @@ def read_table(path: str | os.PathLike[str], limit: int = 1 << 24) -> list[dict[
 
 
 def parse_json(text: str, allow_nan: bool = False) -> Any:
-    """The value of a JSON text.
+    """Return the value of a JSON text.
 
     Stricter than :func:`json.loads`: NaN and Infinity are refused (JSON has none), and so are names that occur twice
     in one object (the first would be dropped without a word) and halves of characters (no file or page can hold them).
@@ -98,7 +98,7 @@ def parse_json(text: str, allow_nan: bool = False) -> Any:
 
 
 def parse_yaml(text: str) -> Any:
-    """The value of a YAML text of mappings, lists, texts, numbers, true, false and null.
+    """Return the value of a YAML text of mappings, lists, texts, numbers, true, false and null.
 
     No tag makes an object. Aliases are refused (ten of them can stand for a billion entries once the value is copied),
     and so is ``${...}``, which OmegaConf would look up elsewhere.
@@ -126,7 +126,7 @@ def parse_yaml(text: str) -> Any:
 
 
 def read_facts(path: str | os.PathLike[str], limit: int = 1 << 24) -> dict[str, Any]:
-    """The object that a JSON file holds; an empty one if there is no such file, or none that can be read.
+    """Return the object in a JSON file; an empty one if there is no such file, or it cannot be read.
 
     Its numbers are finite: None stands in the place of others.
     """
@@ -139,7 +139,7 @@ def read_facts(path: str | os.PathLike[str], limit: int = 1 << 24) -> dict[str, 
 
 
 def read_config(folder: Path) -> dict[str, Any]:
-    """The settings in a run's ``config.yaml``; empty if it holds none by name. RunError: it is damaged."""
+    """Return the settings in a run's ``config.yaml``; empty if it is no mapping. RunError: it is damaged."""
     config = folder / CONFIG
     try:
         text = read_text(config, LARGEST_CONFIG)
@@ -155,7 +155,7 @@ def read_config(folder: Path) -> dict[str, Any]:
 
 
 def read_npy(path: str | os.PathLike[str], limit: int) -> np.ndarray:
-    """The array of an ``.npy`` file of plain numbers.
+    """Return the array of an ``.npy`` file of plain numbers.
 
     Unreadable: no such file, no such array, or a file of more than ``limit`` bytes.
     """
@@ -195,11 +195,11 @@ class ArrayFile:
 
     @property
     def names(self) -> list[str]:
-        """The names of the arrays."""
+        """Names of the arrays."""
         return list(self._members)
 
     def read(self, name: str, limit: int | None = None) -> np.ndarray:
-        """The array ``name``, of at most ``limit`` bytes (None: the limit of the archive).
+        """Return the array ``name``, of at most ``limit`` bytes (None: the limit of the archive).
 
         Unreadable: there is none, or it is damaged.
         """
@@ -217,6 +217,7 @@ class ArrayFile:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return pairs as a dictionary; raise Unreadable if a name occurs twice."""
     result = dict(pairs)
     if len(result) < len(pairs):
         seen: set[str] = set()
@@ -235,7 +236,7 @@ def _no_number(word: str) -> None:
 
 
 def _opened(path: str | os.PathLike[str], limit: int) -> IO[bytes]:
-    """A regular file of at most ``limit`` bytes, open for reading."""
+    """Open a regular file of at most ``limit`` bytes for reading."""
     try:
         if not Path(path).is_file():  # before it is opened: opening a pipe would wait for its writer
             raise Missing("there is no such file")
@@ -253,7 +254,7 @@ def _opened(path: str | os.PathLike[str], limit: int) -> IO[bytes]:
 
 @contextmanager
 def _as_unreadable(reason: str) -> Iterator[None]:
-    """Whatever goes wrong inside is the file's fault: zipfile, zlib and numpy raise nearly anything."""
+    """Turn every error in the block into Unreadable: zipfile, zlib and numpy raise nearly anything for a bad file."""
     try:
         yield
     except Unreadable:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def shown(path: Path) -> str:
-    """A path as people like to read it: relative to here where that is shorter."""
+    """Return ``path`` as text: relative to the current folder where that is shorter."""
     try:
         relative = os.path.relpath(path)
     except ValueError:  # another drive of Windows
@@ -18,7 +18,7 @@ def shown(path: Path) -> str:
 
 
 def escaped(text: object) -> str:
-    """``text`` with what a terminal would obey written as ``\\x1b``; an end of line is among it."""
+    """Return ``text`` with control characters, such as escapes and line ends, written as codes: ``\\x1b``."""
     written = []
     for character in str(text):
         number = ord(character)
@@ -36,24 +36,25 @@ def escaped(text: object) -> str:
 
 
 def in_html(text: object) -> str:
-    """``text`` for a page or an SVG: no markup, and on one line (see :func:`escaped`)."""
+    """Return ``text`` for an HTML page or an SVG: markup is quoted, and all is on one line (:func:`escaped`)."""
     return html.escape(escaped(text))
 
 
 def shell_argument(key: str, path: str | os.PathLike[str]) -> str:
-    """``KEY=PATH`` as it can be pasted into a shell, whatever the path holds; relative if it lies well below here."""
-    place, here = Path(path).absolute(), Path.cwd()
+    """Return ``KEY=PATH`` quoted for a shell; the path is relative if it lies in a subfolder of the current folder."""
+    place = Path(path).absolute()
+    here = Path.cwd()
     below = str(place.relative_to(here)) if place.is_relative_to(here) else ""
     # a single word could be another value of the key, such as latest, and some characters begin more than a path
     return shlex.quote(f"{key}={below if below[:1].isalnum() and os.sep in below else place}")
 
 
 def duration(seconds: float) -> str:
-    """Hours, minutes and seconds."""
+    """Return ``seconds``, rounded, as text ``H:MM:SS``."""
     minutes, seconds = divmod(round(seconds), 60)
     return f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"
 
 
 def figure(value: float, digits: int = 3) -> str:
-    """A number with so many decimals; a dash if there is none."""
+    """Return ``value`` as text with ``digits`` decimals; a dash for NaN and infinity."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"

@@ -82,7 +82,9 @@ def read_object(name: str, entry: Any, grid_width: object) -> ObjectCells:
     width = _check_width(grid_width)
     if not isinstance(entry, Mapping) or not all(key in entry for key in ("indices", "types", "neighbors")):
         raise WorldError(f"the object '{name}' needs the entries indices, types and neighbors.")
-    indices, types, neighbors = entry["indices"], entry["types"], entry["neighbors"]
+    indices = entry["indices"]
+    types = entry["types"]
+    neighbors = entry["neighbors"]
     if not (isinstance(indices, list | tuple) and isinstance(types, list | tuple) and isinstance(neighbors, Mapping)):
         raise WorldError(f"the object '{name}' needs lists of indices and types and a mapping of neighbors.")
     if not indices or len(types) < len(indices):
@@ -105,8 +107,10 @@ def read_object(name: str, entry: Any, grid_width: object) -> ObjectCells:
     # Grid
     columns = [index % width for index in cells]
     rows = [index // width for index in cells]
-    x, y = min(columns), min(rows)
-    right, top = max(columns) + 1, max(rows) + 1
+    x = min(columns)
+    y = min(rows)
+    right = max(columns) + 1
+    top = max(rows) + 1
     box = entry.get("box")
     if box is not None:
         # The box must hold the cells.
@@ -115,8 +119,10 @@ def read_object(name: str, entry: Any, grid_width: object) -> ObjectCells:
             raise WorldError(
                 f"the box {box!r:.80} of the object '{name}' is no [x, y, width, height] that holds its cells."
             )
-        x, y = box[0], box[1]
-        right, top = x + box[2], y + box[3]
+        x = box[0]
+        y = box[1]
+        right = x + box[2]
+        top = y + box[3]
     box_width = right - x
     box_height = top - y
     if box_width * box_height > LARGEST_GRID:

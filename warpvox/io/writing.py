@@ -82,7 +82,7 @@ def atomic_path(path: str | os.PathLike[str], make_folders: bool = True, follow:
 
 
 def check_suffix(what: str, path: str | os.PathLike[str], suffixes: Sequence[str], error: type[Exception]) -> str:
-    """Return the suffix of ``path`` in lower case, by which a writer knows the format.
+    """Return the suffix of ``path`` in lower case; raise ``error`` unless it is one of ``suffixes``.
 
     Args:
         what: subject of the sentence, such as "The file of a GIF".
@@ -119,7 +119,7 @@ def write_table(path: str | os.PathLike[str], columns: Iterable[str], rows: Iter
 
 @contextmanager
 def writing(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Raise what goes wrong with the disk within the block as a StorageError that names ``path``."""
+    """Turn errors of the disk within the block into a StorageError that names ``path``."""
     try:
         yield
     except StorageError:
@@ -129,18 +129,18 @@ def writing(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def complaint(error: OSError) -> str:
-    """The system's complaint, and what to do about it, as the end of a sentence."""
+    """Return what the system says about an error, and what to do about it, as the end of a sentence."""
     return ADVICE.get(error.errno or 0) or error.strerror or str(error) or type(error).__name__
 
 
 def check_folder(folder: Path) -> None:
-    """Raise StorageError if a folder that was there has vanished: nothing should be written into a new one."""
+    """Raise StorageError if ``folder`` has vanished: nothing should be written into a new one."""
     if not folder.is_dir():
         raise StorageError(f"The folder {folder} has vanished: was it removed or renamed, or its disk detached?")
 
 
 def check_encodable(path: str | os.PathLike[str]) -> None:
-    """Raise StorageError unless a path is text: TensorBoard, USD, ONNX Runtime and SQLite take it as UTF-8 only."""
+    """Raise StorageError unless a path can be written as UTF-8, which TensorBoard, USD and others need."""
     try:
         os.path.abspath(path).encode("utf-8")
     except UnicodeEncodeError:
@@ -164,7 +164,7 @@ def check_writable(folder: str | os.PathLike[str]) -> None:
 
 
 def check_links(folder: Path, names: Collection[str] = ()) -> None:
-    """Raise RunError unless what is written to the files of a folder lies in it: a link may lead out of it.
+    """Raise RunError if a link in ``folder`` leads out of it: what is written into the folder has to lie in it.
 
     Whoever unpacks or clones a folder gets its links, too. Pipes and devices are refused as well. What loggers make in
     folders of their own (:data:`LOGGERS`) is left to them.
@@ -193,7 +193,9 @@ def check_links(folder: Path, names: Collection[str] = ()) -> None:
 
 @contextmanager
 def claimed(folder: Path, wait: bool = False) -> Iterator[None]:
-    """No other process holds the same claim on ``folder`` within the block; the system ends it with the process.
+    """Hold a lock on ``folder`` within the block, so that no other process writes there.
+
+    The system releases it when the process ends.
 
     RunError: another process does, and this one should not ``wait`` until it has ended; or see :func:`check_links`.
     """
@@ -208,14 +210,14 @@ def claimed(folder: Path, wait: bool = False) -> Iterator[None]:
 
 
 def sweep(folder: Path) -> None:
-    """Remove what killed processes have left half written in ``folder`` and below; what is being written stays."""
+    """Remove unfinished files of processes that have ended from ``folder`` and below."""
     for file in folder.rglob(f"{MARK}*"):
         with suppress(OSError), path_lock(file):
             file.unlink()
 
 
 def to_json(content: Any) -> str:
-    """``content`` as JSON; None takes the place of numbers that JSON lacks, infinite ones and NaN."""
+    """Return ``content`` as JSON, with null for infinite numbers and NaN, which JSON lacks."""
     return json.dumps(_finite(content), indent=2, allow_nan=False)
 
 
@@ -228,12 +230,12 @@ def _finite(value: Any) -> Any:
 
 
 def to_yaml(config: Any) -> str:
-    """A configuration as YAML; lists of plain values take one line."""
+    """Return a configuration as YAML; lists of plain values take one line."""
     return yaml.dump(dataclasses.asdict(config), Dumper=_Dumper, sort_keys=False, width=110)
 
 
 class _Dumper(yaml.SafeDumper):
-    """Rows of a body on one line each."""
+    """Writes rows of a body on one line each."""
 
 
 def _represent_list(dumper: _Dumper, values: list) -> yaml.Node:

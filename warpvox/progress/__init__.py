@@ -1,1 +1,1 @@
-"""Listeners of trainings and design searches: on a terminal, in a notebook, at Weights & Biases."""
+"""Listeners that show the progress of trainings and searches: on a terminal, in a notebook, at Weights & Biases."""

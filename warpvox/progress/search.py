@@ -27,18 +27,18 @@ from warpvox.io.text import duration, figure, shell_argument, shown
 from warpvox.view.cell_text import body_rows
 
 QUIET_SECONDS = 30.0
-"""Without a terminal, seconds between lines."""
+"""Seconds between lines without a terminal."""
 
 
 def with_tracker(settings: Codesign, listeners: Sequence[Listener]) -> list[Listener]:
-    """The listeners of a search, before them the one that its ``logger`` names."""
+    """Return the listeners of a search, with that of its ``logger`` as the first."""
     if settings.logger != "wandb":
         return list(listeners)
     return [_TrackedSearch(settings), *listeners]
 
 
 class _TrackedSearch(Listener):
-    """Sends a design search: fitness and best bodies of each generation, at the end the best robot as a film."""
+    """Sends a search to Weights & Biases: fitness and best bodies of each generation, a film at the end."""
 
     def __init__(self, settings: Any) -> None:
         self._settings = settings
@@ -50,6 +50,7 @@ class _TrackedSearch(Listener):
         self._tracker = Tracker(run.folder, "codesign", self._settings.search.algorithm)
 
     def told(self, generation: int, fresh: bool) -> None:
+        """Send fitness, evaluations and the picture of a newly finished generation."""
         if fresh:
             archive = self._run.archive
             rows = archive.generations()
@@ -63,7 +64,7 @@ class _TrackedSearch(Listener):
 
 
 class SearchProgress(Listener):
-    """Shows a search: a live block on a terminal, else a line now and then."""
+    """Shows the progress of a search: a live display on a terminal, else a line now and then."""
 
     def __init__(self, console: Console) -> None:
         self.console = console
@@ -71,15 +72,16 @@ class SearchProgress(Listener):
         self._live: Live | None = None
 
     def begun(self, run: SearchRun) -> None:
+        """Start the clock, print the first lines, and start the live display on a terminal."""
         self.run = run
         self.archive = run.archive
         self._began = self._printed = time.monotonic()
         self._start = self.archive.trained()
-        self._spent = 0  # control steps of trainings that have ended since the beginning
-        self._first: tuple[float, int] | None = None  # time and control steps of the first news of a stage
-        self._last = False  # the finalists are being evaluated
+        self._spent = 0  # control steps of the trainings that this process has completed
+        self._first: tuple[float, int] | None = None  # time and control steps at the first report of a stage
+        self._last = False  # whether the finalists are being evaluated
         self._generation = 0
-        self._say_where()
+        self._print_start()
         columns = TextColumn("{task.description}"), BarColumn(bar_width=24), TextColumn("{task.fields[figures]}")
         self._progress = Progress(*columns, console=self.console)
         self._line = self._progress.add_task("", total=run.total, completed=self._start, figures="")
@@ -88,7 +90,8 @@ class SearchProgress(Listener):
             self._live.start()
             self._show()
 
-    def _say_where(self) -> None:
+    def _print_start(self) -> None:
+        """Print algorithm, task, device and folder, and what a resumed search lacks."""
         run = self.run
         settings = self.run.settings
         where = f"{run.workers} workers of Ray" if run.workers else settings.device
@@ -105,7 +108,7 @@ class SearchProgress(Listener):
             echo(self.console, spent + more)
 
     def ended(self, summary: Mapping[str, Any]) -> None:
-        """Say how it has ended and what one can do next."""
+        """Print the result and the commands to look at it or to resume."""
         if self._live is not None:
             self._live.stop()
         if not summary:
@@ -124,7 +127,7 @@ class SearchProgress(Listener):
             echo(self.console, f"the best on fresh seeds: {fresh_text(summary['fresh_seeds'])}")
         if best is not None:
             echo(self.console, f"report: {(folder / REPORT).resolve().as_uri()}")
-            with suppress(RunError):  # an evaluator of the user's own may leave no policy
+            with suppress(RunError):  # a user's own evaluator may give no policy
                 keys = words_of_code(find_run(str(folder), "").config)
                 echo(self.console, f"look at the best: warpvox play {shell_argument('run', folder)}{keys}")
         if status != "done":
@@ -132,6 +135,7 @@ class SearchProgress(Listener):
             echo(self.console, f"go on: warpvox codesign {shell_argument('resume', folder)}{keys}")
 
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
+        """Reset the work of the generation, and print how many designs are to be evaluated."""
         self._generation = generation
         self._work = {}
         last = any(candidate.origin == FINALIST for candidate in waiting)
@@ -143,12 +147,13 @@ class SearchProgress(Listener):
         self._show()
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
+        """Note the progress of a batch, and print a line now and then without a terminal."""
         self._work[batch[0].id] = _Training(len(batch), event)
         now = time.monotonic()
         self._first = self._first or (now, self._steps)
         if self._live is None and now - self._printed >= QUIET_SECONDS:
             self._printed = now
-            echo(self.console, f"  {self._inside()}  {self._figures()}")
+            echo(self.console, f"  {self._training_text()}  {self._figures()}")
         self._show()
 
     def finished(self, records: Sequence[Record]) -> None:
@@ -158,12 +163,13 @@ class SearchProgress(Listener):
         self._show()
 
     def told(self, generation: int, fresh: bool) -> None:
+        """Print the best and mean fitness of a newly finished generation."""
         if not fresh:
             return
         row = self.archive.generations()[generation]
         count = sum(r.diverged for r in self.archive.records(generation))
         text = f"generation {generation} done: {self._counts()}  best {row['best']:.3f}  mean {row['mean']:.3f}"
-        if not self._last:  # finalists may be compared in another way than all before them
+        if not self._last:  # finalists may be evaluated in another way than designs before
             text += f"  best so far {self.archive.best()[0].fitness:.3f}"
         echo(self.console, f"{text}{f'  {count} diverged' if count else ''}  {self._figures()}")
         if self._live is None:
@@ -171,7 +177,7 @@ class SearchProgress(Listener):
         self._show()
 
     def _counts(self) -> str:
-        """How many designs, and of the finalists, are evaluated; the latter once the search has come to them."""
+        """Return in words how many designs, and finalists once they have begun, are evaluated."""
         finalists = self.archive.finalists()
         text = f"{self.archive.trained() - finalists}/{self.run.total - self.run.finalists} designs"
         if self._last or finalists:
@@ -180,20 +186,20 @@ class SearchProgress(Listener):
 
     @property
     def done(self) -> float:
-        """Designs trained, those under way in part."""
+        """Number of evaluated designs, with fractions for those in training."""
         return self.archive.trained() + sum(training.share * training.designs for training in self._work.values())
 
     @property
     def _steps(self) -> int:
-        """Control steps of training since the beginning."""
+        """Control steps of trainings since this run of the search began."""
         return self._spent + sum(training.steps for training in self._work.values())
 
     def _figures(self) -> str:
         rate = self._steps / max(time.monotonic() - self._began, 1e-9)
-        return f"{rate:,.0f} steps/s  left {self._left()}"
+        return f"{rate:,.0f} steps/s  left {self._time_left()}"
 
-    def _left(self) -> str:
-        """The time until the search is done, or its finalists begin, which take another time for a control step."""
+    def _time_left(self) -> str:
+        """Return in words the time until the search, or its part before the finalists, is done."""
         if self._first is None or self._steps <= self._first[1]:
             return "-"
         began, before = self._first
@@ -201,28 +207,29 @@ class SearchProgress(Listener):
             return "-"
         trained = self.archive.trained()
         cost = self.run.costs[self._last]
-        if trained and not self._last:  # fewer than at most, where episodes end early
+        if trained and not self._last:  # the mean so far, because episodes may end early
             cost = sum(row["steps"] or 0 for row in self.archive.generations()) / trained
         designs = self.run.total - trained - (0 if self._last else self.run.finalists)
         steps = cost * designs - sum(training.steps for training in self._work.values())
         left = duration((time.monotonic() - began) / (self._steps - before) * max(steps, 0.0))
         return left if self._last or not self.run.finalists else f"{left}, then {self.run.finalists} finalists"
 
-    def _inside(self) -> str:
-        """The trainings under way in words."""
+    def _training_text(self) -> str:
+        """Return in words the progress of the trainings in the present generation."""
         events = [training.event for training in self._work.values()]
         if not events:
             return "starting"
-        going = sum(sum(event["training"]) for event in events)
+        active = sum(sum(event["training"]) for event in events)
         designs = [one for event in events for one in zip(event["best"], event["training"], strict=True)]
         best = max((value for value, _ in designs if math.isfinite(value)), default=math.nan)
         lost = sum(math.isnan(value) and not training for value, training in designs)
         diverged = f", {lost} diverged" if lost else ""
         done = min(event["iteration"] for event in events)
         total = min(event["iterations"] for event in events)
-        return f"iteration {done}/{total}, {going} in training{diverged}, best of them {figure(best)}"
+        return f"iteration {done}/{total}, {active} in training{diverged}, best of them {figure(best)}"
 
     def _show(self) -> None:
+        """Update the live display, if there is one."""
         if self._live is None:
             return
         best = self.archive.best()
@@ -232,7 +239,7 @@ class SearchProgress(Listener):
         figures += f"mean {figure(rows[-1]['mean'] if rows else math.nan)}  {self._figures()}"
         description = f"generation {self._generation}"
         self._progress.update(self._line, completed=self.done, description=description, figures=figures)
-        parts = [self._progress, Text(f"  {self._inside()}", "dim")]
+        parts = [self._progress, Text(f"  {self._training_text()}", "dim")]
         self._live.update(Group(*parts, *([Text(), self._bodies()] if best else [])))
 
     def _bodies(self) -> Text:
@@ -243,7 +250,7 @@ class SearchProgress(Listener):
 
 @dataclass
 class _Training:
-    """A batch under way, and what was reported of it last."""
+    """A batch in evaluation: number of designs, and the last event reported."""
 
     designs: int
     event: dict[str, Any]

@@ -1,4 +1,4 @@
-"""Runs in Weights & Biases: the whole configuration, figures as they come, a film of the result."""
+"""Runs at Weights & Biases: configuration, metrics during the run, a film of the result."""
 
 import os
 from collections.abc import Mapping
@@ -21,11 +21,11 @@ from warpvox.view.rollout import record
 
 
 class Tracker:
-    """A run in Weights & Biases; ``folder`` has its configuration, ``tags`` are those besides the task."""
+    """A run at Weights & Biases; ``folder`` has its configuration, ``tags`` are added to the task."""
 
     def __init__(self, folder: Path, *tags: str) -> None:
         self._wandb: Any = import_module("wandb")
-        # The id of the run there, for a run that is resumed
+        # Keep the id of the run, to continue the same one when it is resumed.
         self._folder = folder
         file = folder / "wandb_id.txt"
         config: Any = parse_yaml((folder / CONFIG).read_text(encoding="utf-8"))
@@ -36,7 +36,7 @@ class Tracker:
             "tags": [config["task"], *tags],
             "dir": str(folder),
         }
-        # of the environment by which the user sets arguments of wandb.init, without WANDB_
+        # Leave out options that the user has set by environment variables, WANDB_PROJECT for instance.
         variables = {"project": "PROJECT", "group": "RUN_GROUP", "name": "NAME", "tags": "TAGS", "dir": "DIR"}
         options = {key: value for key, value in options.items() if not os.environ.get(f"WANDB_{variables[key]}")}
         known = file.read_text(encoding="utf-8") if file.is_file() else None
@@ -44,19 +44,19 @@ class Tracker:
         write_text(file, self._run.id)
 
     def log(self, values: Mapping[str, Any], step: int, picture: Path | None = None) -> None:
-        """Send figures (None: not known), and a picture if there is one."""
+        """Send values (None: left out), and a picture if its file exists."""
         known = {name: value for name, value in values.items() if value is not None}
         if picture is not None and picture.is_file():
             known["bodies"] = self._wandb.Image(str(picture))
         self._run.log(known, step=step)
 
     def end(self, summary: Mapping[str, Any], settings: Any) -> None:
-        """Send the summary and, where there is a policy at the end, an episode of it as a film."""
+        """Send the summary and, if a policy was left, a film of one episode, and finish the run."""
         status = summary.get("status", "failed")
         try:
             self._run.summary.update(dict(summary))
             if status == "done":
-                with suppress(RunError):  # an evaluator of the user's own may leave no policy
+                with suppress(RunError):  # a user's own evaluator may give no policy
                     env, policy = load_result(find_run(str(self._folder), ""), settings)
                     film = write_gif(record(env, policy), self._folder / "film.gif")
                     self._run.log({"film": self._wandb.Video(str(film), format="gif")})
@@ -65,7 +65,7 @@ class Tracker:
 
 
 class TrackedTraining(Listener):
-    """Sends a training: a row of its metrics each iteration, at the end the policy as a film."""
+    """Sends a training to Weights & Biases: metrics of each iteration, a film of the policy at the end."""
 
     def begun(self, run: Job) -> None:
         self._job = run

@@ -1,4 +1,4 @@
-"""Progress of a training: lines and a live line on a terminal, an element of a notebook."""
+"""Progress of a training: lines and a live display on a terminal, an element in a notebook."""
 
 import html
 import math
@@ -21,11 +21,11 @@ from warpvox.io.text import duration, figure, shell_argument, shown
 from warpvox.runs import STATE
 
 QUIET_SECONDS = 10.0
-"""Without a terminal, seconds between lines (an evaluation prints one in any case)."""
+"""Seconds between lines without a terminal; an evaluation always prints one."""
 
 
 def with_tracker(logger: str, listeners: Sequence[Listener]) -> list[Listener]:
-    """The listeners of a training, before them the one that ``logger`` names."""
+    """Return the listeners of a training, with that of ``logger`` as the first."""
     if logger != "wandb":
         return list(listeners)
     from warpvox.progress.tracking import TrackedTraining
@@ -34,12 +34,13 @@ def with_tracker(logger: str, listeners: Sequence[Listener]) -> list[Listener]:
 
 
 class Figures:
-    """The figures of a line, from row to row."""
+    """Figures of a progress line; keeps the last known returns from row to row."""
 
     exploring = last_eval = math.nan
     diverged = 0
 
     def text(self, row: Mapping[str, float]) -> str:
+        """Return the figures of a row of metrics as text."""
         if math.isfinite(row["return_mean"]):
             self.exploring = row["return_mean"]
         if math.isfinite(row["eval_return"]):
@@ -54,7 +55,7 @@ class Figures:
 
 
 class Terminal(Listener):
-    """Shows iterations, speed, returns, time left: a live line on a terminal, else a line now and then."""
+    """Shows iterations, speed, returns and time left: a live line on a terminal, else a line now and then."""
 
     def __init__(self, console: Console | None = None) -> None:
         self.console = console or Console()
@@ -64,6 +65,7 @@ class Terminal(Listener):
         return self.console.status(what)
 
     def begun(self, run: Job) -> None:
+        """Print what begins, and start the live line on a terminal."""
         echo(self.console, _announcement(run))
         self._job = run
         self._figures = Figures()
@@ -88,6 +90,7 @@ class Terminal(Listener):
             self._bar.start()
 
     def iterated(self, row: Mapping[str, float]) -> None:
+        """Update the live line, or print a line after an evaluation or some seconds."""
         figures = self._figures.text(row)
         done = row["iteration"]
         if self._bar is not None:
@@ -107,10 +110,11 @@ class Terminal(Listener):
 
 
 class Notebook(Listener):
-    """Shows the same in an element of a notebook that changes in place; it needs no widgets."""
+    """Shows the progress of a training in one element of a notebook that changes in place, without widgets."""
 
     def begun(self, run: Job) -> None:
-        # what has started the notebook; no dependency of ours
+        """Create the notebook element that shows the progress."""
+        # IPython runs the notebook; it is not a dependency of ours.
         from IPython.display import HTML, display  # pyright: ignore[reportMissingImports]
 
         self._html = HTML
@@ -136,6 +140,7 @@ class Notebook(Listener):
 
 
 def _announcement(job: Job) -> str:
+    """Return the lines that say what training begins or resumes, and where."""
     config = job.written
     runner = job.runner
     done = runner.current_learning_iteration
@@ -157,6 +162,7 @@ def _announcement(job: Job) -> str:
 
 
 def _conclusion(job: Job, seconds: float) -> str:
+    """Return the lines that say how a training ended, and the commands to go on."""
     runner = job.runner
     folder = job.folder
     status = job.summary["status"]

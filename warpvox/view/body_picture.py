@@ -25,7 +25,7 @@ def draw_bodies(
     shades: Sequence[float] | None = None,
     columns: int = 5,
 ) -> Image.Image:
-    """A sheet with bodies in rows, each above its caption.
+    """Return a picture of bodies in rows, each above its caption.
 
     Args:
         bodies: int8 ``[rows, columns]`` each.
@@ -95,7 +95,7 @@ AIR = 2
 
 
 def scene_of_world(world: World) -> tuple[Scene, np.ndarray]:
-    """A world as a scene, and its points as they begin, float64 ``[P, 2]`` in simulator units.
+    """Return a world as a scene, and its points at the start, float64 ``[P, 2]`` in simulator units.
 
     SimulationError: the world has nothing that can move.
     """
@@ -104,7 +104,7 @@ def scene_of_world(world: World) -> tuple[Scene, np.ndarray]:
 
 
 def draw_world(world: World) -> Image.Image:
-    """The whole world with all its objects, with the distance in voxels below.
+    """Return a picture of the whole world, with the distance in voxels below.
 
     SimulationError: the world has nothing that can move.
     """

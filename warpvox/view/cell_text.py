@@ -18,7 +18,7 @@ UPPER, LOWER = "▀", "▄"
 
 
 def body_rows(bodies: Sequence[np.ndarray], captions: Sequence[str], console: Console) -> Text:
-    """As many of the bodies as there is room for beside each other, with a caption below each."""
+    """Return drawings of bodies side by side, as many as there is room for, with a caption below each."""
     colour = _has_colour(console)
     wide = 2 if colour else 1
     gap = 3
@@ -40,7 +40,7 @@ def body_rows(bodies: Sequence[np.ndarray], captions: Sequence[str], console: Co
 
 
 def print_world(world: World, console: Console) -> None:
-    """Print a world; one that is wider than the console in pieces below each other."""
+    """Print a world as coloured cells; one that is wider than the console is printed in pieces."""
     cells = world.grid()
     colour = _has_colour(console) and not console.options.ascii_only
     fold = max(console.width - 1, 10)
@@ -77,7 +77,7 @@ def _style(front: int, back: int = 0) -> Style:
 
 
 def _blocks(cells: np.ndarray) -> list[Text]:
-    """A line for every two rows: half blocks, of which each half has the colour of a cell."""
+    """Return a line of text for every two rows of cells: half blocks with the colours of both cells."""
     if len(cells) % 2:
         cells = np.concatenate([np.zeros_like(cells[:1]), cells])
     lines = []

@@ -47,7 +47,7 @@ _ARRAYS = {
 
 @dataclass(eq=False)
 class Rollout:
-    """Recorded environments: arrays and metadata as in the file, ``scenes`` are the distinct worlds.
+    """Recorded episodes of environments: the arrays and metadata of a file, and the distinct worlds as ``scenes``.
 
     Raises:
         RolloutError: parts that do not fit together.
@@ -63,6 +63,7 @@ class Rollout:
     metadata: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Convert the arrays to the types of a file; raise RolloutError unless all parts fit together."""
         for name, dtype in _ARRAYS.items():
             setattr(self, name, np.ascontiguousarray(getattr(self, name), dtype=dtype))
         self.scenes = tuple(self.scenes)
@@ -77,7 +78,7 @@ class Rollout:
         return f"Rollout({self.title}, {size}, returns {low:.3f} to {high:.3f})"
 
     def _repr_html_(self) -> str:
-        """The player, for notebooks; of many environments the first 16."""
+        """Return the player as HTML, for notebooks; of many environments it shows the first 16."""
         from warpvox.view.player import page_of
 
         page = html.escape(page_of(self, range(min(self.num_envs, 16))))
@@ -85,60 +86,63 @@ class Rollout:
 
     @property
     def num_frames(self) -> int:
-        """States recorded: one more than there are steps."""
+        """Number of recorded states: one more than steps."""
         return self.positions.shape[0]
 
     @property
     def num_steps(self) -> int:
-        """Control steps recorded."""
+        """Number of recorded control steps."""
         return self.positions.shape[0] - 1
 
     @property
     def num_envs(self) -> int:
-        """Environments recorded."""
+        """Number of recorded environments."""
         return self.positions.shape[1]
 
     @property
     def title(self) -> str:
-        """The task's id, or "rollout" where there is none."""
+        """The task's id, or "rollout" without one."""
         return str(self.metadata.get("task") or "rollout")
 
     @property
     def done(self) -> np.ndarray:
-        """bool ``[T, E]``: the episode has ended in this step or before."""
+        """Whether the episode has ended in this step or before, bool ``[T, E]``."""
         return self.terminated | self.truncated
 
     @property
     def lengths(self) -> np.ndarray:
-        """int ``[E]``: control steps up to the end of each episode (or of the recording)."""
+        """Control steps up to the end of each episode or of the recording, int ``[E]``."""
         over = np.concatenate([self.done, np.ones((1, self.num_envs), bool)])
         return np.minimum(over.argmax(axis=0) + 1, self.num_steps)
 
     @cached_property
     def returns(self) -> np.ndarray:
-        """float64 ``[T + 1, E]``: reward collected up to each entry of ``positions``."""
+        """Sum of the rewards up to each entry of ``positions``, float64 ``[T + 1, E]``."""
         return np.pad(self.rewards.cumsum(axis=0), ((1, 0), (0, 0)))
 
     @property
     def names(self) -> list[str]:
-        """Names of the environments in pictures: ``metadata["names"]`` if it has one for each, else their numbers."""
+        """Names of the environments in pictures: ``metadata["names"]`` if there is one for each, else their indices."""
         names: Any = self.metadata.get("names")
         known = isinstance(names, list) and len(names) == self.num_envs
         return [str(name) for name in (names if known else range(self.num_envs))]
 
     def best_first(self) -> Rollout:
-        """The environments in the order of their returns, the highest first; each keeps its name (:attr:`names`)."""
+        """Return a rollout with the environments sorted by return, the highest first; each keeps its name."""
         order = np.argsort(-self.returns[-1], kind="stable")
-        arrays = {name: getattr(self, name).take(order, axis=int(name != "design_index")) for name in _ARRAYS}
+        arrays = {}
+        for name in _ARRAYS:
+            axis = 0 if name == "design_index" else 1  # the axis of environments
+            arrays[name] = getattr(self, name).take(order, axis=axis)
         names = [self.names[env] for env in order]
         return Rollout(scenes=self.scenes, metadata=self.metadata | {"names": names}, **arrays)
 
     def scene(self, env: int) -> Scene:
-        """The scene of an environment."""
+        """Return the scene of an environment."""
         return self.scenes[self.design_index[env]]
 
     def check_envs(self, envs: int | Iterable[int] | None) -> list[int]:
-        """Return environments as a list; None: all.
+        """Return ``envs`` as a list of indices; None: all environments.
 
         Raises:
             RolloutError: there is no such environment, or none was chosen.
@@ -152,7 +156,7 @@ class Rollout:
         return [int(env) for env in chosen]
 
     def check_frame(self, frame: int) -> int:
-        """Return ``frame`` with negative numbers counted from the end.
+        """Return the index of a frame, where a negative ``frame`` counts from the end.
 
         Raises:
             RolloutError: there is no such frame.
@@ -163,7 +167,9 @@ class Rollout:
         return int(frame) % count
 
     def stretch(self, frame: int | slice, env: int) -> np.ndarray:
-        """Length of cells against rest along the axis of actuation (of other cells: the mean of both axes).
+        """Return each cell's length relative to rest, along the axis of actuation.
+
+        Cells that are no actuators have the mean of both axes.
 
         Args:
             frame: an index, which gives float32 ``[cells]``, or a slice, which gives ``[frames, cells]``.
@@ -226,7 +232,10 @@ def record(
     *,
     metadata: Mapping[str, Any] | None = None,
 ) -> Rollout:
-    """Record an episode as :func:`warpvox.record` does, of a function of observations or one of :data:`AGENTS`."""
+    """Record one episode of every environment; the policy is a function of observations or one of :data:`AGENTS`.
+
+    Arguments are those of :func:`warpvox.record`.
+    """
     import torch
 
     if not hasattr(env, "sim") or not hasattr(env, "max_episode_steps"):
@@ -260,7 +269,7 @@ def record(
 
 
 def facts_of(env: Any) -> dict[str, Any]:
-    """Return how environments are computed, as JSON values."""
+    """Return task, rules, physics and the like of environments as JSON values, for the metadata of a rollout."""
     return {
         "task": getattr(getattr(env, "spec", None), "id", None),
         "rules": getattr(env, "rules", None),
@@ -272,7 +281,7 @@ def facts_of(env: Any) -> dict[str, Any]:
 
 
 def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], Any]) -> dict[str, np.ndarray]:
-    """Step until all episodes have ended; what happened, as arrays with the step first."""
+    """Step until all episodes have ended; return positions, actions, rewards and ends as arrays, steps first."""
     import torch
 
     obs, _ = env.reset()
@@ -295,7 +304,7 @@ def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], A
 
 
 def scenes_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], Any]]:
-    """The scenes of a simulation, one a distinct world, and a function that gives its points.
+    """Return the scenes of a simulation, one for each distinct world, and a function that returns all points.
 
     The points are float32 ``[E, P, 2]``, a tensor on the simulation's device, which nothing waits for.
     """
@@ -319,7 +328,7 @@ def scenes_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], Any]]:
 
 
 def agent_of(name: str, env: Any) -> Callable[[Any], Any]:
-    """One of :data:`AGENTS` for ``env``, as a policy. ConfigError: another name."""
+    """Return the agent ``name``, one of :data:`AGENTS`, as a policy for ``env``; ConfigError: another name."""
     import torch
 
     check_choice("agent", name, AGENTS)
@@ -335,7 +344,7 @@ def agent_of(name: str, env: Any) -> Callable[[Any], Any]:
 
 
 def _draws(env: Any) -> Callable[[], Any]:
-    """A function that draws numbers in [0, 1) for all actions, ``[num_envs, num_actions]``, by the seed of ``env``.
+    """Return a function that draws numbers in [0, 1), ``[num_envs, num_actions]``, seeded by the seed of ``env``.
 
     With several seeds, each for an equal block of environments, a block draws as if it were alone.
     """
@@ -359,13 +368,14 @@ def _draws(env: Any) -> Callable[[], Any]:
 
 
 def _plain_seed(seed: Any) -> int | list[int] | None:
-    """A seed, or the seeds of several blocks of environments, as JSON has them."""
+    """Return a seed, or the list of seeds of several blocks of environments, as Python integers; None stays None."""
     if isinstance(seed, Sequence | np.ndarray):
         return [int(one) for one in seed]
     return None if seed is None else int(seed)
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Return the header and the arrays of a rollout's file; raise RolloutError if it is none or damaged."""
     try:
         with ArrayFile(path, LARGEST) as archive:
             if "header" not in archive.names:
@@ -397,6 +407,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 
 def _check_shapes(rollout: Rollout) -> None:
+    """Raise RolloutError unless the arrays of a rollout have matching shapes and finite values."""
     shape = rollout.positions.shape
     if len(shape) != 4 or shape[0] < 1 or shape[1] < 1 or shape[3] != 2:
         raise RolloutError(f"positions must be [frames, envs, points, 2] with a frame or more, got {list(shape)}.")

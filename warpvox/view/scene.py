@@ -48,18 +48,18 @@ class SceneObject:
 
     @property
     def cells(self) -> np.ndarray:
-        """int8 ``[cells]``: types of the cells that are not empty, in the order of ``corners``."""
+        """Types of the cells that are not empty, in the order of ``corners``: int8 ``[cells]``."""
         return self.grid[self.grid != Cell.EMPTY]
 
     @property
     def places(self) -> np.ndarray:
-        """int ``[cells, 2]``: row and column in ``grid`` of those cells."""
+        """Row and column in ``grid`` of the cells in :attr:`cells`, int ``[cells, 2]``."""
         return np.argwhere(self.grid != Cell.EMPTY)
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One distinct world of a rollout: its objects and their meshes.
+    """A distinct world of a rollout: its objects and their meshes.
 
     Attributes:
         objects: in the order of the simulator: robots, then the rest, each by name.
@@ -71,37 +71,37 @@ class Scene:
 
     @property
     def moving(self) -> tuple[SceneObject, ...]:
-        """Objects that have points."""
+        """Objects that can move; they have points."""
         return tuple(obj for obj in self.objects if not obj.is_static)
 
     @property
     def robots(self) -> tuple[SceneObject, ...]:
-        """Objects with actuators; where there is none, everything that moves."""
+        """Objects with actuators; without any, all objects that can move."""
         return tuple(obj for obj in self.moving if obj.is_robot) or self.moving
 
     @cached_property
     def corners(self) -> np.ndarray:
-        """int32 ``[cells, 4]``: corners of all cells that move, object after object."""
+        """Corner points of all cells that can move, object after object: int32 ``[cells, 4]``."""
         return np.concatenate([obj.corners for obj in self.moving])
 
     @cached_property
     def cells(self) -> np.ndarray:
-        """int8 ``[cells]``: types of all cells that move, in the order of ``corners``."""
+        """Types of all cells that can move, in the order of ``corners``: int8 ``[cells]``."""
         return np.concatenate([obj.cells for obj in self.moving])
 
     @cached_property
     def robot_points(self) -> np.ndarray:
-        """int ``[k]``: the points of the robots."""
+        """Indices of the robots' points, int ``[k]``."""
         return np.concatenate([np.arange(o.first_point, o.first_point + o.num_points) for o in self.robots])
 
     @property
     def num_points(self) -> int:
-        """Points of this scene; entries of a rollout's positions beyond them are padding."""
+        """Number of points; a rollout's positions beyond them are padding."""
         return sum(obj.num_points for obj in self.moving)
 
     @cached_property
     def terrain(self) -> np.ndarray:
-        """int8 ``[height, width]``, row 0 on top: all cells that never move."""
+        """Types of all cells that never move, int8 ``[height, width]``, row 0 on top."""
         cells = np.zeros((self.height, self.width), np.int8)
         for obj in self.objects:
             if obj.is_static:
@@ -111,7 +111,7 @@ class Scene:
 
 
 def scene_of(world: CompiledWorld) -> Scene:
-    """The scene of a compiled world, whose bodies are what moves."""
+    """Return the scene of a compiled world."""
     objects = []
     moving = {body.name for body in world.bodies}
     for body in sorted(world.bodies + world.statics, key=lambda body: (not body.source.is_robot, body.name)):
@@ -127,7 +127,9 @@ def scene_of(world: CompiledWorld) -> Scene:
 
 
 def stretch(cells: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Length of cells against rest along the axis of actuation (of other cells: the mean of both axes).
+    """Return each cell's length relative to rest, along the axis of actuation.
+
+    Cells that are no actuators have the mean of both axes.
 
     Args:
         cells: types ``[cells]``.
@@ -144,14 +146,14 @@ def stretch(cells: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def scene_to_json(scene: Scene) -> dict[str, Any]:
-    """A scene as JSON values, which ``docs/formats.md`` describes."""
+    """Return a scene as JSON values, which ``docs/formats.md`` describes."""
     arrays = [{"grid": obj.grid.tolist(), "corners": obj.corners.tolist()} for obj in scene.objects]
     objects = [vars(obj) | parts for obj, parts in zip(scene.objects, arrays, strict=True)]
     return {"width": scene.width, "height": scene.height, "objects": objects}
 
 
 def scene_from_json(scene: Mapping[str, Any]) -> Scene:
-    """The scene of :func:`scene_to_json`. KeyError, TypeError, ValueError, OverflowError: it is not one."""
+    """Return the scene of JSON values; KeyError, TypeError, ValueError, OverflowError: they are not one."""
     objects = []
     for obj in scene["objects"]:
         name = obj["name"]
@@ -175,6 +177,7 @@ def scene_from_json(scene: Mapping[str, Any]) -> Scene:
 
 
 def _whole(value: object) -> int:
+    """Return ``value`` if it is an integer from 0 to 2^31 - 1, else raise TypeError."""
     # int() would take "7", 7.9 and True without a word
     if type(value) is not int or not 0 <= value < 2**31:
         raise TypeError(f"expected an integer from 0 on, got {value!r:.80}")
@@ -182,7 +185,7 @@ def _whole(value: object) -> int:
 
 
 def check_scene(scene: Scene, number: int, points: int) -> None:
-    """Raise RolloutError if parts of a scene do not fit together, or do not fit ``points`` points."""
+    """Raise RolloutError unless the parts of a scene fit together and have at most ``points`` points."""
     if not scene.moving:
         raise RolloutError(f"Scene {number} has nothing that moves.")
     if scene.width * scene.height > LARGEST_GRID:

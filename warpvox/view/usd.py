@@ -117,7 +117,7 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
 
 
 def _define_materials(stage: Any) -> dict[Cell, Any]:
-    """A preview surface for every cell type; those of actuators show displayColor."""
+    """Define a preview surface for every cell type; those of actuators show displayColor."""
     UsdGeom.Scope.Define(stage, "/World/materials")
     materials = {}
     for cell in MATERIALS:
@@ -146,17 +146,18 @@ def _material_name(cell: int) -> str:
 
 
 def _linear(colour: np.ndarray) -> np.ndarray:
-    """Screen colours 0 to 255 as the linear ones in which USD counts, float32."""
+    """Return screen colours 0 to 255 as linear colours, float32, which USD uses."""
     value = colour / 255.0
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
 def _sizes(rollout: Rollout, envs: list[int]) -> np.ndarray:
-    """Width and height of the environments' worlds, float64 ``[envs, 2]``."""
+    """Return width and height of the environments' worlds, float64 ``[envs, 2]``."""
     return np.array([[rollout.scene(env).width, rollout.scene(env).height] for env in envs]) * VOXEL
 
 
 def _define_env(stage: Any, rollout: Rollout, env: int, place: np.ndarray, materials: dict[Cell, Any]) -> None:
+    """Define the objects of one environment."""
     scene = rollout.scene(env)
     root = f"/World/env_{env:03d}"
     xform = UsdGeom.Xform.Define(stage, root)
@@ -188,6 +189,7 @@ def _define_env(stage: Any, rollout: Rollout, env: int, place: np.ndarray, mater
 
 
 def _define_mesh(stage: Any, path: str, quads: np.ndarray, extent: np.ndarray) -> Any:
+    """Define a Mesh of cells."""
     mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDoubleSidedAttr(True)
@@ -199,7 +201,7 @@ def _define_mesh(stage: Any, path: str, quads: np.ndarray, extent: np.ndarray) -
 
 
 def _define_terrain(stage: Any, path: str, terrain: np.ndarray, material: Any) -> None:
-    """One Mesh for all that stands still; neighbours share corners. None if there is nothing."""
+    """Define one Mesh of all cells that never move, with shared corners; return it, or None without such cells."""
     if not terrain.any():
         return
     height, width = terrain.shape
@@ -222,15 +224,17 @@ def _define_terrain(stage: Any, path: str, terrain: np.ndarray, material: Any) -
 
 
 def _changes(values: np.ndarray, interpolated: bool) -> list[int]:
-    """Frames that must be written: those unlike the one before, and, if values between samples are interpolated, the
-    last one before each change as well."""
+    """Return the frames that must be written: those that differ from the frame before.
+
+    If values between samples are interpolated, also the frame before each change.
+    """
     differs = (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
     moved = np.flatnonzero(differs) + 1
     return sorted({0, *moved.tolist(), *((moved - 1).tolist() if interpolated else [])})
 
 
 def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.ndarray, frames: list[int]) -> None:
-    """One camera that follows the first environment's robot, one that sees everything."""
+    """Define a camera that follows the first environment's robot, and one that sees everything."""
     # The one that follows sees 14 voxels from bottom to top.
     height = 14 * VOXEL
     view = np.array([height * _APERTURE[0] / _APERTURE[1], height])
@@ -249,7 +253,7 @@ def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.nd
 
 
 def _define_camera(stage: Any, path: str) -> Any:
-    """A camera that looks along -Z; its translation."""
+    """Define a camera that looks along -Z; return its translation."""
     camera = UsdGeom.Camera.Define(stage, path)
     camera.CreateHorizontalApertureAttr(_APERTURE[0])
     camera.CreateVerticalApertureAttr(_APERTURE[1])

@@ -14,7 +14,7 @@ OTHERWISE = f"Render pictures instead (mode 'rgb_array'), or set {SWITCH}=none t
 
 
 def wanted() -> bool:
-    """False with ``WARPVOX_WINDOW=none``, which lets scripts with windows run on servers as they are."""
+    """Return False with ``WARPVOX_WINDOW=none``, with which scripts that open windows run on servers."""
     choice = os.environ.get(SWITCH, "")
     if choice not in ("", "none"):
         raise DisplayError(f"{SWITCH} must be 'none' or not set, got '{choice}'.")
@@ -22,7 +22,7 @@ def wanted() -> bool:
 
 
 def why_no_window() -> str | None:
-    """The reason why this machine cannot show a window, as half a sentence ("there is no display ..."), or None.
+    """Return why this machine cannot show a window ("there is no display ..."), or None if it can.
 
     A display that is named but does not answer is only noticed by :class:`Window`. With ``WARPVOX_WINDOW=none`` nothing
     does: windows then show nothing.
@@ -39,7 +39,7 @@ def why_no_window() -> str | None:
 
 
 class Window:
-    """A window that shows one picture after the other. Use it from one thread only.
+    """A window that shows one picture after another. Use it from one thread only.
 
     Args:
         size: width and height of the pictures in pixels.
@@ -72,7 +72,7 @@ class Window:
         tkinter.Label(self._root, borderwidth=0, image=self._image).pack()
 
     def show(self, frame: np.ndarray) -> None:
-        """Show a picture, uint8 ``[height, width, 3]``, and answer mouse and keyboard; nothing once closed."""
+        """Show a picture, uint8 ``[height, width, 3]``, and answer mouse and keyboard; do nothing once closed."""
         if self.closed or self._root is None:
             return
         height, width = frame.shape[:2]
@@ -82,7 +82,7 @@ class Window:
 
     @property
     def visible(self) -> bool:
-        """Whether anyone can see what :meth:`show` is given."""
+        """Whether the window is open."""
         return self._root is not None
 
     @property
@@ -103,7 +103,7 @@ class Window:
             self._root.update()
 
     def close(self) -> None:
-        """Close the window. Harmless to repeat."""
+        """Close the window, if it is open."""
         self.closed = True
         if self._root is not None:
             self._root.destroy()

@@ -1,4 +1,4 @@
-"""Ways to compare the designs of a search, each with its settings, checks and costs; one file each."""
+"""Ways to evaluate the designs of a search, each with its settings, checks and costs; one file each."""
 
 from warpvox.algos.codesign.evaluations.custom import Custom
 from warpvox.algos.codesign.evaluations.gaits import Gaits

@@ -1,4 +1,4 @@
-"""An evaluation of the user's own, by the name of a file or module."""
+"""Evaluation by code of the user's own, named by a file or module."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -30,6 +30,7 @@ class Custom(Evaluation):
     settings: Any = key(None, "settings of your own, by name: {episodes:3}")
 
     def check(self, search: Codesign) -> None:
+        """Check that ``make`` names code that makes an evaluator from these settings."""
         check_code(self.make, "evaluation=custom needs evaluation.make", "an evaluator of the search's settings")
         self.build(search, None)
 
@@ -37,7 +38,11 @@ class Custom(Evaluation):
         return search.training.inherit
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """ConfigError: no such file, module or name, settings that it does not take, or it makes no evaluator."""
+        """Call the user's code and return the evaluator that it makes.
+
+        Raises:
+            ConfigError: no such file, module or name, settings that it does not take, or it makes no evaluator.
+        """
         function = load_code(cast(str, self.make))
         settings = self.settings or {}
         try:

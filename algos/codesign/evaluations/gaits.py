@@ -1,4 +1,4 @@
-"""Designs are compared by open-loop gaits, which evolve with them and take no training."""
+"""Evaluation by open-loop gaits, which evolve with the designs and need no training."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @register_evaluation
 @dataclass
 class Gaits(Specialist):
-    """The fitness of a design is the best return of some open-loop gaits, which are handed on to its descendants."""
+    """Fitness of a design is the best return of its open-loop gaits, which its children inherit."""
 
     name: str = key("gaits", "open-loop gaits evolve with the designs", choices=("gaits",))
     finalists: int = key(4, "number of best designs that get a training of their own at the end", low=1)
@@ -45,6 +45,7 @@ class Gaits(Specialist):
     final_beam: int = key(64, "motions that a finalist tries in each stage of a beam search", low=1)
 
     def check(self, search: Codesign) -> None:
+        """Check the settings of the finalists' trainings, and that at least one pass or round is run."""
         super().check(search)
         if search.training.inherit:
             raise ConfigError(
@@ -59,7 +60,7 @@ class Gaits(Specialist):
                 )
 
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
-        """The gaits of robots that have one, by the bytes of their bodies."""
+        """Return the gaits of robots in ``start`` that have one, by the bytes of their bodies."""
         from warpvox.algos.codesign.gaits import Gait
 
         found = {}
@@ -80,6 +81,7 @@ class Gaits(Specialist):
         return first * steps, self.finalists * (last * steps + search.training.steps_of_design(self.finalists))
 
     def workloads(self, search: Codesign) -> list[Workload]:
+        """Return the largest batches: those of the trainings, of the gaits, and of the finalists' gaits."""
         first = {"evaluation.gaits": self.gaits, "evaluation.beam": self.beam if self.passes else 1}
         last = {"evaluation.final_gaits": self._final_gaits}
         last["evaluation.final_beam"] = self.final_beam if self.final_passes else 1
@@ -91,20 +93,23 @@ class Gaits(Specialist):
         return found
 
     def _episodes(self, search: Codesign) -> int:
+        """Return the number of episodes of each gait."""
         from warpvox.envs.registry import get_task
 
-        # Where they differ, four episodes: in tasks that draw at random, and with noise on the actions.
+        # Four episodes where they differ: in random tasks, and with noise on the actions.
         return self.episodes or (4 if search.fitness == ROBUST or get_task(search.task).is_random else 1)
 
     def _final_episodes(self, search: Codesign) -> int:
+        """Return the number of evaluation episodes of a finalist's training."""
         return search.training.eval_envs or self._episodes(search)
 
     @property
     def _final_gaits(self) -> int:
+        """Number of gaits that a finalist tries in a round."""
         return self.final_gaits or self.gaits
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """Gaits for all designs; for finalists more gaits, and a training that is judged by as many episodes."""
+        """Return an evaluator by gaits, which gives finalists more gaits and a training each."""
         from warpvox.algos.codesign.finalists import TwoStages
         from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 
@@ -125,7 +130,7 @@ class Gaits(Specialist):
         )
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
-        """A gait is played in simulations like those that have found its fitness."""
+        """Return observations, lanes and episodes to play a design's policy with: a gait's own, or a training's."""
         if not (outcome.spec and outcome.spec.get("gait")):
             return {"eval_envs": self._final_episodes(search)}
         count = self._final_gaits if candidate.origin == FINALIST else self.gaits

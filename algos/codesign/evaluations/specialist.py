@@ -1,4 +1,4 @@
-"""Each design is judged by a policy of its own."""
+"""Evaluation by training a policy for each design."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ if TYPE_CHECKING:
 @register_evaluation
 @dataclass
 class Specialist(Evaluation):
-    """The fitness of a design is the best return of a policy that is trained for it alone (paper section C.1)."""
+    """Fitness of a design is the best return of a policy trained for it alone (paper section C.1)."""
 
     name: str = key("specialist", "each design has a policy of its own", choices=("specialist",))
 
     def check(self, search: Codesign) -> None:
+        """Check that the settings of PPO suit trainings of many designs in one batch."""
         from warpvox.algos.ppo.stock import rsl_rl_config
 
         training = search.training
@@ -31,7 +32,7 @@ class Specialist(Evaluation):
             raise ConfigError(
                 "training.ppo.rnn and training.ppo.extra are for one policy: a search trains its designs side by side."
             )
-        rsl_rl_config(training.ppo, 1)  # whose settings it knows
+        rsl_rl_config(training.ppo, 1)  # raises for settings that do not fit together
 
     def inherits(self, search: Codesign) -> bool:
         return search.training.inherit
@@ -40,7 +41,7 @@ class Specialist(Evaluation):
         return search.training.steps_of_design(search.search.population), 0
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        """The batch of the trainings of a generation, or of the finalists where they alone have some."""
+        """Return the batches of a generation's trainings and evaluations, or of the finalists' if there are some."""
         training = search.training
         count = self.finalists or search.search.population
         together = min(search.batch or count, count)

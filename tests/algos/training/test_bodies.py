@@ -120,10 +120,10 @@ def test_bodies_on_which_the_policy_does_worse_come_more_often() -> None:
     bodies = Bodies(pool, "performance", np.random.default_rng(0))
     bodies._which = np.arange(3)
     bodies.record(torch.ones(3, dtype=torch.bool), torch.tensor([1.0, 2.0, 3.0]))
-    assert bodies._shares().tolist() == [0, 0, 0, 1]  # that which has had no episode
+    assert bodies._probabilities().tolist() == [0, 0, 0, 1]  # that which has had no episode
     bodies._which = np.array([3])
     bodies.record(torch.ones(1, dtype=torch.bool), torch.tensor([2.0]))
-    shares = bodies._shares()
+    shares = bodies._probabilities()
     assert shares[0] > shares[1] == shares[3] > shares[2]
     assert shares.sum() == pytest.approx(1)
     bodies.record(torch.ones(1, dtype=torch.bool), torch.tensor([4.0]))
@@ -134,10 +134,10 @@ def test_a_new_body_is_one_that_was_not_there_until_there_are_no_others() -> Non
     pool = draw_bodies(4, (1, 3), np.random.default_rng(0))
     held_out = draw_bodies(6, (1, 3), np.random.default_rng(1), pool)
     bodies = Bodies(pool, "new", np.random.default_rng(0), held_out)
-    drawn = [cropped(body) for _ in range(6) for body in bodies._new(5)]
+    drawn = [cropped(body) for _ in range(6) for body in bodies._draw_new(5)]
     assert len(set(drawn)) == 30
     assert not set(drawn) & {cropped(body) for body in [*pool, *held_out]}
-    every = {cropped(body) for body in bodies._new(100)}  # more than there are
+    every = {cropped(body) for body in bodies._draw_new(100)}  # more than there are
     assert {*drawn, *map(cropped, pool)} < every
     assert not every & {cropped(body) for body in held_out}
 
@@ -145,7 +145,7 @@ def test_a_new_body_is_one_that_was_not_there_until_there_are_no_others() -> Non
 def test_a_resumed_run_knows_that_bodies_may_come_again() -> None:
     first, second = make_runner("new", 1), make_runner("new", 1)
     first.bodies.shape = (1, 3)
-    first.bodies._new(100)  # more than there are
+    first.bodies._draw_new(100)  # more than there are
     first.bodies.shape = SHAPE
     second.bodies.set_state(first.bodies.state(first.env), second.env)
     assert second.bodies._digests == first.bodies._digests

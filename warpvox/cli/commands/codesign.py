@@ -1,4 +1,4 @@
-"""``warpvox codesign``: from a configuration to a folder with the designs that were tried, the best of them trained."""
+"""``warpvox codesign``: searches for designs and writes all of them, with policies, to a folder."""
 
 import dataclasses
 from collections.abc import Collection, Sequence
@@ -21,7 +21,7 @@ from warpvox.runs import CONFIG, check_unchanged, read_summary
 
 
 def check(config: CodesignConfig, given: Collection[str]) -> None:
-    """Raise WarpvoxError where a search cannot be made, or cannot go on as asked."""
+    """Raise WarpvoxError if the search cannot be made, or cannot be resumed with these settings."""
     from warpvox.algos.codesign.run import plan_codesign
 
     if config.report is None:
@@ -29,9 +29,9 @@ def check(config: CodesignConfig, given: Collection[str]) -> None:
 
 
 def run(config: CodesignConfig, given: Collection[str], console: Console) -> Path:
-    """Make a search, or go on with one; returns its folder."""
+    """Run or resume a search, or only make its report; return its folder."""
     if config.report is not None:
-        keys = ("report", "export", "top", "output_dir")  # that a report follows from
+        keys = ("report", "export", "top", "output_dir")  # keys that a report depends on
         others = [key for key in given if key not in keys]
         if others:
             raise ConfigError(f"{listing(others)} cannot change a report: {listing(keys[1:])} may go with it.")
@@ -44,7 +44,7 @@ def run(config: CodesignConfig, given: Collection[str], console: Console) -> Pat
         from warpvox.progress.search import SearchProgress, with_tracker
 
     def show(found: Found) -> None:
-        """Film the best designs, and write the report with the films and what is to be exported."""
+        """Film the best designs, and write the report and the exports."""
         with Archive.read(found.folder / FILE) as archive:
             results = Results(found.folder, archive, found.settings)
             with console.status("filming the best"):
@@ -57,7 +57,7 @@ def run(config: CodesignConfig, given: Collection[str], console: Console) -> Pat
 
 
 def _resumed(config: CodesignConfig) -> Path | None:
-    """The folder of the search that goes on. ConfigError: it would become another one."""
+    """Return the folder of the search to resume, None for a new one. ConfigError: settings must not change so."""
     if config.resume is None:
         return None
     source = find_codesign(config.resume, config.output_dir)
@@ -67,12 +67,13 @@ def _resumed(config: CodesignConfig) -> Path | None:
 
 
 def _export(archive: Archive, folder: Path, formats: Sequence[str], console: Console) -> None:
+    """Write the archive in each format and print the paths."""
     for name in dict.fromkeys(formats):
         echo(console, shown(FORMATS[name](archive, folder)))
 
 
 def _report(config: CodesignConfig, console: Console) -> Path:
-    """Make report, pictures and exports of a search again, also while it is running; returns its folder."""
+    """Make report, pictures and exports of a search again, also while it is running; return its folder."""
     from warpvox.algos.codesign.results import Results
     from warpvox.algos.report import FILE as REPORT
 
@@ -86,11 +87,11 @@ def _report(config: CodesignConfig, console: Console) -> Path:
         for row in archive.generations():
             if row["evaluated"] == row["designs"]:
                 results.draw(row["generation"], keep=False)
-        if not code_of(stored):  # code of the user's own, which a file does not bring
+        if not code_of(stored):  # a stored search does not bring the user's own code
             results.film(stored)
-        told = None
-        while told != summary["status"]:  # once more if the search ends meanwhile, with a page of its own
-            told = summary["status"]
+        written = None
+        while written != summary["status"]:  # again if the search ends meanwhile and writes its own page
+            written = summary["status"]
             results.report(summary)
             summary |= read_summary(source.folder)
         echo(console, shown(source.folder / REPORT))

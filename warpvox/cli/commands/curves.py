@@ -1,4 +1,4 @@
-"""``warpvox curves``: learning curves of runs as one picture, as a table and as CSV."""
+"""``warpvox curves``: draws learning curves of runs as one picture, and writes their numbers as CSV."""
 
 import dataclasses
 from collections.abc import Collection
@@ -28,10 +28,10 @@ from warpvox.runs import Run
 
 
 def run(config: CurvesConfig, given: Collection[str], console: Console) -> None:
-    """Draw the picture, print the table and write it."""
+    """Draw the curves, write them with their numbers, and print a table of the last and best returns."""
     check_suffix("file", config.file, SUFFIXES, ConfigError)
 
-    # The curves: of searches, or of trainings by task
+    # Curves of searches, or of trainings by task
     young = []
     searches = find_searches(config.runs, config.output_dir)
     if searches:
@@ -56,7 +56,7 @@ def run(config: CurvesConfig, given: Collection[str], console: Console) -> None:
 
     path = write_curves(panels, config.file, config.x, (config.size[0], config.size[1]))
 
-    # Where the curves end, and the best evaluations, over the runs of each group
+    # Table: end of the curves, and best evaluations, over the runs of each group
     percent = f"{100 * LEVEL:g} %"
     table = Table(title=literal(f"deterministic return, mean of n runs [{percent} interval, Student's t]"))
     table.title_justify = "left"

@@ -1,4 +1,4 @@
-"""``warpvox design``: the design editor in the browser, served to this machine only."""
+"""``warpvox design``: serves the design editor to a browser on this machine."""
 
 import webbrowser
 from collections.abc import Collection
@@ -14,7 +14,7 @@ from warpvox.system import has_display
 
 
 def check(config: DesignConfig, given: Collection[str]) -> None:
-    """Raise ConfigError: this is called for sweeps."""
+    """Raise ConfigError, because the editor cannot be part of a sweep."""
     raise ConfigError("There is one editor at a time; --multirun has no meaning here.")
 
 

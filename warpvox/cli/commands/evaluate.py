@@ -1,4 +1,4 @@
-"""``warpvox evaluate``: how good trained policies are, with confidence intervals, and how they compare."""
+"""``warpvox evaluate``: evaluates trained policies, with confidence intervals and comparisons."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def run(config: EvaluateConfig, given: Collection[str], console: Console) -> Path:
-    """Evaluate the runs, print and write tables; returns the folder of the results.
+    """Evaluate the runs, print and write tables; return the folder of the results.
 
     Of several runs those that cannot be evaluated are left out, with a line each.
 
@@ -70,7 +70,7 @@ def run(config: EvaluateConfig, given: Collection[str], console: Console) -> Pat
     with new_folder(config.output_dir, "evaluate", place, config.name, to_yaml(config)) as folder:
         _print(judged, config, console)
 
-        # Where all episodes with a body are the same, more of them add no information.
+        # Equal episodes with a body add no information: say so.
         policies = [row for several in rows.values() for row in several]
         alike = [row for row in policies if not row.drawn and len(row.independent) < len(row.returns)]
         if alike and config.protocol == NOMINAL:
@@ -101,7 +101,7 @@ def run(config: EvaluateConfig, given: Collection[str], console: Console) -> Pat
 
 
 def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> None:
-    """The returns of all runs, and the differences between groups."""
+    """Print the returns of all runs, and the differences between groups."""
     from warpvox.algos.training.policy_table import compare
 
     # A section for each group: its runs, and their mean where there are several
@@ -142,8 +142,8 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
 
 
 def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]], console: Console) -> None:
-    """Print rows of cells; where they are wider than the console, without the labels that all rows share."""
-    # The columns that are shown
+    """Print sections of rows; on a narrow console leave out label columns whose cells are all equal."""
+    # Columns to show
     columns = list(zip(*(row for rows in sections for row in rows), strict=True))
     width = 0
     kept = []
@@ -168,5 +168,6 @@ def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]
 
 
 def _cells(interval: Interval) -> tuple[str, str]:
+    """Return mean and interval of a table's row as text."""
     known = math.isfinite(interval.low)
     return f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}" if known else "-"

@@ -1,4 +1,4 @@
-"""``warpvox export``: a run's policy, its rollout, or one that was recorded before, as files: one format or several."""
+"""``warpvox export``: writes a run's policy, or a rollout, in one format or several."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from warpvox.runs import ZOO, as_name, new_folder, write_summary
 
 
 def run(config: Any, given: Collection[str], console: Console) -> Path:
-    """Write the files that are asked for; returns their folder."""
+    """Write the files that ``format`` lists; return their folder."""
     check_source(config)
     check_exports(config.format, config.size)
     if not config.format:
@@ -29,7 +29,7 @@ def run(config: Any, given: Collection[str], console: Console) -> Path:
     pictures = [name for name in config.format if name in EXPORTS]
     programs = [name for name in config.format if name in POLICY_EXPORTS]
 
-    # What was recorded before
+    # A recorded rollout
     if config.rollout is not None:
         if config.zoo is not None:
             raise ConfigError("rollout exports what was recorded: zoo cannot be given with it.")
@@ -39,12 +39,12 @@ def run(config: Any, given: Collection[str], console: Console) -> Path:
 
         rollout = Rollout.load(config.rollout)
         source = config.rollout
-        config = dataclasses.replace(config, run="")  # the run that is named by default has no part in it
+        config = dataclasses.replace(config, run="")  # no run takes part
         return write_results(rollout, config, source, "export", pictures, console, keep=False)
 
-    # What a policy does
+    # A policy
     policy: Any = None
-    if programs:  # first: what is wrong with the policy should show before anything is simulated
+    if programs:  # first, so that errors of the policy show before anything is simulated
         with console.status("loading"):
             from warpvox.algos.training.loading import load_policy
 
@@ -58,7 +58,7 @@ def run(config: Any, given: Collection[str], console: Console) -> Path:
 
     # The task's name comes from a file that somebody else may have written: it must stay a name.
     place = as_name(str(policy.metadata.get("task", ""))) or "policy"
-    if config.run == "latest" and config.zoo is None:  # which is another one later
+    if config.run == "latest" and config.zoo is None:  # store the run's name, because `latest` changes
         config = dataclasses.replace(config, run=str(Path(policy.metadata["source"]).parent))
     with new_folder(config.output_dir, "export", place, config.name, to_yaml(config)) as folder:
         checks = _write_policy(policy, folder, programs, console)
@@ -68,7 +68,7 @@ def run(config: Any, given: Collection[str], console: Console) -> Path:
 
 
 def _write_policy(policy: Any, folder: Path, formats: list[str], console: Console) -> dict[str, str]:
-    """Write the policy in each format and say what there is; returns how each was checked."""
+    """Write the policy in each format and print the files; return how each was checked."""
     from warpvox.algos.checkpoints.export import POLICY_WRITERS
 
     checks = {}

@@ -1,4 +1,4 @@
-"""``warpvox info``: versions, devices and the kernel cache, for bug reports and for looking what is there."""
+"""``warpvox info``: prints versions, devices and the kernel cache, for bug reports."""
 
 import os
 import platform
@@ -16,7 +16,7 @@ from warpvox.system import processor_name, usable_cores
 
 
 def run(config: object, given: Collection[str], console: Console) -> None:
-    """Print the table."""
+    """Print a table of versions, devices and the kernel cache."""
     import torch
     import warp as wp
 

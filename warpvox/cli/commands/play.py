@@ -1,4 +1,4 @@
-"""``warpvox play``: a trained policy without exploration, or a simple agent; its returns, and what it did."""
+"""``warpvox play``: runs a trained policy or a simple agent, prints returns and shows or exports the episode."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 
 
 _OF_AGENTS = ("task", "design", "rules")
-"""Keys that a trained run answers itself."""
+"""Keys that need an agent: a trained run has its own values of them."""
 
 
 def run(config: PlayConfig, given: Collection[str], console: Console) -> Path:
-    """Run one episode everywhere, write it down and show it; returns the folder of the results."""
+    """Run one episode in every environment, write it and show it; return the folder of the results."""
     check_source(config)
     obstacle = why_no_window() if wanted() else f"{SWITCH}=none switches windows off"
     if config.window == "on" and obstacle is not None:
@@ -82,9 +82,9 @@ def run(config: PlayConfig, given: Collection[str], console: Console) -> Path:
 
 
 def check_source(config: Any) -> None:
-    """Raise ConfigError if a run, or what goes with one, is named and something else to be shown as well."""
+    """Raise ConfigError if both a run and a rollout, agent or zoo robot are named, or a key needs a run."""
     other = next((name for name in ("rollout", "agent", "zoo") if getattr(config, name, None) is not None), None)
-    if other and config.run not in ("latest", ""):  # the default, and what a stored configuration without a run has
+    if other and config.run not in ("latest", ""):  # the default, and the value stored without a run
         raise ConfigError(f"run and {other} both say what is shown: give one of them.")
     usual = {"checkpoint": "best"} | ({} if other == "zoo" else {"stochastic": False, "protocol": NOMINAL})
     for name in (name for name in usual if other and getattr(config, name, usual[name]) != usual[name]):
@@ -92,14 +92,14 @@ def check_source(config: Any) -> None:
 
 
 def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
-    """The rollout of a trained run's policy, and the folder of the run."""
+    """Record an episode of a run's policy; return the rollout and the path of the checkpoint or folder."""
     given = [name for name in _OF_AGENTS if getattr(config, name, None) is not None]
     if "task" in given and isinstance(config.task, Code):
-        given.remove("task")  # who names a task's code, trusts it
-    _refuse(name for name in given if name != "design")
+        given.remove("task")  # code may be named for a run, too
+    _check_not_given(name for name in given if name != "design")
     source = find_run(config.run if config.zoo is None else f"{ZOO}{config.zoo}", config.output_dir)
     if not source.is_many:
-        _refuse(given)
+        _check_not_given(given)
     with console.status("loading"):
         from warpvox.algos.training.loading import load_run
         from warpvox.devices.startup import prepare
@@ -113,8 +113,8 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
     return rollout, str(source.checkpoint or source.folder)
 
 
-def _refuse(names: Iterable[str]) -> None:
-    """Raise ConfigError for keys that a trained run has values of its own for."""
+def _check_not_given(names: Iterable[str]) -> None:
+    """Raise ConfigError for keys whose values a trained run has itself."""
     for name in names:
         raise ConfigError(f"{name} goes with agent=random|sine|zero; a trained run has its own {name}.")
 
@@ -122,11 +122,11 @@ def _refuse(names: Iterable[str]) -> None:
 def write_results(
     rollout: Rollout, config: Any, source: str, command: str, formats: list[str], console: Console, keep: bool = True
 ) -> Path:
-    """Print the returns and write the folder of a play or an export; returns it.
+    """Print the returns and write the folder of a play or an export; return the folder.
 
     Args:
-        source: what made the rollout; ``config.run`` is replaced by it where that names a run.
-        keep: whether to write the rollout itself as well.
+        source: run, agent or file that the rollout comes from; replaces ``config.run`` if that names a run.
+        keep: write the rollout itself as well.
     """
     resolved = dataclasses.replace(config, run=source, zoo=None) if config.run else config
     # The task's name may come from a file that somebody else has written: it must stay a name.
@@ -137,7 +137,7 @@ def write_results(
             rollout.save(folder / ROLLOUT)
         write_exports(rollout, folder, formats, console, config.size, config.every)
 
-        # The rollout in figures
+        # Summary
         returns = rollout.returns[-1]
         summary = {
             "command": command,
@@ -161,7 +161,7 @@ def play_in_window(
     clock: Callable[[], float] = time.perf_counter,
     make_window: Callable[[tuple[int, int], str], Any] = Window,
 ) -> int:
-    """Show environments side by side, again and again, until the window is closed; the number of pictures shown.
+    """Show environments side by side in a loop until the window is closed; return the number of pictures.
 
     Time runs as in the simulation: a machine too slow to draw every frame leaves some out.
     """
@@ -182,8 +182,8 @@ def play_in_window(
             count += 1
         else:
             time.sleep(FRAME_SECONDS / 4)
-        window.show(picture)  # also the same one again: this is when the window answers
-        # The last picture stands for a second before the episode is shown again.
+        window.show(picture)  # also without a new picture, because this call handles the window's events
+        # Show the last picture for a second before the episode starts again.
         if passed > last * FRAME_SECONDS + 1.0:
             start = clock()
     return count

@@ -1,4 +1,4 @@
-"""``warpvox tasks``: all tasks as a table, or one in detail with a picture of its world."""
+"""``warpvox tasks``: lists all tasks, or shows one in detail with a picture of its world."""
 
 from collections.abc import Collection
 from typing import Any
@@ -16,7 +16,7 @@ from warpvox.io.writing import check_suffix
 
 
 def run(config: TasksConfig, given: Collection[str], console: Console) -> None:
-    """Print the table or a task, or write the gallery."""
+    """Print the table of tasks or one task, or write the gallery."""
     for key, value, goes in (
         ("picture", config.picture, config.task is not None),
         ("rules", None if config.rules == "evogym" else config.rules, config.task is not None),
@@ -37,7 +37,7 @@ def run(config: TasksConfig, given: Collection[str], console: Console) -> None:
 
 
 def _print_all(console: Console) -> None:
-    """All tasks as a table."""
+    """Print all tasks as a table."""
     from warpvox.envs.registry import get_task, task_ids
 
     table = Table()
@@ -56,7 +56,7 @@ def _print_all(console: Console) -> None:
 
 
 def _print_task(name: str, config: TasksConfig, console: Console) -> None:
-    """One task in detail."""
+    """Print one task in detail, and write the picture of its world if asked for."""
     from warpvox.envs.registry import get_task
     from warpvox.envs.worlds import load_worlds
     from warpvox.view.body_picture import draw_world, scene_of_world
@@ -103,7 +103,7 @@ def _print_task(name: str, config: TasksConfig, console: Console) -> None:
 
 
 def _designs(task: Any) -> str:
-    """The example designs that fit the task's world, those made for it first."""
+    """Return in words the example designs that fit the task's world, those made for it first."""
     from warpvox.envs.worlds import task_world
 
     if task.partners:
@@ -123,7 +123,7 @@ def _designs(task: Any) -> str:
 
 
 def _print_observation(task: Any, design: Any, points: dict[str, int], console: Console) -> None:
-    """The terms of the observation of a body with so many points."""
+    """Print the terms of a task's observation; ``points``: number of points of each object."""
     from warpvox.envs.about import UNITS
     from warpvox.envs.worlds import task_team
 

@@ -1,4 +1,4 @@
-"""``warpvox train``: from a configuration to a run folder with a trained policy."""
+"""``warpvox train``: trains a policy and writes it to a run folder."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def make_job(config: TrainConfig, given: Collection[str]) -> Job:
-    """The training that settings ask for; ``given``: keys that must agree with a pretrained policy."""
+    """Make the training that the settings give; ``given``: keys that must agree with a pretrained policy."""
     from warpvox.algos.training.job import Job
 
     if config.resume is None:
@@ -26,19 +26,19 @@ def make_job(config: TrainConfig, given: Collection[str]) -> Job:
 
 
 def check(config: TrainConfig, given: Collection[str]) -> None:
-    """Raise an error where a name in the settings stands for nothing."""
+    """Raise an error if a task, body, policy or device that the settings name does not exist."""
     make_job(config, given).check()
 
 
 def run(config: TrainConfig, given: Collection[str], console: Console) -> Path:
-    """Make a run, and record its best policy where exports are asked for; returns its folder."""
+    """Train a policy, record its best version where exports are asked for, and return the run's folder."""
     from warpvox.devices.startup import prepare
     from warpvox.progress.training import Terminal, with_tracker
 
     job = make_job(config, given)
 
     def show() -> None:
-        """Play what was learned, and write it in the formats that are asked for."""
+        """Record an episode of the best policy and write the formats in ``export``, if there are any."""
         if not config.export:
             return
         from warpvox.algos.training.playing import load_result

@@ -1,4 +1,4 @@
-"""``warpvox zoo``: the trained robots that come with the package, or one of them in detail."""
+"""``warpvox zoo``: lists the trained robots that come with the package, or shows one in detail."""
 
 from collections.abc import Collection
 from pathlib import Path
@@ -19,7 +19,7 @@ from warpvox.view.cell_text import body_rows
 
 
 def run(config: ZooConfig, given: Collection[str], console: Console) -> None:
-    """List the robots, or show one."""
+    """Print a table of the robots, or one robot in detail."""
     folder = ZOO_FOLDER if config.folder is None else Path(config.folder).expanduser()
 
     # Files by task, in the order of the paper; tasks of the user's own last
@@ -38,7 +38,7 @@ def run(config: ZooConfig, given: Collection[str], console: Console) -> None:
 
 
 def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None:
-    """All robots as a table."""
+    """Print all robots as a table."""
     table = Table()
     # on a narrow terminal the body takes several lines
     for heading in ("task", "under noise", "nominal", "", "steps", "trained", "body"):
@@ -76,25 +76,27 @@ def _print_all(entries: dict[str, Path], folder: Path, console: Console) -> None
 
 
 def _print_one(path: Path, console: Console) -> None:
-    """One robot in detail."""
+    """Print one robot in detail."""
     robot = read_robot(path)
     console.print(body_rows([robot.body], [robot.task], console))
     about = robot.about
     limit = f" of at most {get_task(robot.task).max_episode_steps}" if robot.task in task_ids() else ""
 
-    # What acts
+    # Policy
     if robot.policy is None:
         policy = "none"
     elif robot.policy.spec.gait is not None:
         arrays = arrays_of(robot.policy)
-        parameters = sum(array.size for array in arrays.values()) - 1  # the first stage begins with the episode
+        parameters = (
+            sum(array.size for array in arrays.values()) - 1
+        )  # without the beginning of the first stage, which is always 0
         policy = f"gait, open loop: {parameters} parameters, {counted(len(arrays['begin']), 'stages')}"
     else:
         spec = robot.policy.spec
         sizes = [spec.num_obs, *spec.hidden, spec.num_actions]
         policy = f"{'-'.join(map(str, sizes))}, {spec.activation}"
 
-    # What it took
+    # Cost of training
     steps = about.get("control_steps")
     seconds = about.get("wall_s")
     training = "unknown" if steps is None else f"{steps:,} control steps"

@@ -35,7 +35,7 @@ __all__ += utils.__all__
 
 
 def _of_simulation(method: Callable) -> Callable:
-    """A method that calls the one of that name of the environment's simulation."""
+    """Return a method that calls the method of the same name of the environment's simulation."""
 
     @functools.wraps(method)
     def call(self: EvoGymBase, *args: Any, **options: Any) -> Any:
@@ -45,7 +45,7 @@ def _of_simulation(method: Callable) -> Callable:
 
 
 def _in_simulator_units(method: Callable) -> Callable:
-    """A method that gives in simulator units (0.1 a voxel) what ``method`` gives in voxels."""
+    """Return a method whose result is that of ``method`` in simulator units (0.1 a voxel) instead of voxels."""
 
     @functools.wraps(method)
     def scaled(self: EvoGymBase, *args: Any, **options: Any) -> np.ndarray | None:
@@ -140,7 +140,7 @@ class EvoGymBase(gym.Env):
         return self.default_viewer.render(self._render_mode, **self._render_options)
 
     def close(self) -> None:
-        """Close the window. Harmless to repeat."""
+        """Close the window, if it is open."""
         self.default_viewer.close()
 
     get_actuator_indices = _of_simulation(EvoSim.get_actuator_indices)
@@ -153,30 +153,32 @@ class EvoGymBase(gym.Env):
     object_orientation_at_time = _of_simulation(EvoSim.object_orientation_at_time)
 
     def _points_of(self, name: str) -> np.ndarray:
-        """``[2, points]`` of an object in voxels, also where a subclass measures otherwise."""
+        """Return an object's points in voxels, ``[2, points]``, also in subclasses with other units."""
         return self._sim.object_pos_at_time(self._sim.get_time(), name)
 
     def get_pos_com_obs(self, object_name: str) -> np.ndarray:
-        """``[2]``: an object's centre of mass."""
+        """Return an object's centre of mass, ``[2]``."""
         return self._points_of(object_name).mean(axis=1)
 
     def get_vel_com_obs(self, object_name: str) -> np.ndarray:
-        """``[2]``: velocity of an object's centre of mass."""
+        """Return the velocity of an object's centre of mass, ``[2]``."""
         return self._sim.object_vel_at_time(self._sim.get_time(), object_name).mean(axis=1)
 
     def get_relative_pos_obs(self, object_name: str) -> np.ndarray:
-        """``[2 points]``: an object's points relative to its centre of mass, all x before all y."""
+        """Return an object's points minus its centre of mass, all x before all y: ``[2 points]``."""
         points = self._points_of(object_name)
         return (points - points.mean(axis=1, keepdims=True)).flatten()
 
     def get_ort_obs(self, object_name: str) -> np.ndarray:
-        """``[1]``: orientation of an object."""
+        """Return the orientation of an object, ``[1]``."""
         return np.array([self.object_orientation_at_time(self.get_time(), object_name)])
 
     def get_floor_obs(
         self, object_name: str, terrain_list: list[str], sight_dist: int, sight_range: float = 5
     ) -> np.ndarray | Any:
-        """Depths ``[2 sight_dist + 1]`` of the terrain below an object's centre of mass; as released None without.
+        """Return the depth of the terrain below an object's centre of mass, ``[2 sight_dist + 1]``.
+
+        Without terrain None, as in the release.
 
         Args:
             terrain_list: names of the objects that are terrain.
@@ -188,10 +190,11 @@ class EvoGymBase(gym.Env):
     def get_ceil_obs(
         self, object_name: str, terrain_list: list[str], sight_dist: int, sight_range: float = 5
     ) -> np.ndarray | Any:
-        """Height of the terrain above; as :meth:`get_floor_obs`, upward to the lowest point."""
+        """Return the height of the terrain above, as :meth:`get_floor_obs` does below: to the lowest point."""
         return self._scan(object_name, terrain_list, sight_dist, sight_range, 1)
 
     def _scan(self, name: str, terrain: list[str], reach: int, sight: float, up: int) -> np.ndarray | Any:
+        """Return the distance to the terrain above (``up`` 1) or below (-1) in each window; None without terrain."""
         if len(terrain) == 0:
             return None
         x, y = self._points_of(name).mean(axis=1)
@@ -205,12 +208,14 @@ class EvoGymBase(gym.Env):
 
 
 class _WorldFiles:
+    """A class attribute that writes the world files when it is first read, and gives their folder."""
+
     def __get__(self, instance: object, owner: type) -> str:
         return world_files()
 
 
 class BenchmarkBase(EvoGymBase):
-    """Base of the benchmark's environments: as :class:`EvoGymBase`, with lengths in simulator units (0.1 a voxel).
+    """Base of the benchmark's environments: :class:`EvoGymBase` with lengths in simulator units (0.1 a voxel).
 
     The viewer follows the object ``robot``.
 

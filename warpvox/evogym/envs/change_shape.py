@@ -14,23 +14,23 @@ class ShapeBase(BenchmarkBase):
     """Base of tasks about a robot's shape: it observes its points; with helpers about convex hulls."""
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        """Begin an episode. Returns the robot's points and an empty dictionary."""
+        """Begin an episode; return the robot's points and an empty dictionary."""
         super().reset(seed=seed, options=options)
         return self.get_relative_pos_obs("robot"), {}
 
     def CCW(self, p1: np.ndarray, p2: np.ndarray, p3: np.ndarray) -> bool:
-        """Whether the way over three points turns left or goes straight on."""
+        """Return whether the way over three points turns left or goes straight on."""
         return bool((p2[0] - p1[0]) * (p3[1] - p1[1]) - (p2[1] - p1[1]) * (p3[0] - p1[0]) >= 0)
 
     def jarvis_march(self, S: np.ndarray) -> np.ndarray:
-        """Corners ``[k, 2]`` of the convex hull of points ``[n, 2]``, counter-clockwise."""
+        """Return the corners ``[k, 2]`` of the convex hull of points ``[n, 2]``, counter-clockwise."""
         from scipy.spatial import ConvexHull
 
         points = np.asarray(S)
         return points[ConvexHull(points).vertices]
 
     def convex_poly_area(self, pts_cw: np.ndarray) -> float:
-        """Area of a polygon ``[k, 2]``, positive if counter-clockwise."""
+        """Return the area of a polygon ``[k, 2]``, positive if counter-clockwise."""
         x, y = np.transpose(pts_cw)
         u, v = np.transpose(np.roll(pts_cw, -1, axis=0))
         return float(np.sum(x * v - u * y)) / 2

@@ -29,23 +29,25 @@ class Goal:
         self.requirements = list(requirements or ())
 
     def evaluate(self, args: Mapping[str, Any]) -> tuple[float, bool]:
-        """Reward of a step, and whether the goal is reached."""
+        """Return the reward of a step, and whether the goal is reached."""
         raise NotImplementedError(f"The goal '{self.name}' must define evaluate(args).")
 
     def get_obs(self, args: Mapping[str, Any]) -> np.ndarray:
-        """The observation of the goal."""
+        """Return the observation of the goal."""
         raise NotImplementedError(f"The goal '{self.name}' must define get_obs(args).")
 
 
 class WalkToX(Goal):
-    """Come near a place along x, given in voxels; ``args`` hold the robot's points before and after, ``[2, n]``."""
+    """The goal to come near a place along x, in voxels; ``args`` hold the robot's points before and after, ``[2,
+    n]``.
+    """
 
     def __init__(self, x_goal: float) -> None:
         super().__init__(f"Walk to x = {x_goal}", [_BEFORE, _AFTER])
         self.x_goal = x_goal
 
     def evaluate(self, args: Mapping[str, np.ndarray]) -> tuple[float, bool]:
-        """How much closer the robot has come, and whether it is within two voxels."""
+        """Return how much closer the robot has come, and whether it is within two voxels."""
         goal = self.x_goal * VOXEL
         before = abs(goal - np.mean(args[_BEFORE][0]))
         after = abs(goal - np.mean(args[_AFTER][0]))
@@ -53,7 +55,7 @@ class WalkToX(Goal):
         return before - after, bool(after < 2 * VOXEL)
 
     def get_obs(self, args: Mapping[str, np.ndarray]) -> np.ndarray:
-        """``[2]``: the place, and the way to it."""
+        """Return the place and the way to it, ``[2]``."""
         place = self.x_goal * VOXEL
         return np.array([place, place - np.mean(args[_AFTER][0])])
 
@@ -76,7 +78,7 @@ class GoalBase(BenchmarkBase):
         self.requirements = {key: [goal.name for goal in self.goals if key in goal.requirements] for key in keys}
 
     def get_reward(self, args: Mapping[str, Any]) -> tuple[float, bool]:
-        """Reward for the goal that is open after this step, and whether none is."""
+        """Return the reward for the present goal, and whether all goals are reached."""
         for key, names in self.requirements.items():
             if args.get(key) is None:
                 raise ArgumentError(f"args lack '{key}', which {', '.join(dict.fromkeys(names))} need.")
@@ -88,7 +90,7 @@ class GoalBase(BenchmarkBase):
         return reward, self.current_goal == len(self.goals)
 
     def get_obs(self, args: Mapping[str, Any]) -> np.ndarray:
-        """The observation of the present goal; of the last one when all have been reached."""
+        """Return the observation of the present goal; of the last one when all are reached."""
         return self.goals[min(self.current_goal, len(self.goals) - 1)].get_obs(args)
 
 
@@ -120,7 +122,7 @@ class BiWalk(TaskEnv, GoalBase):
         self.init_reward_goals(goals)
 
     def _rules(self) -> TaskSpec:
-        """The task without what is observed of goals and without its rewards, which are those of :class:`GoalBase`."""
+        """Return the task without observations, rewards and memory of goals, which :class:`GoalBase` has."""
         spec = super()._rules()
         return replace(spec, observations=spec.observations[:2], rewards=(), terminations=(), memory=())
 
@@ -132,12 +134,12 @@ class BiWalk(TaskEnv, GoalBase):
         return float(reward) + done + stopped * get_task(self.task).unstable_penalty, done or stopped
 
     def _points(self, ago: int = 0) -> np.ndarray:
-        """``[2, points]``: the robot some steps ago."""
+        """Return the robot's points some steps ago, ``[2, points]``."""
         engine = self._sim._engine
         return engine.positions(engine.time - ago, "robot").T
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        """Begin an episode with other goals."""
+        """Begin an episode with other goals; return the observation and an empty dictionary."""
         if seed is not None:
             self._random = random.Random(seed)
         self.set_random_goals(20, 50, 100)

@@ -18,7 +18,7 @@ __all__ = ["TaskEnv", "TimeLimit", "task_env"]
 
 
 class TaskEnv(BenchmarkBase):
-    """A task of the benchmark with the rules of the release. A subclass says which, as ``task``.
+    """A task of the benchmark with the rules of the release; a subclass sets the id ``task``.
 
     Observations are float64 ``[n]``. Actions ``[actuators]`` are target lengths of the actuators, row by row from the
     top of the body, in units of their rest length. An environment that has ended can be stepped further.
@@ -70,7 +70,7 @@ class TaskEnv(BenchmarkBase):
         return world
 
     def _state(self) -> Snapshot:
-        """The present state; the one of the last step if nothing has happened since."""
+        """Return the present state, cached until the simulation changes."""
         if not hasattr(self, "_terms"):  # a subclass may make its own world and call another base's __init__
             from warpvox.envs.adapters.single import RowTerms  # brings torch, which registering must not
 
@@ -88,12 +88,13 @@ class TaskEnv(BenchmarkBase):
         return self._terms.observe(now)
 
     def _judge(self, before: Snapshot, after: Snapshot, stopped: bool) -> tuple[float, bool]:
-        """Reward of a step, and whether the episode has ended with it."""
+        """Return the reward of a step, and whether the episode has ended with it."""
         terms, ended = self._terms.judge(before, after, stopped)
         return sum(terms.values()), ended
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Take a control step: observation, reward, terminated, False (the time limit is gymnasium's), and no infos.
+        """Do a control step; return observation, reward, terminated, False (gymnasium has the time limit), and no
+        infos.
 
         ArgumentError (a ValueError): another number of values than actuators.
         """
@@ -104,13 +105,13 @@ class TaskEnv(BenchmarkBase):
         return obs, *self._judge(before, after, stopped), False, {}
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        """Begin an episode; ``options`` are not used. Returns the observation and an empty dictionary."""
+        """Begin an episode; return the observation and an empty dictionary. ``options`` are not used."""
         EvoGymBase.reset(self, seed=seed, options=options)
         return self._observe(self._state()), {}
 
 
 class TimeLimit(wrappers.TimeLimit):
-    """gymnasium's own TimeLimit, which also gives the public attributes of the environment: ``env.sim``, ``env.world``.
+    """gymnasium's TimeLimit that also has the environment's public attributes, such as ``env.sim`` and ``env.world``.
 
     Wrappers of gymnasium before 1.0 did so, and scripts rely on it. It takes the place of the TimeLimit that
     ``gymnasium.make`` has put around the environment.
@@ -124,12 +125,13 @@ class TimeLimit(wrappers.TimeLimit):
         super().__init__(env, steps)
 
     def __getattr__(self, name: str) -> Any:
+        """Return a public attribute of the environment or its wrappers."""
         if name.startswith("_"):  # private; and copying asks for such before there is an `env`
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
         return self.env.get_wrapper_attr(name)
 
     def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
-        """Set an attribute where it is: gymnasium would take all of the environment's for this wrapper's."""
+        """Set an attribute of this wrapper if it has it, else of the environment; return whether it was set."""
         if name in vars(self):
             setattr(self, name, value)
             return True
@@ -137,7 +139,7 @@ class TimeLimit(wrappers.TimeLimit):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The environment's, with this limit and this wrapper: ``gymnasium.make(env.spec)`` makes another."""
+        """The environment's specification with this limit and wrapper, for ``gymnasium.make(env.spec)``."""
         fresh = self._cached_spec is None
         spec = super().spec
         if fresh and spec is not None:
@@ -146,7 +148,7 @@ class TimeLimit(wrappers.TimeLimit):
 
 
 def task_env(name: str, task: str, *bases: type, **constants: float) -> type:
-    """The class of a task that adds ``constants`` alone to :class:`TaskEnv` and ``bases``, in the calling module."""
+    """Return the class of a task: :class:`TaskEnv` and ``bases`` with these ``constants``, in the calling module."""
     module = sys._getframe(1).f_globals["__name__"]
     members = {"__module__": module, "__doc__": f"{task}: {get_task(task).summary}", "task": task, **constants}
     return type(name, (TaskEnv, *bases), members)

@@ -64,7 +64,7 @@ def write_html(
 
 
 def page_of(rollout: Any, envs: Sequence[int] | None = None, title: str | None = None, every: int = 1) -> str:
-    """The page that :func:`write_html` writes, as text."""
+    """Return the page that :func:`write_html` writes, as text."""
     chosen = rollout.check_envs(envs)
 
     # More than a browser can hold?
@@ -80,7 +80,7 @@ def page_of(rollout: Any, envs: Sequence[int] | None = None, title: str | None =
 
     # The page
     scale, data = _pack(rollout, chosen, every)
-    meta = _describe(rollout, chosen, scale, every) | {"title": title or rollout.title}
+    meta = _page_data(rollout, chosen, scale, every) | {"title": title or rollout.title}
     return fill_template(
         asset("player.html"),
         values={"meta": meta},
@@ -92,7 +92,7 @@ def page_of(rollout: Any, envs: Sequence[int] | None = None, title: str | None =
 
 
 def fill_template(template: str, values: Mapping[str, Any], **texts: str) -> str:
-    """A page: ``{{name}}`` becomes the text of that name, or the JSON of the value of that name."""
+    """Return a page made of ``template``: ``{{name}}`` becomes the text of that name, or its value as JSON."""
     # one pass: what is filled in is not searched again; "<" could end the element that carries the text
     parts = texts | {
         name: json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -102,12 +102,12 @@ def fill_template(template: str, values: Mapping[str, Any], **texts: str) -> str
 
 
 def asset(name: str, package: str = __name__) -> str:
-    """A file of a package as text."""
+    """Return a file of a package as text."""
     return files(package).joinpath(name).read_text(encoding="utf-8")
 
 
-def _describe(rollout: Any, envs: list[int], scale: int, every: int) -> dict[str, Any]:
-    """All but the trajectories, as JSON values."""
+def _page_data(rollout: Any, envs: list[int], scale: int, every: int) -> dict[str, Any]:
+    """Return everything that the page shows but the trajectories, as JSON values."""
     designs = [int(rollout.design_index[env]) for env in envs]
     used = sorted(set(designs))
     known = {key: rollout.metadata.get(key) for key in ("rules", "physics", "agent", "seed", "iteration")}
@@ -147,9 +147,13 @@ def _describe(rollout: Any, envs: list[int], scale: int, every: int) -> dict[str
 
 
 def _pack(rollout: Any, envs: list[int], every: int) -> tuple[int, bytes]:
-    """Steps per simulator unit, and the compressed arrays; environment by environment, so that it takes little."""
+    """Return the steps of a simulator unit, and the trajectories in these steps as compressed bytes.
+
+    Environments are read one by one, which takes little memory.
+    """
 
     def track(env: int) -> np.ndarray:
+        """Return the shown positions of an environment, float64 ``[2 points, frames]``."""
         shown = rollout.positions[::every, env, : rollout.scene(env).num_points]
         return shown.reshape(len(shown), -1).T.astype(np.float64)
 
@@ -171,6 +175,7 @@ def _pack(rollout: Any, envs: list[int], every: int) -> tuple[int, bytes]:
     steps = len(rollout.positions[::every]) - 1
 
     def arrays() -> Iterator[np.ndarray]:
+        """Yield the arrays that are compressed: first positions, rewards, then low and high bytes of the moves."""
         yield from (np.rint(track(env)[:, 0] * scale).astype("<i4") for env in envs)
         for env in envs:  # from one shown frame to the next
             yield rollout.rewards[: steps * every, env].reshape(steps, every).sum(axis=1).astype("<f4")
