@@ -15,7 +15,7 @@ from warpvox.simulation import checked_actions
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 JUDGED, SEARCHED = 0xFA1F, 0x5EED
-"""Streams of random numbers: with no seed do evaluations draw the same disturbances as searches."""
+"""Streams of random numbers, so that evaluations and searches draw different disturbances, whatever the seeds."""
 NOISE, STICKY, START, SENSORS, LENGTH = range(5)
 """Purposes of random numbers, each with numbers of its own."""
 

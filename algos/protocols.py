@@ -32,11 +32,11 @@ DISTURBANCES = {
     "sensors": Disturbance(sensors=0.01),
 }
 PROTOCOLS = {name: (name,) for name in DISTURBANCES} | {ROBUST: tuple(DISTURBANCES)}
-"""Disturbances that a protocol judges by."""
+"""Names of the disturbances in each protocol of evaluation."""
 FITNESS = (NOMINAL, ROBUST)
-"""Episodes that a search or a training chooses by: one undisturbed, or copies with noise on the actions."""
+"""Values of ``fitness``, which chooses the best: one undisturbed episode, or copies with noise on the actions."""
 COPIES = 8
-"""Disturbed episodes of a trained policy where no other number is given."""
+"""Default number of disturbed episodes of a trained policy."""
 
 
 def parts_of(protocol: str, feedback: bool) -> tuple[str, ...]:

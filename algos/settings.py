@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 
 WIDEST = 1 << 16
-"""Most observations, actions or units of a layer: neither a file nor a typing error asks for more memory."""
+"""Most observations, actions or units of a layer, so that no file or typing error asks for too much memory."""
 MAX_LAYERS = 256
 """Most layers of a network."""
 MLP = "mlp"
-"""The policy that is no network for voxels: fully connected layers on the whole observation."""
+"""Name of the policy with fully connected layers on the whole observation; all others are for voxels."""
 REFRESH = ("none", "new", "random", "performance")
-"""Ways in which bodies take the place of others while one policy learns to control them."""
+"""Values of ``designs.refresh``: how bodies are exchanged while one policy learns to control them."""
 LOGGERS = ("tensorboard", "wandb", "neptune", "none")
 
 

@@ -97,7 +97,7 @@ class VoxelGrid:
             found.append(self._cells.get(id(source)) or self._cells_of(source, design))
         self._cells = {id(body.source): body for body in found}
 
-        # The cells of actions, of each design
+        # For each design the cell that each action drives
         actions = np.full((len(found), sim.num_actions), -1, np.int64)
         for row, body, columns in zip(actions, found, sim.action_columns, strict=True):
             first = columns[self._name].start

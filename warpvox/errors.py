@@ -83,9 +83,7 @@ class ResumeError(RunError):
 
 
 class DivergenceError(RunError):
-    """Training has produced numbers that are not finite; its settings, mostly the learning rate, do not suit the
-    task.
-    """
+    """Training has produced numbers that are not finite; its settings, mostly the learning rate, do not suit it."""
 
 
 class RolloutError(WarpvoxError, ValueError):

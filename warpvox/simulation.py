@@ -487,7 +487,7 @@ class Simulation(Sensing):
         # Tables
         tables, which = self._batch.tables(packs)
         put_tables(self._state, {name: values[which] for name, values in tables.items()}, packs)
-        # Lanes without an environment too: torn apart, they would have the candidates of the others made again.
+        # Also lanes without an environment: if their points moved, all lanes' contact candidates would be made again.
         self._views["pos"][packs] = self.array("rest_pos")[packs]
 
         # What follows from them

@@ -17,7 +17,7 @@ from warpvox.errors import ConfigError, RunError
 from warpvox.runs import ZOO
 
 _COPIES = Path("training") / "start"
-"""Copies of the robots in a search's folder: a resumed search does not depend on other files."""
+"""Subfolder of a search with copies of its first robots: a resumed search does not depend on other files."""
 
 
 def read_start(settings: Codesign, folder: Path | None = None) -> list[Robot]:

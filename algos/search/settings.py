@@ -31,7 +31,7 @@ class SearchSettings(Settings):
     title = "search"
     """Name of the algorithm in reports."""
     implementation = ""
-    """``MODULE:NAME`` of what makes the search, in this package; imported only then, with the libraries it needs."""
+    """``MODULE:NAME`` in this package that makes the search; imported, with its libraries, only when it is used."""
 
     algorithm: str = key("", "which search")
     population: int = key(25, "designs of a generation", low=2)

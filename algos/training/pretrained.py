@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from warpvox.algos.checkpoints.files import PolicySpec
 
 OBS_OF_VOXELS = {"task": "voxel", "timed": "timed_voxel"}
-"""Observations of a policy for voxels, by those that ``obs`` says."""
+"""Observations that a voxel policy gets for a value of ``obs``."""
 
 
 def find_pretrained(source: str, output_dir: str) -> tuple[Path, dict[str, Any]]:

@@ -14,7 +14,7 @@ from warpvox.keys import Settings, check_values, convert, key, plain
 from warpvox.types import OBSERVATIONS, RULES
 
 MOST_THREADS = 1024
-"""More than any machine has cores; a stored file may not make a process start a million."""
+"""Most threads, above the cores of any machine: a stored file must not start a million."""
 TASK = "task id, or a task of your own: module:NAME or file.py:NAME"
 RULE_SETS = "rules and constants of the benchmark as released (evogym) or as printed in the paper (paper)"
 TORCH_THREADS = "PyTorch threads; more than 1 slow down small networks and change rounding"
@@ -23,7 +23,7 @@ DEVICES = "auto (CUDA where there is a device, from 256 environments on), cpu, c
 
 
 def arithmetic_key(default: str) -> Any:
-    """The key ``arithmetic``; ``default``: what null stands for."""
+    """Return the field of the key ``arithmetic``; ``default`` says in its help what null stands for."""
     return key(None, f"fast, or exact (float64, bit for bit as released); null: {default}", choices=("fast", "exact"))
 
 

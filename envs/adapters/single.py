@@ -46,9 +46,7 @@ class Sensors:
         return value, command, buffers
 
     def _centre(self, name: str, which: int) -> np.ndarray:
-        """Return the centre of mass (``which`` 1) or its velocity (2), ``[1, 2]``; sense both again if points have
-        moved.
-        """
+        """Return the centre of mass (``which`` 1) or its velocity (2), ``[1, 2]``; sense it again after motion."""
         if self.moved:
             if self._centres is None:
                 _, command, buffers = self._record("com", (name,))

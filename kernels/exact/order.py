@@ -76,9 +76,7 @@ def path_key(kit: Kit):
 
     @kit.func
     def key(model, data, mesh, pack, k, first, second, last):
-        """Return the sort key of the contact of leaves ``first`` and ``second``; ``last`` tells apart contacts of
-        both.
-        """
+        """Return the sort key of the contact of leaves ``first`` and ``second``; ``last`` is its lowest bits."""
         to_a, to_b = model.node[mesh, first], model.node[mesh, second]
         a, b = int(to_a[3]), int(to_b[3])  # the roots
         path = wp.int64(to_a[2] * model.objects[mesh] + to_b[2])

@@ -52,7 +52,7 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
     units = lanes // width
     packs = len(batch.pack_group)
 
-    # Tables, and which of them each pack has; with a grid any pack may come to differ from the others
+    # Tables, and which of them each pack has; with a grid every pack has its own, as its bodies may be exchanged
     tables, which = batch.tables()
     if batch.grid is not None:
         tables = {name: values[which] for name, values in tables.items()}

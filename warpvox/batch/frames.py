@@ -109,9 +109,7 @@ class Frame:
         self.bodies = [bodies.take(kept) for bodies in self.bodies]
 
     def tables(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        """Return tables of packs whose lanes hold the bodies ``index``, int ``[packs, lanes]``; see
-        :class:`_PackTables`.
-        """
+        """Return tables of packs whose lanes hold the bodies ``index``, int ``[packs, lanes]``."""
         # So many packs at once that the largest array has a million entries: it stays in the cache.
         cells = sum(bodies.cells[0].size for bodies in self.bodies)
         most = max(1, 1_000_000 // max(1, 200 * cells * index.shape[1]))
@@ -176,7 +174,7 @@ class _PackTables:
 
     def _number(self) -> None:
         """Give a row to each point, spring and surface voxel that some lane has."""
-        # Rows of what some lane has of each robot
+        # Rows of the points, springs and voxels of each robot that some lane has
         self.points: list[_Rows] = []
         self.springs: list[_Rows] = []
         self.voxels: list[_Rows] = []

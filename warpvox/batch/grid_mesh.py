@@ -353,7 +353,7 @@ class GridMesh:
         """Set which springs exist, their ends, stiffness, actions, and the points they pull at; and rigid sides."""
         springs = self.springs
 
-        # The cells of each spring, bool [P, E, L]: there are its own, the other one, and they are connected
+        # Bool [P, E, L]: whether the spring's own cell exists, whether the cell beside it does, and both are connected
         has_cell = self._of(self.filled, springs.cell, False)
         has_other = self._of(self.filled, springs.other, False)
         joined = np.where(springs.across[:, None], self._joined(self.down), self._joined(self.right))
@@ -371,13 +371,13 @@ class GridMesh:
         as_first = has_cell | (has_other & same)
         self.spring = np.where(side, np.where(second, as_second, as_first), has_cell)
 
-        # The cells that have a part in it: its own, and the other one where the side is common to both
+        # The cells that determine the stiffness: the own one, and the other one if both share this side
         shared = np.where(second | ~side, False, has_other & (joined | ~has_cell))
         kind = self._of(self.cells, springs.cell, Cell.EMPTY)
         other_kind = self._of(self.cells, springs.other, Cell.EMPTY)
         self.stiffness = self._stiffness(kind, other_kind, has_cell, shared)
 
-        # The actions that drive it: those of the cells, if they are actuators of its direction
+        # The actions that drive a spring: those of its cells that are actuators along it
         number = np.cumsum(np.isin(self.cells, ACTUATORS), axis=1) - 1
         self.actions = number[:, -1] + 1
         actuator = np.where(springs.across, int(Cell.H_ACT), int(Cell.V_ACT))[:, None]

@@ -155,9 +155,7 @@ class Objects:
         return fixed[frame].to(self.device, dtype), is_fixed[frame].to(self.device)
 
     def loose_points(self, names: Sequence[str]) -> tuple[torch.Tensor, ...]:
-        """Return the points of loose objects, ``[num_envs, points]``: index, object's cell and height, column and
-        row.
-        """
+        """Return the points of loose objects, ``[num_envs, points]``: index, object's cell and height, point's cell."""
         # Of each frame: x, y and height of the object, column and row of its points
         tables: list[list[list[int]]] = []
         for compiled in self._batch.compiled:

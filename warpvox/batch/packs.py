@@ -188,7 +188,7 @@ class Batch:
         different = {id(world): world for world in worlds}
         keys = {number: world.key() for number, world in different.items()}
 
-        # The entry of each, with those that are new
+        # The entry of each new world; worlds that the batch does not have yet are added
         entries = {entry.key: entry for entry in self.entries}
         added: dict[int, list[Entry]] = {}
         chosen = []

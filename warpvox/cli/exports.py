@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 ROLLOUT = "rollout.npz"
 _TILES = 16
-"""Most environments in a picture; of a run over many bodies there may be more."""
+"""Most environments in a picture, except for runs over many bodies."""
 LARGE = (960, 540)
 """Size of a window, and of pictures with more than :data:`_TILES` environments, in pixels."""
 

@@ -338,7 +338,7 @@ def agent_of(name: str, env: Any) -> Callable[[Any], Any]:
         return lambda obs: torch.ones((env.num_envs, env.num_actions))
     if name == "random":
         return lambda obs: ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * draw()
-    # One second a cycle, each actuator with a phase of its own: enough for most bodies to get somewhere.
+    # A sine of one second for each actuator, with a random phase: most bodies move with it.
     phase = 2 * torch.pi * draw()
     steps = count()
     return lambda obs: ACTION_CENTER + ACTION_SCALE * torch.sin(2 * torch.pi * FRAME_SECONDS * next(steps) + phase)
