@@ -7,6 +7,8 @@ The file holds ``header`` (JSON in UTF-8, uint8: ``format``, ``version``, ``task
 ``amplitude``, ``phase`` and ``rest`` (float64 ``[stages, actuators]``, see :func:`warpvox.algos.robots.gait_policy`).
 """
 
+from __future__ import annotations
+
 import hashlib
 import html
 import json
@@ -14,18 +16,19 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from warpvox.algos.checkpoints.policy import Policy
-from warpvox.algos.robots.policies import arrays_of, as_stored, gait_policy, network_policy
 from warpvox.checks import is_number
 from warpvox.design import Design, check_design, full_connections, zoo_file, zoo_tasks as zoo_tasks
 from warpvox.errors import DesignError, RunError
 from warpvox.io.reading import ArrayFile, Missing, Unreadable, parse_json
 from warpvox.io.writing import atomic_path, check_suffix
 from warpvox.palette import body_svg
+
+if TYPE_CHECKING:  # torch, which the help of commands does without
+    from warpvox.algos.checkpoints.policy import Policy
 
 FORMAT, VERSION = "warpvox robot", 1
 DIGITS = 9
@@ -64,6 +67,8 @@ class Robot:
     def __post_init__(self) -> None:
         """Replace the policy by a copy in the form that files keep."""
         if self.policy is not None:
+            from warpvox.algos.robots.policies import as_stored
+
             object.__setattr__(self, "policy", as_stored(self.policy, self.body))
 
     def __repr__(self) -> str:
@@ -224,6 +229,8 @@ def _check_header(header: Any) -> None:
 
 def _robot(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Robot:
     """Make the robot from the header and the arrays of a file."""
+    from warpvox.algos.robots.policies import gait_policy, network_policy
+
     body = check_design(arrays.pop("body"))
     connections = arrays.pop("connections").astype(np.int32)
     network = header["network"]
@@ -250,5 +257,7 @@ def _network(policy: Policy | None) -> dict[str, Any] | None:
 
 def _arrays(robot: Robot) -> dict[str, np.ndarray]:
     """Return the arrays of a robot's file: body, connections and those of the policy."""
+    from warpvox.algos.robots.policies import arrays_of
+
     arrays = {"body": robot.body, "connections": robot.connections.astype(np.int32)}
     return arrays if robot.policy is None else arrays | arrays_of(robot.policy)

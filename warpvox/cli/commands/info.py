@@ -61,4 +61,4 @@ def run(config: object, given: Collection[str], console: Console) -> None:
     for name, value in rows:
         table.add_row(literal(name), literal(value))
     console.print(table, highlight=False)
-    echo(console, "`warpvox demo` trains a first robot, `warpvox tasks` lists the tasks.")
+    echo(console, "`warpvox train preset=demo` trains a first robot, `warpvox tasks` lists the tasks.")

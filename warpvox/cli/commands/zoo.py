@@ -8,7 +8,6 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from warpvox.algos.robots.entry import read_robot
-from warpvox.algos.robots.policies import arrays_of
 from warpvox.configs.tools import ZooConfig
 from warpvox.design import ZOO_FOLDER
 from warpvox.envs.registry import get_task, task_ids
@@ -90,6 +89,8 @@ def _print_one(path: Path, console: Console) -> None:
     if robot.policy is None:
         policy = "none"
     elif robot.policy.spec.gait is not None:
+        from warpvox.algos.robots.policies import arrays_of
+
         arrays = arrays_of(robot.policy)
         parameters = (
             sum(array.size for array in arrays.values()) - 1
