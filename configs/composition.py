@@ -86,7 +86,7 @@ def quoted(text: str) -> str:
 
 @functools.cache
 def register(command: str) -> None:
-    """Register the dataclass of a command and the choices of its groups with Hydra, once."""
+    """Register a command's dataclass, the choices of its groups and the ``paper_*`` resolvers with Hydra, once."""
     store = ConfigStore.instance()
     own = (files("warpvox.configs") / f"{command}.yaml").is_file()
     store.store(name=f"{command}_schema" if own else command, node=schema_of(command))

@@ -524,9 +524,9 @@ class VoxelVecEnv:
         return self._finite.total()
 
     def retimed(self, obs: torch.Tensor) -> torch.Tensor:
-        """Return the last observation ``obs`` with the present episode lengths, which a caller may have assigned.
+        """Return ``obs`` with its time column set to the present episode lengths; a caller may have changed these.
 
-        Only observations of ``obs="timed"`` hold them; others are returned as they are.
+        Only observations of ``obs="timed"`` have that column; others are returned as they are.
         """
         if not is_timed(self.obs_columns[0]):
             return obs

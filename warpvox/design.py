@@ -528,7 +528,7 @@ def _parse_list(text: str, source: str) -> object:
 
 
 def _robot_of(world: dict, source: str) -> np.ndarray:
-    """Return the cells of the only object with an actuator of a world in EvoGym's format."""
+    """Return the robot's cells, cropped, from a world in EvoGym's format, which must hold exactly one robot."""
     try:
         objects = read_objects(world).values()
     except WorldError as error:

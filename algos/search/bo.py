@@ -54,7 +54,7 @@ class BayesianSearch(BaseSearch):
         self.adopt(candidates)
 
     def _by_improvement(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
-        """Return bodies by expected improvement, climbed from the starts that Thompson sampling picks."""
+        """Propose bodies: start from those that Thompson sampling picks, and improve each by expected improvement."""
         pool, _ = self.pool(rng, self.settings.candidates, 0)
         if not len(pool):
             return []

@@ -313,7 +313,7 @@ class Bodies:
         }
 
     def set_state(self, state: dict[str, Any], env: RslRlVecEnv) -> None:
-        """Restore what :meth:`state` returned and give the environments their bodies, but not their own state.
+        """Restore a saved :meth:`state` and put its bodies into ``env``; the simulation's own state is not restored.
 
         Raises:
             RunError: the state is of other bodies or environments. DesignError: a body in it is not valid.

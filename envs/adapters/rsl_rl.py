@@ -230,7 +230,7 @@ class _ReturnScale:
         self._moments = start[:, None].repeat(1, groups)
 
     def __call__(self, reward: torch.Tensor, done: torch.Tensor) -> torch.Tensor:
-        """Update the deviation with the rewards of a step; return the rewards divided by it, clipped to +-10."""
+        """Divide rewards by the running standard deviation of discounted returns, updated first; clip to +-10."""
         self._return.mul_(self.gamma).add_(reward)
         count, mean, squares = self._moments
         grouped = self._return.view(len(count), -1)

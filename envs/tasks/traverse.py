@@ -48,9 +48,9 @@ def _tilts(degrees: float) -> Termination:
 
 
 def _arrives(limit: float, bonus: float) -> tuple[Termination, ...]:
-    """Return the end of an episode at a wall one voxel beyond ``limit``: the robot's front has passed ``limit``.
+    """Return the rule that ends an episode, with ``bonus``, once the robot's front passes x = ``limit``.
 
-    Reading of the paper's "end of the terrain", whose line lies a voxel before the edge of open terrain, too.
+    This is how we read the paper's "end of the terrain": ``limit`` lies one voxel before the wall or the edge.
     """
     return (terminates(reaches, axis="x", limit=limit, bonus=bonus),)
 

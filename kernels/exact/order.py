@@ -68,7 +68,7 @@ def path_key(kit: Kit):
 
     @kit.func
     def area(model, data, mesh, pack, k, n):
-        """Return the area of the box of node n in lane k."""
+        """Return the area of the bounding box of node ``n`` of the tree, in the environment of lane ``k``."""
         if n >= model.nodes[mesh]:
             return model.node_area[mesh, n]
         wide = data.node_box[pack, 4 * n + 1, k] - data.node_box[pack, 4 * n, k]

@@ -227,7 +227,11 @@ class Viewer:
         hide_boxels: bool = False,
         dont_clear: bool = False,
     ) -> None:
-        """Paint what a camera sees, into its image, or the window if it is shown. ``dont_clear``: ArgumentError."""
+        """Paint the view of a camera: into its image if it is renderable, else into the window if that is visible.
+
+        Raises:
+            ArgumentError: ``dont_clear``, which is not available.
+        """
         if dont_clear:
             raise ArgumentError("dont_clear=True is not available: every picture is painted anew.")
         if not camera.is_renderable and self.shown and self._window is None:

@@ -31,7 +31,7 @@ QUIET_SECONDS = 30.0
 
 
 def with_tracker(settings: Codesign, listeners: Sequence[Listener]) -> list[Listener]:
-    """Return the listeners of a search, with that of its ``logger`` as the first."""
+    """Return ``listeners``, and before them one for Weights & Biases if the search logs there."""
     if settings.logger != "wandb":
         return list(listeners)
     return [_TrackedSearch(settings), *listeners]

@@ -25,7 +25,7 @@ QUIET_SECONDS = 10.0
 
 
 def with_tracker(logger: str, listeners: Sequence[Listener]) -> list[Listener]:
-    """Return the listeners of a training, with that of ``logger`` as the first."""
+    """Return ``listeners``, and before them one for Weights & Biases if ``logger`` is ``wandb``."""
     if logger != "wandb":
         return list(listeners)
     from warpvox.progress.tracking import TrackedTraining

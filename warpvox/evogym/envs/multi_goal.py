@@ -122,7 +122,7 @@ class BiWalk(TaskEnv, GoalBase):
         self.init_reward_goals(goals)
 
     def _rules(self) -> TaskSpec:
-        """Return the task without observations, rewards and memory of goals, which :class:`GoalBase` has."""
+        """Return the task without its rules for goals: :class:`GoalBase` computes these itself."""
         spec = super()._rules()
         return replace(spec, observations=spec.observations[:2], rewards=(), terminations=(), memory=())
 
