@@ -13,7 +13,7 @@ sys.path[:0] = [str(FOLDER), str(FOLDER.parent)]  # mkdocs runs with any folder 
 import api_pages  # noqa: E402
 import notebooks  # noqa: E402
 import task_pages  # noqa: E402
-from parts import PARTS  # noqa: E402
+from page_order import PARTS  # noqa: E402
 
 MARK = re.compile(r"^<!-- (help .*|end of help|bench \w+|end) -->\n?", re.MULTILINE)
 FENCE = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)

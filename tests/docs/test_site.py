@@ -8,7 +8,7 @@ from pathlib import Path
 
 import key_tables
 import pytest
-from parts import PARTS
+from page_order import PARTS
 
 import warpvox
 from warpvox.algos.robots import zoo_tasks
