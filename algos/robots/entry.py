@@ -100,7 +100,11 @@ class Robot:
 
     @property
     def own_policy(self) -> Policy:
-        """Policy of the robot. RunError: it has none."""
+        """The policy.
+
+        Raises:
+            RunError: the robot is a body alone.
+        """
         if self.policy is None:
             why = self.about.get("no_policy", "there is a body alone.")
             raise RunError(f"The robot has no policy: {why} play agent=sine task={self.task} design=zoo:... moves it.")
