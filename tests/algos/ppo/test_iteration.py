@@ -211,10 +211,14 @@ def test_a_capture_that_fails_is_said_once_and_learning_goes_on(cuda: SimulatedC
     assert ["Iterations of PPO cannot be captured" in str(warning.message) for warning in said] == [True]
 
 
+RECURRENT = pytest.param(
+    {"rnn": {"rnn_type": "gru", "rnn_hidden_dim": 4}},
+    marks=pytest.mark.skipif(torch.version.cuda is not None, reason="cuDNN's layers cannot be simulated"),
+)
+
+
 @pytest.mark.parametrize(
-    "changes",
-    [{"rnn": {"rnn_type": "gru", "rnn_hidden_dim": 4}}, {"extra": {"normalize_advantage_per_mini_batch": True}}, None],
-    ids=["rnn", "extra", "cpu"],
+    "changes", [RECURRENT, {"extra": {"normalize_advantage_per_mini_batch": True}}, None], ids=["rnn", "extra", "cpu"]
 )
 def test_rsl_rl_learns_all_else(changes: dict | None, cuda: SimulatedCuda) -> None:
     options = {"device": "cpu", "cuda_graph": None} if changes is None else {}
