@@ -121,9 +121,9 @@ def check_known(
         if name not in names:
             owner = functions[0].__qualname__.removesuffix(".__init__")
             what = f"{owner} got an unexpected keyword argument {name!r}."
-            places = (place for one in (name, ELSEWHERE.get(name, "")) for place in _places(one, functions[-1]))
-            if place := next(places, None):
-                raise UnknownArgumentError(f"{what} It is a setting of a part: {place}.")
+            for one in (name, ELSEWHERE.get(name, "")):
+                if place := next(_places(one, functions[-1]), None):
+                    raise UnknownArgumentError(f"{what} It is a setting of a part: {place}.")
             raise UnknownArgumentError(f"{what}{_hint(name, names)} It takes {listing(names, len(names))}.")
     return given
 

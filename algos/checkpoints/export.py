@@ -134,7 +134,7 @@ def _card_of_onnx(path: Path) -> bytes:
     try:
         model = onnx.ModelProto.FromString(read_bytes(path, LARGEST))
         found = {entry.key: entry.value for entry in model.metadata_props}
-        _check_age(path, found)
+        _refuse_other_writers(path, found)
         if CARD not in found:
             raise RunError(f"{path} was not written by warpvox: it does not say which policy it holds.")
         return base64.b64decode(found[CARD], validate=True)
@@ -149,7 +149,7 @@ def _card_of_script(path: Path) -> bytes | None:
     try:
         with zipfile.ZipFile(path) as archive:
             extra = {info.filename.rpartition("/extra/")[2]: info for info in archive.infolist()}
-            _check_age(path, extra)
+            _refuse_other_writers(path, extra)
             if CARD not in extra:
                 return None
             if extra[CARD].file_size > LARGEST or extra[CARD].compress_type != zipfile.ZIP_STORED:
@@ -159,7 +159,7 @@ def _card_of_script(path: Path) -> bytes | None:
         raise RunError(f"{path} holds no policy that can be read ({error}).") from None
 
 
-def _check_age(path: Path, names: Container[str]) -> None:
+def _refuse_other_writers(path: Path, names: Container[str]) -> None:
     """Raise RunError if a file is another library's, or was exported by warpvox 0.1.0."""
     if "_stable_baselines3_version" in names:
         raise RunError(

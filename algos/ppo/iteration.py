@@ -103,8 +103,10 @@ class Iteration:
         self._names = list(figures)
         vector = torch.stack([value.double() for value in figures.values()])
 
-        ended, whole, returns = (torch.stack([step[name] for step in steps]) for name in ("dones", "whole", "returns"))
-        return vector, ended.any(0), whole, returns
+        ended = torch.stack([step["dones"] for step in steps]).any(0)
+        whole = torch.stack([step["whole"] for step in steps])
+        returns = torch.stack([step["returns"] for step in steps])
+        return vector, ended, whole, returns
 
     def _mark(self, place: int) -> None:
         """Record the time on the device: 0: the iteration begins, 1: learning begins, 2: learning ends."""

@@ -102,12 +102,6 @@ def evaluations_of(found: Run) -> list[dict[str, float]]:
     return [row for row in read_metrics(found.folder) if np.isfinite(row["eval_return"])]
 
 
-def _points(found: Run, x: str) -> np.ndarray:
-    """Return the evaluations of a run, float64 ``[2, k]``: values of ``x``, and returns."""
-    rows = evaluations_of(found)
-    return np.array([[row[x] for row in rows], [row["eval_return"] for row in rows]], float)
-
-
 def write_curves(
     panels: Mapping[str, Sequence[Curve]], path: str | os.PathLike[str], x: str, size: tuple[int, int]
 ) -> Path:

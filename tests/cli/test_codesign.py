@@ -184,7 +184,9 @@ def test_a_report_that_is_made_while_its_search_ends_tells_the_end(
     copied: Path, warpvox: Callable, monkeypatch
 ) -> None:
     warpvox("codesign", "report=latest")
-    page, summary, report_page = (copied / "report.html").read_text(), copied / "summary.json", results_of.report_page
+    page = (copied / "report.html").read_text()
+    summary = copied / "summary.json"
+    report_page = results_of.report_page
     ended = summary.read_text()
 
     def late(*given: Any) -> str:

@@ -272,7 +272,9 @@ def test_what_another_process_is_writing_is_no_leftover(copied: Callable, warpvo
 def test_nobody_else_goes_on_with_a_run_while_its_films_are_written(
     command: str, more: list[str], writer: str, copied: Callable, warpvox: Callable, monkeypatch
 ) -> None:
-    run, held, tried = copied(command), [], []
+    run = copied(command)
+    held = []
+    tried = []
 
     @contextmanager
     def lock(path: Path, *words: Any) -> Iterator[None]:

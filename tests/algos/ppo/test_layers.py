@@ -105,13 +105,14 @@ class Values:
 
 
 def test_returns_and_advantages_are_rsl_rls_bit_for_bit() -> None:
-    random, steps, rows = torch.Generator().manual_seed(0), 9, 11
+    random = torch.Generator().manual_seed(0)
+    rows = 11
     obs = TensorDict({"policy": torch.zeros(rows, 3)}, [rows])
     last = torch.randn(rows, 1, generator=random)
     found = []
     for compute in (PopulationPPO._estimate_advantages, StockPPO.compute_returns):
         draw = torch.Generator().manual_seed(1)
-        storage = RolloutStorage("rl", rows, steps, obs, [2])
+        storage = RolloutStorage("rl", rows, 9, obs, [2])
         storage.rewards.normal_(generator=draw)
         storage.values.normal_(generator=draw)
         storage.dones.copy_(torch.rand(storage.dones.shape, generator=draw) < 0.2)
