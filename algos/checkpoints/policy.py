@@ -4,6 +4,7 @@ import copy
 import io
 import math
 from collections.abc import Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
@@ -73,7 +74,7 @@ class Actor(nn.Module):
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Return outputs ``[..., num_actions]`` for observations ``[..., num_obs]``."""
-        dtype = next(value.dtype for value in self.state_dict().values() if value.is_floating_point())
+        dtype = next(chain(self.parameters(), self.buffers())).dtype
         rows = obs.to(dtype).reshape(-1, obs.shape[-1])
         return self.model({OBS_GROUP: rows}).reshape((*obs.shape[:-1], self.num_actions))
 
@@ -193,7 +194,7 @@ class Policy(nn.Module):
     def act(self, obs: np.ndarray) -> np.ndarray:
         """Return actions as a NumPy array for NumPy observations, as Gymnasium's environments use them."""
         with torch.no_grad():
-            device = next(iter(self.state_dict().values())).device
+            device = next(chain(self.parameters(), self.buffers())).device
             return self(torch.as_tensor(np.asarray(obs), device=device)).cpu().numpy()
 
     def fits(self, num_obs: int) -> bool:
