@@ -126,6 +126,19 @@ class ToyStore:
         return json.loads((self.folder / path).read_text())
 
 
+History = list[tuple[list[Candidate], list[float]]]
+
+
+def run(search: Any, fitness: Callable[[np.ndarray], float], generations: int = 10**6) -> History:
+    """All generations of a search, or the first ``generations``, with the fitness of their bodies."""
+    history: History = []
+    while len(history) < generations and (asked := search.ask()):
+        values = [fitness(candidate.body) for candidate in asked]
+        search.tell(values)
+        history.append((asked, values))
+    return history
+
+
 def make_loop(folder: Path, **changes: Any) -> Loop:
     """A loop over the toys with its archive in ``folder``, new or one to go on with."""
     folder.mkdir(exist_ok=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from codesign_toys import EVERY, HASTY, SEED, ToyEvaluator, ToySearch, make_loop
+from codesign_toys import EVERY, HASTY, SEED, ToyEvaluator, ToySearch, make_loop, run
 
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome
 from warpvox.algos.codesign.finalists import Finalists
@@ -19,23 +19,13 @@ def fitness(body: np.ndarray) -> float:
     return float((body * np.arange(1, body.size + 1).reshape(body.shape)).sum())
 
 
-def run(search: Any, last: int = 10**9) -> list[tuple[list[Candidate], list[float]]]:
-    """All generations of a search, or the first ``last``."""
-    history = []
-    while len(history) < last and (asked := search.ask()):
-        values = [fitness(candidate.body) for candidate in asked]
-        search.tell(values)
-        history.append((asked, values))
-    return history
-
-
 @EVERY
 def test_after_every_search_the_best_come_again(algorithm: str) -> None:
     def search() -> Finalists:
         settings = ALGORITHMS[algorithm](population=3, max_evaluations=6, **HASTY.get(algorithm, {}))
         return Finalists(make_search(settings, (3, 3), 0), 2)
 
-    history = run(search())
+    history = run(search(), fitness)
     searched = [pair for generation in history[:-1] for pair in zip(*generation, strict=True)]
     best = sorted(searched, key=lambda pair: (-pair[1], pair[0].id))[:2]
     finals = history[-1][0]
@@ -46,7 +36,7 @@ def test_after_every_search_the_best_come_again(algorithm: str) -> None:
     for done in (len(history) - 1, len(history)):  # resumed at any point, it goes on to the same end
         again = search()
         again.replay(history[:done])
-        rest = run(again)
+        rest = run(again, fitness)
         assert [[item.id for item in asked] for asked, _ in rest] == [[c.id for c in a] for a, _ in history[done:]]
 
 
@@ -55,7 +45,7 @@ def test_bodies_that_come_twice_are_one_finalist() -> None:
         def ask(self) -> list[Candidate]:
             return [dataclasses.replace(item, body=np.full((1, 1), 3 + item.id % 2)) for item in super().ask()]
 
-    history = run(Finalists(Twins(generations=2), 5))
+    history = run(Finalists(Twins(generations=2), 5), fitness)
     assert [item.body.item() for item in history[-1][0]] == [4, 3]
 
 

@@ -1,12 +1,12 @@
 """What holds for every search: valid and unique designs, turns, budget, seeds, replay, a true family tree."""
 
 import random
-from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 
+import codesign_toys
 import numpy as np
 import pytest
-from codesign_toys import EVERY, HASTY
+from codesign_toys import EVERY, HASTY, History
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 from refusals import refused
@@ -18,7 +18,6 @@ from warpvox.algos.search.bodies import CELL_TYPES, body_key, count_valid, mutat
 from warpvox.design import check_design
 from warpvox.errors import ConfigError, DesignError, SearchError
 
-History = list[tuple[list[Candidate], list[float]]]
 BUDGET = 20  # evaluations: two generations of eight and half of one
 
 
@@ -34,13 +33,7 @@ def actuators(body: np.ndarray) -> float:
     return float((body >= 3).mean() - 0.3 * (body == 1).mean())
 
 
-def run(search: BaseSearch, fitness: Callable[[np.ndarray], float] = actuators, generations: int = 10**6) -> History:
-    history: History = []
-    while len(history) < generations and (asked := search.ask()):
-        told = [fitness(candidate.body) for candidate in asked]
-        search.tell(told)
-        history.append((asked, told))
-    return history
+run = partial(codesign_toys.run, fitness=actuators)
 
 
 @cache
@@ -109,7 +102,7 @@ def test_same_seed_and_fitness_same_proposals_and_no_global_generator_is_touched
 
 @EVERY
 def test_fitness_matters(algorithm: str) -> None:
-    one, other = told_apart(whole(algorithm)), told_apart(run(fresh(algorithm), lambda body: -actuators(body)))
+    one, other = told_apart(whole(algorithm)), told_apart(run(fresh(algorithm), fitness=lambda body: -actuators(body)))
     assert one[:8] == other[:8]
     assert (one == other) == (algorithm == "random")
 
@@ -201,7 +194,7 @@ def test_a_budget_below_the_population_is_one_short_generation(algorithm: str) -
 
 @EVERY
 def test_equal_fitness_everywhere_is_no_obstacle(algorithm: str) -> None:
-    assert sum(len(asked) for asked, _ in run(fresh(algorithm), lambda body: 1.5)) == BUDGET
+    assert sum(len(asked) for asked, _ in run(fresh(algorithm), fitness=lambda body: 1.5)) == BUDGET
 
 
 @EVERY
