@@ -55,7 +55,7 @@ class DivergenceDump:
         self._scenes, self._points = scenes_of(self.env.sim)
 
     def clear(self, mask: torch.Tensor | None = None) -> None:
-        """Forget the recorded steps of environments (bool ``[num_envs]``; None: all), which begin anew."""
+        """Forget the recorded steps of environments (bool ``[num_envs]``; None: all), which begin again."""
         mask = torch.ones_like(self._at, dtype=torch.bool) if mask is None else mask
         self._at = self._at.masked_fill(mask, -1)
         self._begun = self._begun.masked_fill(mask, self._count)

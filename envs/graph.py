@@ -18,7 +18,7 @@ from warpvox.kernels.device import current_stream
 Capture = Callable[[Callable[[], Any], Sequence[torch.Generator]], tuple[Callable[[], None], Any]]
 """Records what a function launches, without doing it; returns what does it, again and again, and what it returned.
 
-It is told the generators that the function draws from: each repetition draws further numbers.
+It takes the generators that the function draws from as well: each repetition draws further numbers.
 """
 
 
@@ -94,7 +94,7 @@ class Graph:
 
     @property
     def is_recorded(self) -> bool:
-        """Whether there is a recording to replay."""
+        """True if there is a recording to replay."""
         return bool(self._recorded)
 
     def _record(self, work: Callable[[], Any], settings: Hashable) -> bool:

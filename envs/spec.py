@@ -317,14 +317,14 @@ class TaskSpec:
 
     @property
     def has_code(self) -> bool:
-        """Whether some function of the task is the user's own."""
+        """True if some function of the task is the user's own."""
         functions = [term.function for term in (*self.observations, *self.rewards, *self.terminations)]
         functions += [function for memory in self.memory for function in (memory.start, memory.update) if function]
         return not all(_is_ours(function) for function in functions)
 
     @property
     def is_random(self) -> bool:
-        """Whether environments begin with different values of some memory, as it is drawn at random."""
+        """True if environments begin with different values of some memory, as it is drawn at random."""
         from torch import equal
 
         from warpvox.envs.random_stream import RandomStream

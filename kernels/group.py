@@ -100,7 +100,7 @@ class Group:
 
     @property
     def large(self) -> bool:
-        """Whether the group's block has to ask CUDA for more shared memory than blocks have by default."""
+        """True if the group's block has to ask CUDA for more shared memory than blocks have by default."""
         return self.approximate and self.bytes * max(WARP // self.parts, 1) > SHARED_BYTES
 
     @property

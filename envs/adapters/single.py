@@ -36,7 +36,7 @@ class Sensors:
         self._points: dict[str, np.ndarray | None] = {}
         self._centres: Any = None  # launch, positions and velocities by name
         self.moved = True
-        """Whether something has moved since the centres were sensed."""
+        """True if something has moved since the centres were sensed."""
 
     def _record(self, method: str, args: tuple[Any, ...]) -> tuple[torch.Tensor, Any, list[torch.Tensor]]:
         """Call a method of the simulation; return its result, its kernel launch (or None) and the launch's buffers."""

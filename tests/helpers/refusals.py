@@ -9,7 +9,7 @@ import pytest
 
 @contextmanager
 def refused(error: Any, *named: object) -> Iterator[pytest.ExceptionInfo]:
-    """What is done in the block is refused with this error, or one of these, in a line that names all of ``named``."""
+    """Assert that the block raises this error, or one of these, in a line that names all of ``named``."""
     with pytest.raises(error) as caught:
         yield caught
     sentence = str(caught.value)

@@ -46,7 +46,7 @@ FROM_HOST = {"tensor", "as_tensor", "asarray", "new_tensor", "from_numpy"}
 INDEXING = {"__getitem__", "__setitem__", "index_put_", "index_put"}
 PROPERTIES = {"device": (CUDA, CPU), "is_cuda": (True, False), "is_cpu": (False, True)}
 SHARED_MEMORY = 227 * 1024
-"""What a block may ask for, as on an H200."""
+"""Bytes of shared memory that a block may ask for, as on an H200."""
 TOGETHER, LANES = "group_step", "control_step"
 """Kernels: that whose threads wait for each other, and the control step of the lanes layout."""
 
@@ -126,7 +126,7 @@ class _Graph:
 
 
 class _Event:
-    """Stands for torch's class; the device does at once what it is told."""
+    """Stands for torch's class; the device does at once what is launched."""
 
     def __init__(self, enable_timing: bool = False, external: bool = False) -> None:
         self._seconds = 0.0
