@@ -1,11 +1,15 @@
-"""Episode state of environments, in tensors that are allocated once."""
+"""Episodes of environments and outcomes of their steps, in tensors that are allocated once."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import torch
 
 from warpvox.envs.snapshot import Quantity, Snapshot
+from warpvox.envs.spec import TaskSpec
+from warpvox.kernels import episodes as kernels
+from warpvox.sensors import Recorded
+from warpvox.simulation import Simulation
 
 
 class Episodes:
@@ -50,17 +54,6 @@ class Episodes:
             else:
                 tensor.masked_fill_(mask, 0)
 
-    def end(self, terminated: torch.Tensor, truncated: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mark the environments that end now; return which have terminated and which were truncated since their reset.
-
-        All are bool ``[num_envs]``.
-        """
-        terminated = self.terminated | terminated
-        truncated = self.truncated | truncated
-        self.terminated.copy_(terminated)
-        self.truncated.copy_(truncated)
-        return terminated, truncated
-
     def set_memory(self, values: Mapping[str, torch.Tensor], mask: torch.Tensor | None = None) -> None:
         """Set the task's episode state, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
         if not self.memory:
@@ -95,6 +88,100 @@ class Episodes:
         """Set counters and flags to what :meth:`state` gave."""
         for name, tensor in self._counts.items():
             tensor.copy_(state[name])
+
+
+class Outcomes:
+    """The outcome of the present control step in each environment, and the episodes that it has ended.
+
+    A few kernels do what would take dozens of torch operations, each of which costs a launch.
+
+    Attributes:
+        is_counted: bool ``[num_envs]``, where an episode is running and the simulation has not diverged.
+        nonfinite: bool ``[num_envs]``, where a number of such an episode was not finite; observations are entered
+            before :meth:`score`.
+        nonfinite_rewards: long ``[rewards]``, in how many of them each reward was not finite so far.
+    """
+
+    flags = ("unstable", "diverged", "terminated", "truncated", "done")
+    numbers = ("reward", "episode_return", "episode_length")
+
+    def __init__(self, spec: TaskSpec, sim: Simulation, episodes: Episodes) -> None:
+        self._sim = sim
+        self._episodes = episodes
+        names = [term.name for term in spec.rewards]
+        factors = [term.weight for term in spec.rewards]
+        self._num_rewards = len(names)
+        self._names = [*names, "unstable", *(term.name for term in spec.terminations)]
+        factors += [spec.unstable_penalty, *(term.bonus for term in spec.terminations)]
+        self._factors = torch.tensor(factors, dtype=torch.float64, device=sim.device)
+
+        def zeros(*shape: int, dtype: torch.dtype) -> torch.Tensor:
+            return torch.zeros(shape, dtype=dtype, device=sim.device)
+
+        count = sim.num_envs
+        self.is_counted = zeros(count, dtype=torch.bool)
+        self.nonfinite = zeros(count, dtype=torch.bool)
+        self.nonfinite_rewards = zeros(self._num_rewards, dtype=torch.long)
+        self._hits = zeros(len(spec.terminations), count, dtype=torch.bool)
+        self._terms = zeros(len(self._names), count, dtype=torch.float64)
+        self._flags = zeros(len(self.flags), count, dtype=torch.bool)
+        self._numbers = zeros(len(self.numbers), count, dtype=torch.float64)
+        self._launches: dict[tuple[Any, ...], Recorded] = {}
+
+    def _launch(self, name: str, *inputs: Any) -> None:
+        """Launch a kernel; it is recorded at the first call."""
+        key = (name, *inputs)
+        if key not in self._launches:
+            self._launches[key] = kernels.record(self._sim.buffers, name, self._tensors(), *inputs)
+        self._launches[key].launch()
+
+    def _tensors(self) -> dict[str, torch.Tensor]:
+        """Return the fields of :class:`warpvox.kernels.episodes.EpisodeArrays` that are not the simulation's."""
+        episodes = self._episodes
+        return {
+            "length": episodes.length,
+            "limit": episodes.limit,
+            "returns": episodes.returns,
+            "was_terminated": episodes.terminated,
+            "was_truncated": episodes.truncated,
+            "is_counted": self.is_counted,
+            "nonfinite": self.nonfinite,
+            "nonfinite_rewards": self.nonfinite_rewards,
+            "factors": self._factors,
+            "hits": self._hits,
+            "terms": self._terms,
+            **dict(zip(self.flags, self._flags, strict=True)),
+            **dict(zip(self.numbers, self._numbers, strict=True)),
+        }
+
+    def count(self) -> None:
+        """Count the step in the length of running episodes, and note where the simulation has stopped it."""
+        self._launch("count_step")
+
+    def score(
+        self, rewards: Iterable[torch.Tensor], hits: Iterable[torch.Tensor], auto_reset: bool
+    ) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
+        """Add up the rewards, find which episodes end, and bring these up to date.
+
+        An episode that ends has length and return 0 afterwards with ``auto_reset``; else it is marked as ended and its
+        environment frozen.
+
+        Args:
+            rewards: of each reward term ``[num_envs]``, without its weight.
+            hits: of each termination bool ``[num_envs]``.
+
+        Returns:
+            New tensors ``[num_envs]`` by name: :attr:`flags` (bool) and :attr:`numbers` (in the simulation's
+            precision); and what each term adds to the reward (float64).
+        """
+        if self._num_rewards:
+            torch.stack(list(rewards), out=self._terms[: self._num_rewards])
+        if len(self._hits):
+            torch.stack(list(hits), out=self._hits)
+        self._launch("score_step", auto_reset)
+        values = (*self._flags.clone(), *self._numbers.to(self._sim.dtype, copy=True))
+        found = dict(zip((*self.flags, *self.numbers), values, strict=True))
+        return found, dict(zip(self._names, self._terms.clone(), strict=True))
 
 
 def state_rows(state: torch.Tensor | dict[str, Any] | None, rows: torch.Tensor) -> Any:

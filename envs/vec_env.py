@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -14,8 +14,8 @@ from warpvox.batch.options import SimKeywords, SimOptions
 from warpvox.checks import check_choice, check_flag, check_integer, check_mask, is_mapping
 from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory, fewer
-from warpvox.envs.checks import FiniteGuard, all_finite, check_fields, check_memory, check_terms
-from warpvox.envs.episodes import Episodes
+from warpvox.envs.checks import FiniteGuard, check_fields, check_memory, check_terms
+from warpvox.envs.episodes import Episodes, Outcomes
 from warpvox.envs.graph import Capture, Graph, capture_on_cuda
 from warpvox.envs.memory import ask, environment_bytes
 from warpvox.envs.observations import ObservationLayout
@@ -193,7 +193,8 @@ class VoxelVecEnv:
 
         # On the CPU a mask can be read to skip work; elsewhere reading it would wait for the device.
         self._on_cpu = sim.device == "cpu"
-        self._finite = FiniteGuard(spec, sim, self.layout)
+        self._outcomes = Outcomes(spec, sim, self.episodes)
+        self._finite = FiniteGuard(spec, sim, self.layout, self._outcomes.nonfinite_rewards)
         self.dump: DivergenceDump | None = None
         self.capture: Capture | None = None
         self._graph: Graph | None = None
@@ -441,6 +442,7 @@ class VoxelVecEnv:
             self.dump.after(result[1], result[4])
         return result
 
+    @torch.no_grad()
     def _step_on_device(self) -> StepResult:
         """Step all environments with the actions that :meth:`step` has stored; return the results of :meth:`step`.
 
@@ -448,69 +450,44 @@ class VoxelVecEnv:
         written in place, and on CUDA nothing is read back.
         """
         episodes = self.episodes
-        active = episodes.active  # where an episode is running; with auto_reset: everywhere
 
         # Physics
         self.sim.advance()
-        episodes.length.add_(active)
-        unstable = self.sim.unstable & active
-        diverged = self.sim.diverged & unstable
+        self._outcomes.count()
 
         # Observations. They show the new episode length, but the memory from before its update.
         before = self._snapshot(episodes.before)
         after = self._snapshot()
         obs = self.layout.observe(after)
+        self._finite.observation(obs, self._outcomes.is_counted, self._outcomes.nonfinite)
         memory = after.update(self._updates)
 
-        # Rewards and terminations
-        reward_terms, terminated = self.evaluate_terms(before, after, unstable, active)
-        reward = cast(torch.Tensor, sum(reward_terms.values()))
-
-        # NaN and infinity. An environment that has them is stopped as diverged. On the CPU a quick check of the sums
-        # usually shows that there are none; elsewhere reading a sum would wait for the device.
-        skipped = diverged | ~active
-        clean = self._on_cpu and all_finite(obs, reward) and not skipped.any()
-        if not clean:
-            obs, nonfinite = self._finite.step(obs, reward_terms, ~skipped)
-            unstable = unstable | nonfinite
-            diverged = diverged | nonfinite
-            skipped = skipped | nonfinite
-            # The state before the step may be non-finite, too, so only the penalty remains of the reward.
-            for term in self.spec.rewards:
-                reward_terms[term.name] = reward_terms[term.name].masked_fill(skipped, 0.0)
-            reward_terms["unstable"] = unstable.double() * self.spec.unstable_penalty
-            reward = cast(torch.Tensor, sum(reward_terms.values()))
-
-        # Ends of episodes
-        terminated = terminated | unstable
-        truncated = (episodes.length >= episodes.limit) & active
-        done = terminated | truncated
-
-        # What the step returns
-        episodes.returns.add_(reward)
-        episode = {
-            "return": episodes.returns.to(self.dtype, copy=True),
-            "length": episodes.length.to(self.dtype),
-            "done": done,
-        }
+        # Rewards and ends of episodes
+        rewards, hits = self.evaluate_terms(before, after)
+        found, reward_terms = self._outcomes.score(rewards.values(), hits.values(), self.auto_reset)
+        done = found["done"]
         info = {
             "final_obs": obs,
-            "episode": episode,
-            "unstable": unstable,
-            "diverged": diverged,
+            "episode": {"return": found["episode_return"], "length": found["episode_length"], "done": done},
+            "unstable": found["unstable"],
+            "diverged": found["diverged"],
             "reward_terms": reward_terms,
         }
+        any_done = not self._on_cpu or bool(done.any())  # elsewhere reading it would wait for the device
+        if self._on_cpu and any_done and self._outcomes.nonfinite.any():
+            self._finite.report()
 
         # The next step: new episodes begin, or ended ones wait for their reset with the memory that they ended with.
-        episodes.set_before(after)
-        if self.auto_reset:
+        if not self.auto_reset:
+            episodes.set_memory(memory, episodes.active)
+            episodes.set_before(after)
+        elif not any_done:
             episodes.set_memory(memory)
-            obs = self._reset_done(done, obs)
+            episodes.set_before(after)
         else:
-            episodes.set_memory(memory, active & ~done)
-            terminated, truncated = episodes.end(terminated, truncated)
-            self.sim.set_frozen(terminated | truncated)
-        return obs, reward.to(self.dtype), terminated, truncated, info
+            episodes.set_memory(memory)
+            obs = self._begin_episodes(done, obs)
+        return obs, found["reward"], found["terminated"], found["truncated"], info
 
     def not_finite(self) -> dict[str, int]:
         """Return in how many environments each term of the task was NaN or infinite so far; waits for the device.
@@ -534,41 +511,26 @@ class VoxelVecEnv:
         return obs.scatter(1, column[self.design_index][:, None], self.episode_length[:, None].to(obs.dtype))
 
     def evaluate_terms(
-        self, before: Snapshot, after: Snapshot, unstable: torch.Tensor, active: torch.Tensor
-    ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
-        """Return the terms of the reward (float64 ``[num_envs]`` each, by name) and where the episode terminates.
+        self, before: Snapshot, after: Snapshot
+    ) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
+        """Return what the reward terms give, without their weights, and the terminations, each ``[num_envs]`` by name.
 
         Args:
             before, after: the states around the step; equal where the step was stopped.
-            unstable: bool ``[num_envs]``, where the step was stopped.
-            active: bool ``[num_envs]``, where an episode is running.
         """
-        reward_terms: dict[str, torch.Tensor] = {}
-        for term in self.spec.rewards:
-            reward_terms[term.name] = term(before, after) * term.weight
-        reward_terms["unstable"] = unstable.double() * self.spec.unstable_penalty
+        rewards = {term.name: term(before, after) for term in self.spec.rewards}
+        return rewards, {term.name: term(after) for term in self.spec.terminations}
 
-        terminated = unstable
-        for term in self.spec.terminations:
-            hit = term(after) & active
-            reward_terms[term.name] = hit.double() * term.bonus
-            terminated = terminated | hit
-        return reward_terms, terminated
-
-    def _reset_done(self, done: torch.Tensor, obs: torch.Tensor) -> torch.Tensor:
-        """Reset the environments where ``done``; return ``obs`` with the first observation of their new episodes."""
-        if self._on_cpu and not done.any():
-            return obs
-
+    def _begin_episodes(self, done: torch.Tensor, obs: torch.Tensor) -> torch.Tensor:
+        """Begin new episodes where ``done``; return ``obs`` with the first observation of these."""
         self.sim.reset(done)
         if self._draws is not None:
             self._draws.episode.add_(done)
             self._start_memory(self._draws, done, {})
-        self.episodes.clear(done)
 
+        # Of episodes that go on nothing has moved, and `obs` was made before their memory was updated.
         state = self._snapshot()
         self.episodes.set_before(state)
-        # Running episodes keep `obs`: it was made before their memory was updated.
         first_obs = self._finite.first_observation(self.layout.observe(state), done)
         return torch.where(done[:, None], first_obs, obs)
 
