@@ -69,16 +69,27 @@ class Episodes:
         for name, value in changed.items():
             tensor = self.memory[name]
             if mask is not None:
-                rows = mask.reshape(-1, *[1] * (value.ndim - 1))
-                value = torch.where(rows, value, tensor)
+                value = torch.where(rows_of(mask, value), value, tensor)
             tensor.copy_(value)
 
-    def set_before(self, state: Snapshot) -> None:
-        """Store the quantities of ``state`` that rewards will compare the next step with."""
+    def set_before(
+        self,
+        state: Snapshot,
+        first: Mapping[Any, torch.Tensor] | None = None,
+        begins: torch.Tensor | None = None,
+    ) -> None:
+        """Store the quantities of ``state`` that rewards will compare the next step with.
+
+        With ``first``, those in it are stored where ``begins`` (bool ``[num_envs]``) is True.
+        """
         self.times_set += 1
         state.fetch(self.before)
         for quantity, held in self.before.items():
-            held.copy_(state.value(quantity))
+            value = state.value(quantity)
+            if first is None or begins is None:
+                held.copy_(value)
+            else:
+                torch.where(rows_of(begins, held), first[quantity], value, out=held)
 
     def state(self) -> dict[str, torch.Tensor]:
         """Return copies of counters and flags by name."""
@@ -88,6 +99,11 @@ class Episodes:
         """Set counters and flags to what :meth:`state` gave."""
         for name, tensor in self._counts.items():
             tensor.copy_(state[name])
+
+
+def rows_of(mask: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
+    """Return a mask ``[num_envs]`` as ``[num_envs, 1, ...]``, with as many dimensions as ``like``."""
+    return mask.reshape(-1, *[1] * (like.ndim - 1))
 
 
 class Outcomes:

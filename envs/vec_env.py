@@ -15,7 +15,7 @@ from warpvox.checks import check_choice, check_flag, check_integer, check_mask, 
 from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory, fewer
 from warpvox.envs.checks import FiniteGuard, check_fields, check_memory, check_terms
-from warpvox.envs.episodes import Episodes, Outcomes
+from warpvox.envs.episodes import Episodes, Outcomes, rows_of
 from warpvox.envs.graph import Capture, Graph, capture_on_cuda
 from warpvox.envs.memory import ask, environment_bytes
 from warpvox.envs.observations import ObservationLayout
@@ -191,6 +191,13 @@ class VoxelVecEnv:
         self._set_masks_and_columns(sim.design_index[::block])  # equal designs share one world of the simulation
         self.voxels = voxel_layouts(spec.observations, self.obs_columns[0])
 
+        # What an episode begins with: its observation (under "obs"), and what its first step is compared with. Episodes
+        # of a task without memory all begin alike; code of the user's own may do anything.
+        self._first: dict[Any, torch.Tensor] = {}
+        if not spec.memory and not self._has_code:
+            self._first = {quantity: value.clone() for quantity, value in self.episodes.before.items()}
+            self._first["obs"] = self.layout.observe(probe)
+
         # On the CPU a mask can be read to skip work; elsewhere reading it would wait for the device.
         self._on_cpu = sim.device == "cpu"
         self._outcomes = Outcomes(spec, sim, self.episodes)
@@ -351,7 +358,11 @@ class VoxelVecEnv:
         self._set_masks_and_columns(torch.arange(len(worlds), device=self.device))
         if self.dump is not None:
             self.dump.refresh()
-        return self.reset(mask=mask)[0]
+        obs = self.reset(mask=mask)[0]
+        for name, value in self._first.items():
+            new = obs if name == "obs" else self.episodes.before[name]
+            torch.where(rows_of(mask, value), new, value, out=value)
+        return obs
 
     def _start_memory(self, stream: RandomStream, mask: torch.Tensor | None, given: Mapping[str, torch.Tensor]) -> None:
         """Set the memory of episodes that begin where ``mask`` (None: everywhere); move the randomized objects."""
@@ -486,7 +497,7 @@ class VoxelVecEnv:
             episodes.set_before(after)
         else:
             episodes.set_memory(memory)
-            obs = self._begin_episodes(done, obs)
+            obs = self._begin_episodes(done, after, obs)
         return obs, found["reward"], found["terminated"], found["truncated"], info
 
     def not_finite(self) -> dict[str, int]:
@@ -521,8 +532,16 @@ class VoxelVecEnv:
         rewards = {term.name: term(before, after) for term in self.spec.rewards}
         return rewards, {term.name: term(after) for term in self.spec.terminations}
 
-    def _begin_episodes(self, done: torch.Tensor, obs: torch.Tensor) -> torch.Tensor:
-        """Begin new episodes where ``done``; return ``obs`` with the first observation of these."""
+    def _begin_episodes(self, done: torch.Tensor, after: Snapshot, obs: torch.Tensor) -> torch.Tensor:
+        """Begin new episodes where ``done``; return ``obs`` with the first observation of these.
+
+        ``after`` is the state after the step, ``obs`` its observation.
+        """
+        if self._first:
+            self.episodes.set_before(after, self._first, done)
+            self.sim.reset(done)
+            return torch.where(done[:, None], self._first["obs"], obs)
+
         self.sim.reset(done)
         if self._draws is not None:
             self._draws.episode.add_(done)

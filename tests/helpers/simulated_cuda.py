@@ -38,6 +38,8 @@ PLAIN = set(
         "_has_compatible_shallow_copy_type"
     ).split()
 )  # functions that are about no values
+NO_NODES = {"empty", "empty_like", "new_empty", "_unsafe_view"}
+"""Operations that launch nothing."""
 WAITING = {
     *("item", "tolist", "__bool__", "__int__", "__float__", "__index__", "__format__", "__repr__", "equal", "allclose"),
     *("nonzero", "argwhere", "masked_select", "unique", "unique_consecutive", "bincount", "histc", "is_nonzero"),
@@ -68,6 +70,8 @@ class Tape(TorchDispatchMode):
         alias = [value.alias_info for value in func._schema.returns]
         if func._schema.is_mutable:
             self.done.append(lambda: func(*args, **kwargs))
+        elif func.__name__.split(".")[0] in NO_NODES:
+            pass
         elif not any(info is not None for info in alias):  # a view goes on showing what it shows
             assert isinstance(result, torch.Tensor), func
             self.done.append(lambda: result.copy_(func(*args, **kwargs)))
