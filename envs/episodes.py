@@ -68,9 +68,10 @@ class Episodes:
 
         for name, value in changed.items():
             tensor = self.memory[name]
-            if mask is not None:
-                value = torch.where(rows_of(mask, value), value, tensor)
-            tensor.copy_(value)
+            if mask is None:
+                tensor.copy_(value)
+            else:
+                torch.where(rows_of(mask, value), value, tensor, out=tensor)
 
     def set_before(
         self,

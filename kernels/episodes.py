@@ -10,6 +10,11 @@ from warpvox.kernels.device import kernel
 from warpvox.kernels.kit import Kit, builder
 from warpvox.kernels.state import DIVERGED, STOPPED
 
+MOST_DRAWS = 2**16
+"""Random numbers that an episode may draw, and one."""
+SPLIT_MIX = wp.types.vector(3, wp.uint64)(0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+"""The factors of SplitMix64 (Steele, Lea and Flood 2014)."""
+
 
 @wp.struct
 class EpisodeArrays:
@@ -123,9 +128,6 @@ def score_step(arrays: EpisodeArrays, auto_reset: bool):
     arrays.truncated[env] = truncated
 
 
-KERNELS = {k.func.__name__: k for k in (count_step, score_step)}
-
-
 def record(state: Any, name: str, tensors: Mapping[str, Any], *inputs: Any) -> wp.Launch | device.Command:
     """Record the launch of ``count_step`` or ``score_step``; return the command.
 
@@ -141,6 +143,31 @@ def record(state: Any, name: str, tensors: Mapping[str, Any], *inputs: Any) -> w
     for field, tensor in tensors.items():
         setattr(arrays, field, wp.from_torch(tensor))
     return device.record(KERNELS[name], state.num_envs, [arrays, *inputs], state.device)
+
+
+@kernel
+def draw(
+    keys: wp.array(dtype=wp.int64), episode: wp.array(dtype=wp.int64), first: int, low: wp.int64, span: wp.uint64,
+    out: wp.array2d(dtype=wp.int64),
+):  # fmt: skip
+    """Write random integers in [low, low + span): [environment, number]; ``first`` counts those of the episode."""
+    env, n = wp.tid()
+    place = wp.uint64(episode[env] * wp.int64(MOST_DRAWS) + wp.int64(first + n))
+    word = wp.uint64(keys[env]) + place * SPLIT_MIX[0]
+    word = (word ^ (word >> wp.uint64(30))) * SPLIT_MIX[1]
+    word = (word ^ (word >> wp.uint64(27))) * SPLIT_MIX[2]
+    word = word ^ (word >> wp.uint64(31))
+    out[env, n] = low + wp.int64((word >> wp.uint64(11)) % span)
+
+
+def record_draw(keys: Any, episode: Any, first: int, low: int, high: int, out: Any) -> wp.Launch | device.Command:
+    """Record the drawing of integers in [low, high) into ``out`` [environment, number]; all are tensors of torch."""
+    arrays = [wp.from_torch(tensor) for tensor in (keys, episode)]
+    inputs = [*arrays, first, low, high - low, wp.from_torch(out)]
+    return device.record(draw, tuple(out.shape), inputs, str(out.device))
+
+
+KERNELS = {k.func.__name__: k for k in (count_step, score_step, draw)}
 
 
 @builder

@@ -67,12 +67,12 @@ class Tape(TorchDispatchMode):
     def __torch_dispatch__(self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
         kwargs = kwargs or {}
         result = func(*args, **kwargs)
-        alias = [value.alias_info for value in func._schema.returns]
+        is_view = any(
+            value.alias_info is not None for value in func._schema.returns
+        )  # it goes on showing what it shows
         if func._schema.is_mutable:
             self.done.append(lambda: func(*args, **kwargs))
-        elif func.__name__.split(".")[0] in NO_NODES:
-            pass
-        elif not any(info is not None for info in alias):  # a view goes on showing what it shows
+        elif not is_view and func.__name__.split(".")[0] not in NO_NODES:
             assert isinstance(result, torch.Tensor), func
             self.done.append(lambda: result.copy_(func(*args, **kwargs)))
         return result

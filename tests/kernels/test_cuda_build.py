@@ -8,7 +8,7 @@ from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import make_vec
 from warpvox.kernels import episodes, sensing
 from warpvox.kernels.group import choose, group_kernel
-from warpvox.kernels.reset import reset_kernel, save, settle
+from warpvox.kernels.reset import reset_kernel, save, settle, shift_kernel
 from warpvox.kernels.reverse import reverse_kernel
 from warpvox.kernels.step import STAGES, action_kernel, stage_kernel, step_kernel
 
@@ -36,7 +36,7 @@ def kernels_of_cuda(arithmetic, precision):
 
 
 def kernels_of_episodes(precision):
-    return [*episodes.KERNELS.values(), episodes.finite_kernel(precision)]
+    return [*episodes.KERNELS.values(), episodes.finite_kernel(precision), shift_kernel(precision)]
 
 
 def build(kernel, architecture, folder):
