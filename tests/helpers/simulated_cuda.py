@@ -67,9 +67,7 @@ class Tape(TorchDispatchMode):
     def __torch_dispatch__(self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
         kwargs = kwargs or {}
         result = func(*args, **kwargs)
-        is_view = any(
-            value.alias_info is not None for value in func._schema.returns
-        )  # it goes on showing what it shows
+        is_view = any(value.alias_info is not None for value in func._schema.returns)  # it follows what it shows
         if func._schema.is_mutable:
             self.done.append(lambda: func(*args, **kwargs))
         elif not is_view and func.__name__.split(".")[0] not in NO_NODES:
