@@ -1,4 +1,4 @@
-"""Example bodies as arrays of digits: 0 empty, 1 rigid, 2 soft, 3 horizontal and 4 vertical actuator, rows from the top.
+"""Example bodies as rows of digits from the top: 0 empty, 1 rigid, 2 soft, 3 horizontal and 4 vertical actuator.
 
 All are our own. Each is a starting point for one kind of task, not the best body for it.
 """

@@ -176,7 +176,7 @@ def _is_public(kind: type) -> bool:
 
 
 def in_words(function: _Function) -> _Function:
-    """Decorate a public function so that arguments accept :data:`SYNONYMS` and unknown names raise an error with a hint."""
+    """Decorate a public function so that it accepts :data:`SYNONYMS` and reports unknown arguments with a hint."""
 
     @functools.wraps(function)
     def call(*args: Any, **given: Any) -> Any:

@@ -27,7 +27,7 @@ def palette() -> np.ndarray:
 
 
 def colour_index(cells: np.ndarray, stretch: np.ndarray) -> np.ndarray:
-    """Return the index in :data:`palette` of each cell's colour from its type (1 to 5) and stretch, int32."""
+    """Return each cell's row in :func:`palette` from its type (1 to 5) and stretch, int32."""
     wide = np.clip(stretch, ACTION_LOW, ACTION_HIGH) - 1
     level = _MIDDLE + wide * np.where(wide < 0, _MIDDLE / (1 - ACTION_LOW), _MIDDLE / (ACTION_HIGH - 1))
     actuated = np.isin(cells, ACTUATORS)

@@ -157,9 +157,7 @@ class Batch:
                 )
 
     def _rank(self, group: int) -> np.ndarray:
-        """Return int ``[entries]``: the order in which the worlds of a group fill packs, similar bodies side by side.
-
-        A pack computes everything that one of its lanes needs, so that similar bodies in a pack save time.
+        """Return the order in which a group's worlds fill packs, similar bodies side by side, int ``[entries]``.
 
         A pack computes everything that one of its lanes needs, so that similar bodies in a pack save time.
         """

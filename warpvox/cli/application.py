@@ -35,8 +35,6 @@ OPTIONS: dict[tuple[str, str], dict[str, Any]] = {
 def read_command(command: str, summary: str, words: list[str]) -> tuple[Any, Collection[str]] | None:
     """Parse a command line into settings and the keys given; None after ``--help``, ``--cfg`` and ``--multirun``.
 
-    That is so for ``--help``, ``--cfg`` and ``--multirun``.
-
     Args:
         summary: what the command does.
 

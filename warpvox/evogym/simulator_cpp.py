@@ -128,7 +128,7 @@ class Sim:
         self._engine.goals[robot_name][np.searchsorted(known, action[:, 0])] = action[:, 1]
 
     def revert(self, sim_time: int) -> None:
-        """Restore the state at a recorded time; later records are dropped, targets kept. ArgumentError: not recorded."""
+        """Restore the state at a recorded time; targets stay, later records are dropped. ArgumentError: no record."""
         self._engine.revert(sim_time)
 
     def translate_object(self, x: float, y: float, object_name: str) -> None:
