@@ -1,8 +1,8 @@
 """Validation of a task's terms and memories in new environments, and of saved states.
 
-The checks find mistakes that a term makes in every step, so that steps need no checks: shape, type, device, non-finite values,
-unknown objects and memories, exceptions. Values that are not finite later terminate the episode; a warning names the
-term.
+The checks find mistakes that a term makes in every step, so that steps need no checks: shape, type, device, non-finite
+values, unknown objects and memories, exceptions. Values that are not finite later terminate the episode; a warning
+names the term.
 """
 
 import math

@@ -86,8 +86,6 @@ class VoxelGrid:
         """Build, for every environment, the cells of its actions, the points of its cells, and fixed features.
 
         The last result is 1 where a cell is not empty.
-
-        The last result is 1 where a cell is not empty.
         """
         # Bodies that stay keep their entries: going through a body cell by cell is slow.
         sim = self._sim
