@@ -1,4 +1,4 @@
-"""Episodes of environments and outcomes of their steps, in tensors that are allocated once."""
+"""State of episodes (lengths, returns, flags) and outcomes of steps, in tensors that are allocated once."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -13,7 +13,7 @@ from warpvox.simulation import Simulation
 
 
 class Episodes:
-    """The running episodes of all environments.
+    """Lengths, returns and flags of the running episodes of all environments.
 
     Every tensor is made once and written to in place, never replaced, so that a captured step finds it again.
 
@@ -43,11 +43,11 @@ class Episodes:
 
     @property
     def active(self) -> torch.Tensor:
-        """Where an episode is running, bool ``[num_envs]``; False: it has ended and waits for its reset."""
+        """Mask of environments with a running episode, bool ``[num_envs]``; the others wait for a reset."""
         return ~(self.terminated | self.truncated)
 
     def clear(self, mask: torch.Tensor | None = None) -> None:
-        """Set counters and flags to 0, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
+        """Reset counters and flags to 0, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
         for tensor in self._counts.values():
             if mask is None:
                 tensor.zero_()
@@ -55,7 +55,7 @@ class Episodes:
                 tensor.masked_fill_(mask, 0)
 
     def set_memory(self, values: Mapping[str, torch.Tensor], mask: torch.Tensor | None = None) -> None:
-        """Set the task's episode state, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
+        """Write the values of the task's memories, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
         if not self.memory:
             self.memory = {name: value.clone() for name, value in values.items()}
             return
@@ -79,7 +79,7 @@ class Episodes:
         first: Mapping[Any, torch.Tensor] | None = None,
         begins: torch.Tensor | None = None,
     ) -> None:
-        """Store the quantities of ``state`` that rewards will compare the next step with.
+        """Store the quantities of ``state`` that rewards compare with after the next step.
 
         With ``first``, those in it are stored where ``begins`` (bool ``[num_envs]``) is True.
         """
@@ -93,11 +93,11 @@ class Episodes:
                 torch.where(rows_of(begins, held), first[quantity], value, out=held)
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Return copies of counters and flags by name."""
+        """Copy counters and flags by name."""
         return {name: tensor.clone() for name, tensor in self._counts.items()}
 
     def set_state(self, state: Mapping[str, torch.Tensor]) -> None:
-        """Set counters and flags to what :meth:`state` gave."""
+        """Restore counters and flags from a :meth:`state`."""
         for name, tensor in self._counts.items():
             tensor.copy_(state[name])
 
@@ -202,7 +202,7 @@ class Outcomes:
 
 
 def state_rows(state: torch.Tensor | dict[str, Any] | None, rows: torch.Tensor) -> Any:
-    """Return the state of an environment or adapter with only these rows, in this order.
+    """Select rows of a saved state of environments.
 
     Args:
         state: tensors in dictionaries of dictionaries; None stays None.

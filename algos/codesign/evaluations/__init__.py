@@ -1,4 +1,4 @@
-"""Ways to evaluate the designs of a search, each with its settings, checks and costs; one file each."""
+"""Kinds of evaluation for the designs of a search, one file each, with settings, checks and costs."""
 
 from warpvox.algos.codesign.evaluations.custom import Custom
 from warpvox.algos.codesign.evaluations.gaits import Gaits
