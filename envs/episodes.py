@@ -119,8 +119,8 @@ class Outcomes:
         nonfinite_rewards: long ``[rewards]``, in how many of them each reward was not finite so far.
     """
 
-    flags = ("unstable", "diverged", "terminated", "truncated", "done")
-    numbers = ("reward", "episode_return", "episode_length")
+    flags: tuple[str, ...] = ("unstable", "diverged", "terminated", "truncated", "done")
+    numbers: tuple[str, ...] = ("reward", "episode_return", "episode_length")
 
     def __init__(self, spec: TaskSpec, sim: Simulation, episodes: Episodes) -> None:
         self._sim = sim
@@ -196,9 +196,11 @@ class Outcomes:
         if len(self._hits):
             torch.stack(list(hits), out=self._hits)
         self._launch("score_step", auto_reset)
-        values = (*self._flags.clone(), *self._numbers.to(self._sim.dtype, copy=True))
-        found = dict(zip((*self.flags, *self.numbers), values, strict=True))
-        return found, dict(zip(self._names, self._terms.clone(), strict=True))
+        flags = self._flags.clone()
+        numbers = self._numbers.to(self._sim.dtype, copy=True)
+        terms = self._terms.clone()
+        found = dict(zip((*self.flags, *self.numbers), (*flags, *numbers), strict=True))
+        return found, dict(zip(self._names, terms, strict=True))
 
 
 def state_rows(state: torch.Tensor | dict[str, Any] | None, rows: torch.Tensor) -> Any:

@@ -113,13 +113,18 @@ class ObservationLayout:
 
     def observe(self, state: Snapshot) -> torch.Tensor:
         """Compute observations ``[num_envs, num_obs]`` from all terms, a new tensor in the simulation's dtype."""
-        has_gaps = self._gather is not None
-        shape = (self._sim.num_envs, self._width)
-        obs = self._padded if has_gaps else torch.empty(shape, dtype=self._sim.dtype, device=self._sim.device)
+        if self._gather is None:
+            shape = (self._sim.num_envs, self._width)
+            obs = torch.empty(shape, dtype=self._sim.dtype, device=self._sim.device)
+        else:
+            obs = self._padded
         start = 0
         for term in self._terms:
             value = term(state)
             stop = start + value[0].numel()
-            obs[:, start:stop].unflatten(1, value.shape[1:]).copy_(value)  # converts and transposes on the way
+            place = torch.unflatten(obs[:, start:stop], 1, value.shape[1:])
+            place.copy_(value)  # converts and transposes on the way
             start = stop
-        return obs.gather(1, self._gather) if has_gaps else obs
+        if self._gather is None:
+            return obs
+        return obs.gather(1, self._gather)

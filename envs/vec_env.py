@@ -479,25 +479,26 @@ class VoxelVecEnv:
         done = found["done"]
         info = {
             "final_obs": obs,
-            "episode": {"return": found["episode_return"], "length": found["episode_length"], "done": done},
+            "episode": {
+                "return": found["episode_return"],
+                "length": found["episode_length"],
+                "done": done,
+            },
             "unstable": found["unstable"],
             "diverged": found["diverged"],
             "reward_terms": reward_terms,
         }
-        any_done = not self._on_cpu or bool(done.any())  # elsewhere reading it would wait for the device
-        if self._on_cpu and any_done and self._outcomes.nonfinite.any():
-            self._finite.report()
 
         # The next step: new episodes begin, or ended ones wait for their reset with the memory that they ended with.
-        if not self.auto_reset:
-            episodes.set_memory(memory, episodes.active)
-            episodes.set_before(after)
-        elif not any_done:
-            episodes.set_memory(memory)
-            episodes.set_before(after)
-        else:
-            episodes.set_memory(memory)
+        # On the CPU a look at what has ended saves work; elsewhere it would wait for the device.
+        may_begin = not self._on_cpu or bool(done.any())
+        if self._on_cpu and may_begin and self._outcomes.nonfinite.any():
+            self._finite.report()
+        episodes.set_memory(memory, None if self.auto_reset else episodes.active)
+        if self.auto_reset and may_begin:
             obs = self._begin_episodes(done, after, obs)
+        else:
+            episodes.set_before(after)
         return obs, found["reward"], found["terminated"], found["truncated"], info
 
     def not_finite(self) -> dict[str, int]:

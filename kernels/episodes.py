@@ -12,8 +12,9 @@ from warpvox.kernels.state import DIVERGED, STOPPED
 
 MOST_DRAWS = 2**16
 """Random numbers that an episode may draw, and one."""
-SPLIT_MIX = wp.types.vector(3, wp.uint64)(0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
-"""The factors of SplitMix64 (Steele, Lea and Flood 2014)."""
+_STEP = wp.constant(wp.uint64(0x9E3779B97F4A7C15))  # of SplitMix64 (Steele, Lea and Flood 2014), as the factors
+_FACTOR = wp.constant(wp.uint64(0xBF58476D1CE4E5B9))
+_SECOND_FACTOR = wp.constant(wp.uint64(0x94D049BB133111EB))
 
 
 @wp.struct
@@ -56,7 +57,9 @@ def count_step(arrays: EpisodeArrays):
     """Count the step of an episode that is running, and note whether the simulation stopped it."""
     env = wp.tid()
     active = not (arrays.was_terminated[env] or arrays.was_truncated[env])
-    status = arrays.status[arrays.env_pack[env], arrays.env_lane[env]]
+    pack = arrays.env_pack[env]
+    lane = arrays.env_lane[env]
+    status = arrays.status[pack, lane]
     unstable = active and (status & STOPPED) != 0
     diverged = unstable and (status & DIVERGED) != 0
     if active:
@@ -71,7 +74,10 @@ def count_step(arrays: EpisodeArrays):
 def score_step(arrays: EpisodeArrays, auto_reset: bool):
     """Add up the reward of a step, find out whether it ends the episode, and prepare the next step."""
     env = wp.tid()
-    zero, one = wp.float64(0.0), wp.float64(1.0)
+    pack = arrays.env_pack[env]
+    lane = arrays.env_lane[env]
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
     rewards = arrays.nonfinite_rewards.shape[0]
     active = not (arrays.was_terminated[env] or arrays.was_truncated[env])
 
@@ -123,7 +129,7 @@ def score_step(arrays: EpisodeArrays, auto_reset: bool):
         truncated = truncated or arrays.was_truncated[env]
         arrays.was_terminated[env] = terminated
         arrays.was_truncated[env] = truncated
-        arrays.frozen[arrays.env_pack[env], arrays.env_lane[env]] = wp.where(terminated or truncated, 1, 0)
+        arrays.frozen[pack, lane] = wp.where(terminated or truncated, 1, 0)
     arrays.terminated[env] = terminated
     arrays.truncated[env] = truncated
 
@@ -147,15 +153,19 @@ def record(state: Any, name: str, tensors: Mapping[str, Any], *inputs: Any) -> w
 
 @kernel
 def draw(
-    keys: wp.array(dtype=wp.int64), episode: wp.array(dtype=wp.int64), first: int, low: wp.int64, span: wp.uint64,
+    keys: wp.array(dtype=wp.int64),
+    episode: wp.array(dtype=wp.int64),
+    first: int,
+    low: wp.int64,
+    span: wp.uint64,
     out: wp.array2d(dtype=wp.int64),
-):  # fmt: skip
+):
     """Write random integers in [low, low + span): [environment, number]; ``first`` counts those of the episode."""
     env, n = wp.tid()
     place = wp.uint64(episode[env] * wp.int64(MOST_DRAWS) + wp.int64(first + n))
-    word = wp.uint64(keys[env]) + place * SPLIT_MIX[0]
-    word = (word ^ (word >> wp.uint64(30))) * SPLIT_MIX[1]
-    word = (word ^ (word >> wp.uint64(27))) * SPLIT_MIX[2]
+    word = wp.uint64(keys[env]) + place * _STEP
+    word = (word ^ (word >> wp.uint64(30))) * _FACTOR
+    word = (word ^ (word >> wp.uint64(27))) * _SECOND_FACTOR
     word = word ^ (word >> wp.uint64(31))
     out[env, n] = low + wp.int64((word >> wp.uint64(11)) % span)
 
@@ -176,9 +186,12 @@ def finite_kernel(kit: Kit) -> wp.Kernel:
 
     @kernel
     def replace_nonfinite(
-        values: wp.array2d(dtype=kit.real), where: wp.array(dtype=wp.bool), row: wp.array(dtype=wp.int64),
-        counts: wp.array2d(dtype=int), found: wp.array(dtype=wp.bool),
-    ):  # fmt: skip
+        values: wp.array2d(dtype=kit.real),
+        where: wp.array(dtype=wp.bool),
+        row: wp.array(dtype=wp.int64),
+        counts: wp.array2d(dtype=int),
+        found: wp.array(dtype=wp.bool),
+    ):
         """Replace one value; where ``where`` is True, add 1 to the ``row`` of ``counts`` and set ``found``."""
         env, column = wp.tid()
         if not wp.isfinite(values[env, column]):

@@ -61,9 +61,13 @@ def shift_kernel(kit: Kit) -> wp.Kernel:
 
     @kernel
     def shift(
-        data: kit.Data, env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int), mask: wp.array(dtype=wp.bool),
-        cells: wp.array2d(dtype=wp.int64), points: wp.array3d(dtype=wp.int64),
-    ):  # fmt: skip
+        data: kit.Data,
+        env_pack: wp.array(dtype=int),
+        env_lane: wp.array(dtype=int),
+        mask: wp.array(dtype=wp.bool),
+        cells: wp.array2d(dtype=wp.int64),
+        points: wp.array3d(dtype=wp.int64),
+    ):
         """Move one point, if the mask is True: by the expressions with which a world is compiled, to the last bit."""
         env, n = wp.tid()
         if not mask[env]:
@@ -71,9 +75,12 @@ def shift_kernel(kit: Kit) -> wp.Kernel:
         side = wp.float64(VOXEL)
         x = wp.float64(points[env, n, 1] + cells[env, 0]) * side
         y = wp.float64(points[env, n, 2] + cells[env, 1]) * side
-        height, across, down = points[env, n, 3], points[env, n, 4], points[env, n, 5]
-        place = wp.vec2d(x + wp.float64(across) * side, (y + wp.float64(height) * side) - wp.float64(down) * side)
-        pack, k = env_pack[env], env_lane[env]
+        height = wp.float64(points[env, n, 3])
+        across = wp.float64(points[env, n, 4])
+        down = wp.float64(points[env, n, 5])
+        place = wp.vec2d(x + across * side, (y + height * side) - down * side)
+        pack = env_pack[env]
+        k = env_lane[env]
         for axis in range(int(2)):
             r = 2 * int(points[env, n, 0]) + axis
             data.pos[pack, r, k] = place[axis]

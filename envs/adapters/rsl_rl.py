@@ -129,15 +129,19 @@ class RslRlVecEnv(VecEnv):
         self._shortened.masked_fill_(done, False)
 
         # Sums over the episodes that have ended
-        counts = torch.stack([whole, *(info[name] for name in STOP_CAUSES)]).sum(1, dtype=torch.float64)
+        flags = torch.stack([whole, *(info[name] for name in STOP_CAUSES)])
+        counts = flags.sum(1, dtype=torch.float64)
         amounts = torch.stack([episode["return"], episode["length"]]) * whole
-        self._sums.add_(torch.cat([counts[:1], amounts.sum(1, dtype=torch.float64), counts[1:]]))
+        totals = amounts.sum(1, dtype=torch.float64)
+        self._sums.add_(torch.cat([counts[:1], totals, counts[1:]]))
 
         # Means over the environments
         terms = info["reward_terms"]
-        log = dict(zip((f"Reward/{name}" for name in terms), torch.stack(list(terms.values())).mean(1), strict=True))
+        names = [f"Reward/{name}" for name in terms]
+        names += [f"Episode/{name}" for name in STOP_CAUSES]
+        rewards = torch.stack(list(terms.values())).mean(1)
         stopped = (counts[1:] / self.num_envs).float()
-        log |= zip((f"Episode/{name}" for name in STOP_CAUSES), stopped, strict=True)
+        log = dict(zip(names, (*rewards, *stopped), strict=True))
 
         extras: dict[str, Any] = {"log": log, "returns": episode["return"], "whole": whole}
         if self.bootstrap_time_limit:

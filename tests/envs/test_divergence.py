@@ -216,8 +216,7 @@ def test_self_folding_costs_what_the_task_says() -> None:
     env = make_vec("Walker-v0", num_envs=2, device="cpu", threads=1)
     env.sim.array("status").view(-1)[env.sim.slot[0]] = UNSTABLE
     env._outcomes.count()
-    nothing = torch.zeros(2, dtype=torch.float64)
-    found, terms = env._outcomes.score([nothing], [nothing > 0], auto_reset=False)
+    found, terms = env._outcomes.score([torch.zeros(2)], [torch.zeros(2) > 0], auto_reset=False)
     assert (terms["unstable"].tolist(), found["terminated"].tolist()) == ([-3.0, 0.0], [True, False])
 
 
