@@ -10,7 +10,7 @@ from warpvox.algos.archive import BACKUP, FILE as ARCHIVE, Archive, archives_in,
 from warpvox.algos.robots.entry import Robot, zoo
 from warpvox.errors import RunError, listing
 from warpvox.io.reading import CONFIG, read_config
-from warpvox.runs import CODESIGN, STAMP_LENGTH, STATE, TRAINING, ZOO, Run, search_as_now, without_services
+from warpvox.runs import CODESIGN, STAMP_LENGTH, STATE, TRAINING, ZOO, Run, keys_as_now, search_as_now, without_services
 
 NEEDED = {
     "train": ("a training", {"task", "design", "ppo"}),
@@ -135,7 +135,7 @@ def _config_of(folder: Path, command: str) -> dict[str, Any]:
         raise RunError(f"{folder} is not {what}: its {CONFIG} is that of another run.")
     if command == CODESIGN:
         content = search_as_now(content, folder)
-    return without_services(content)
+    return without_services(keys_as_now(content))
 
 
 def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:

@@ -23,18 +23,18 @@ class Disturbance:
     sensors: float = 0.0
 
 
-NOMINAL, ROBUST = "nominal", "robust"
+NOMINAL, NOISE, ROBUST = "nominal", "noise", "robust"
 DISTURBANCES = {
     NOMINAL: Disturbance(),
-    "noise": Disturbance(noise=0.01),
+    NOISE: Disturbance(noise=0.01),
     "sticky": Disturbance(sticky=0.25),
     "start": Disturbance(start=10),
     "sensors": Disturbance(sensors=0.01),
 }
 PROTOCOLS = {name: (name,) for name in DISTURBANCES} | {ROBUST: tuple(DISTURBANCES)}
 """Names of the disturbances in each protocol of evaluation."""
-FITNESS = (NOMINAL, ROBUST)
-"""Values of ``fitness``, which chooses the best: one undisturbed episode, or copies with noise on the actions."""
+CHOOSING = (NOMINAL, NOISE)
+"""Protocols by which trainings and searches choose the best: one undisturbed episode, or several with noise."""
 COPIES = 8
 """Default number of disturbed episodes of a trained policy."""
 
@@ -47,6 +47,6 @@ def parts_of(protocol: str, feedback: bool) -> tuple[str, ...]:
     return found
 
 
-def episodes_of(given: int | None, fitness: str) -> int:
-    """Return the number of evaluation episodes: ``given``, or the default of ``fitness``."""
-    return given or (COPIES if fitness == ROBUST else 1)
+def episodes_of(given: int | None, protocol: str) -> int:
+    """Return the number of evaluation episodes: ``given``, or the default of ``protocol``."""
+    return given or (COPIES if protocol == NOISE else 1)

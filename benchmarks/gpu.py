@@ -162,7 +162,7 @@ def quartiles(values: Sequence[float]) -> str:
 
 def train_designs(args: argparse.Namespace, report: Report) -> None:
     """Control steps per second of designs that are trained side by side, from the beginning of a search to its end."""
-    search = wv.RandomDesigns(population=args.designs, max_evaluations=args.designs)
+    search = wv.RandomDesigns(population=args.designs, max_designs=args.designs)
     began = time.perf_counter()
     found = wv.codesign(
         args.task, search=search, training=args.training, device=args.device, folder=None, progress=False

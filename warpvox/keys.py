@@ -30,21 +30,27 @@ SYNONYMS = {
     "bodies": ("designs", "design"),
     "design": ("body", "designs"),
     "designs": ("design",),
-    "episodes": ("eval_envs",),
-    "max_designs": ("max_evaluations",),
+    "eval_envs": ("episodes",),
+    "evaluation": ("fitness",),
+    "max_evaluations": ("max_designs",),
     "steps": ("num_steps",),
 }
 """Other names of arguments and keys; each stands for the first of these that a function or command has."""
 
 ELSEWHERE = {
+    "body": "start",
+    "bodies": "start",
+    "design": "start",
+    "designs": "start",
     "env": "task",
+    "fitness": "protocol",
     "lr": "learning_rate",
     "n_envs": "num_envs",
     "num_envs": "envs",
     "batch_size": "minibatches",
     "out": "file",
-    "evaluations": "max_evaluations",
-    "generations": "max_evaluations",
+    "evaluations": "max_designs",
+    "generations": "max_designs",
     "steps": "max_iterations",
     "timesteps": "max_iterations",
     "total_timesteps": "max_iterations",
@@ -82,6 +88,14 @@ def key(
     if callable(default):
         return field(default_factory=default, metadata=metadata)
     return field(default=default, metadata=metadata)
+
+
+def other_names(name: str) -> Iterator[str]:
+    """Yield a dotted key with each of its parts replaced by each of its :data:`SYNONYMS`."""
+    parts = name.split(".")
+    for place, part in enumerate(parts):
+        for other in SYNONYMS.get(part, ()):
+            yield ".".join([*parts[:place], other, *parts[place + 1 :]])
 
 
 def renamed(given: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:

@@ -107,7 +107,7 @@ def without_services(stored: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def search_as_now(stored: Mapping[str, Any], place: object) -> dict[str, Any]:
-    """Return the stored settings of a design search without keys that only version 0.1.0 has.
+    """Return the stored settings of a design search by the keys of today, see :func:`keys_as_now`.
 
     Raises:
         RunError: they ask for something that later versions do not have; ``place`` is where they are from.
@@ -135,7 +135,21 @@ def search_as_now(stored: Mapping[str, Any], place: object) -> dict[str, Any]:
     training.pop("save_interval", None)
     if isinstance(settings.get("training"), Mapping):
         settings["training"] = training
-    return settings
+    return keys_as_now(settings)
+
+
+def keys_as_now(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the stored settings of a training or design search with keys of version 0.1.0 replaced by today's."""
+    settings = dict(stored)
+    if settings.get("fitness") in ("nominal", "robust"):
+        settings["protocol"] = {"nominal": "nominal", "robust": "noise"}[settings.pop("fitness")]
+    if "evaluation" in settings:
+        settings["fitness"] = settings.pop("evaluation")
+    names = {"eval_envs": "episodes", "max_evaluations": "max_designs"}
+    for part in ("search", "training"):
+        if isinstance(settings.get(part), Mapping):
+            settings[part] = {names.get(name, name): value for name, value in settings[part].items()}
+    return {names.get(name, name): value for name, value in settings.items()}
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import numpy as np
 from warpvox.algos.archive import FILE, Archive, Record
 from warpvox.algos.statistics import Interval
 from warpvox.keys import flat
-from warpvox.runs import read_summary
+from warpvox.runs import keys_as_now, read_summary
 
 SHOWN = 3
 """Most settings in the name of a search."""
@@ -93,7 +93,7 @@ def read_members(archives: Sequence[Path]) -> list[SearchResult]:
     for folder in archives:
         with Archive.read(folder / FILE) as archive:
             best = archive.best()
-            found.append((folder, archive.settings, archive.records(), best[0] if best else None))
+            found.append((folder, keys_as_now(archive.settings), archive.records(), best[0] if best else None))
     names = _names([(folder, settings) for folder, settings, _, _ in found])
     results = []
     for name, (folder, settings, records, winner) in zip(names, found, strict=True):
@@ -107,7 +107,7 @@ def _names(found: Sequence[tuple[Path, Mapping[str, Any]]]) -> list[str]:
     kinds = [(own.get("task"), str(own.get("search.algorithm", "search"))) for own in settings]
 
     # Settings that distinguish searches with the same task and algorithm
-    may_differ = ("task", "seed", "shape", "search.algorithm", "search.max_evaluations")
+    may_differ = ("task", "seed", "shape", "search.algorithm", "search.max_designs")
     keys = {}
     for kind in dict.fromkeys(kinds):
         alike = [own for own, other in zip(settings, kinds, strict=True) if other == kind]

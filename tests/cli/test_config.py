@@ -60,7 +60,7 @@ def test_the_papers_preset(task: str, shape: tuple[int, int]) -> None:
     [
         ("codesign", ["shape=[3,4]", "task=Lifter-v0"], "shape", [3, 4]),
         ("codesign", ["search.algorithm=bo"], "search.algorithm", "bo"),
-        ("codesign", ["evaluation.name=gaits"], "evaluation.name", "gaits"),
+        ("codesign", ["fitness.name=gaits"], "fitness.name", "gaits"),
         ("codesign", ["search=bo"], "search.acquisition", "pathwise"),
         ("train", ["ppo=parallel"], "num_envs", 512),
         ("train", ["physics=evogym"], "physics.preset", "evogym"),

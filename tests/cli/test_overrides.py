@@ -37,7 +37,7 @@ def test_words_of_ordinary_cases() -> None:
     assert load("train", ["export=[gif,usd]"]).export == ["gif", "usd"]
     assert load("train", ["design=[[3,3],[4,4]]", "ppo.hidden=[32,16]"]).ppo.hidden == [32, 16]
     assert load("train", ["designs=random:64"]).designs.bodies == "random:64"
-    assert load("codesign", ["finalists=2", "evaluation=gaits"]).evaluation.finalists == 2
+    assert load("codesign", ["finalists=2", "fitness=gaits"]).fitness.finalists == 2
     assert load("play", ["output_dir=läufe"]).output_dir == "läufe"  # which the grammar of Hydra cannot read
 
 
@@ -75,12 +75,12 @@ def test_a_stored_configuration_runs_again(tmp_path: Path) -> None:
     other = load("train", [f"config={file}", "ppo=parallel", "num_envs=16"])
     assert (other.ppo, other.num_envs, other.seed) == (load("train", []).ppo, 16, 3)
     assert load("train", [f"config={file}", "ppo=parallel"]).num_envs == 4  # of the file: it is not in the section
-    search = load("codesign", ["search=map_elites", "search.bins=3", "evaluation=gaits", "evaluation.beam=3"])
+    search = load("codesign", ["search=map_elites", "search.bins=3", "fitness=gaits", "fitness.beam=3"])
     file.write_text(to_yaml(search))
     assert load("codesign", [f"config={file}"]) == search
-    assert load("codesign", [f"config={file}", "evaluation.gaits=3"]).evaluation == replace(search.evaluation, gaits=3)
-    other = load("codesign", [f"config={file}", "evaluation=specialist"])
-    assert other == replace(search, evaluation=load("codesign", ["evaluation=specialist"]).evaluation)
+    assert load("codesign", [f"config={file}", "fitness.gaits=3"]).evaluation == replace(search.fitness, gaits=3)
+    other = load("codesign", [f"config={file}", "fitness=specialist"])
+    assert other == replace(search, fitness=load("codesign", ["fitness=specialist"]).evaluation)
     file.write_text(to_yaml(search).replace("name: gaits", "name: gates"))
     with refused(ConfigError, "evaluation must be one of", "got 'gates'"):
         load("codesign", [f"config={file}"])

@@ -21,8 +21,8 @@ from warpvox.design import zoo_tasks
 from warpvox.errors import ConfigError, did_you_mean
 from warpvox.examples import bare_id
 from warpvox.io.reading import LARGEST_CONFIG, Unreadable, parse_yaml, read_text
-from warpvox.keys import ELSEWHERE, SYNONYMS, flat
-from warpvox.runs import CODESIGN, CONFIG, TRAINING, ZOO, search_as_now, without_services
+from warpvox.keys import ELSEWHERE, flat, other_names
+from warpvox.runs import CODESIGN, CONFIG, TRAINING, ZOO, keys_as_now, search_as_now, without_services
 
 
 def load(command: str, words: Sequence[str], config_dir: Path | None = None) -> Any:
@@ -109,17 +109,16 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
         "play": {"format": "export"},
         "export": {"export": "format"},
         "codesign": {
-            "finalists": "evaluation.finalists",
-            "pretrained": "evaluation.pretrained",
+            "finalists": "fitness.finalists",
+            "pretrained": "fitness.pretrained",
             "search.algorithm": "search",
-            "evaluation.name": "evaluation",
+            "fitness.name": "fitness",
         },
     }
     for word in words:
         name, given, text = word.partition("=")
-        group, dot, last = name.rpartition(".")
-        others = () if name in keys else (f"{group}{dot}{other}" for other in SYNONYMS.get(last, ()))
-        name = next((other for other in others if other in keys), name)
+        if name not in keys:
+            name = next((other for other in other_names(name) if other in keys), name)
         name = renamed.get(command, {}).get(name, name)
         override = _parsed(f"{name}{given}{text}")
         if given and text and name in keys and keys[name].takes_text:
@@ -175,6 +174,7 @@ def _stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path |
         given["config"] = None
         if command == CODESIGN:
             values = search_as_now(values, path)
+        values = keys_as_now(values)
     elif given.get("resume") is not None:
         name = str(given["resume"])
         output_dir = str(given.get("output_dir", "outputs"))

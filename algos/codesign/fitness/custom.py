@@ -8,7 +8,7 @@ import inspect
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
-from warpvox.algos.codesign.settings import Codesign, Evaluation, register_evaluation
+from warpvox.algos.codesign.settings import Codesign, Fitness, register_fitness
 from warpvox.code import check_code, load_code
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from warpvox.algos.candidate import DesignEvaluator
 
 
-@register_evaluation
+@register_fitness
 @dataclass
-class Custom(Evaluation):
+class Custom(Fitness):
     """An evaluation of your own; see docs/own_search.md."""
 
     name: str = key("custom", "an evaluation of your own", choices=("custom",))
@@ -31,7 +31,7 @@ class Custom(Evaluation):
 
     def check(self, search: Codesign) -> None:
         """Check that ``make`` names code that makes an evaluator from these settings."""
-        check_code(self.make, "evaluation=custom needs evaluation.make", "an evaluator of the search's settings")
+        check_code(self.make, "fitness=custom needs fitness.make", "an evaluator of the search's settings")
         self.build(search, None)
 
     def inherits(self, search: Codesign) -> bool:
