@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Kind = TypeVar("_Kind")
 
-SYNONYMS = {
+_SYNONYMS = {
     "body": ("design", "designs"),
     "bodies": ("designs", "design"),
     "design": ("body", "designs"),
@@ -39,9 +39,7 @@ SYNONYMS = {
 
 ELSEWHERE = {
     "body": "start",
-    "bodies": "start",
     "design": "start",
-    "designs": "start",
     "env": "task",
     "fitness": "protocol",
     "lr": "learning_rate",
@@ -91,18 +89,17 @@ def key(
 
 
 def other_names(name: str) -> Iterator[str]:
-    """Yield a dotted key with each of its parts replaced by each of its :data:`SYNONYMS`."""
-    parts = name.split(".")
-    for place, part in enumerate(parts):
-        for other in SYNONYMS.get(part, ()):
-            yield ".".join([*parts[:place], other, *parts[place + 1 :]])
+    """Yield a dotted key with one of its parts replaced by a synonym, for each."""
+    for part in name.split("."):
+        for other in _SYNONYMS.get(part, ()):
+            yield name.replace(part, other, 1)
 
 
 def renamed(given: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
-    """Return arguments with :data:`SYNONYMS` replaced by the names in use. ConfigError: one is given twice."""
+    """Return arguments with synonyms replaced by the names in use. ConfigError: one is given twice."""
     found = {}
     for name, value in given.items():
-        others = () if name in names else SYNONYMS.get(name, ())
+        others = () if name in names else _SYNONYMS.get(name, ())
         own = next((other for other in others if other in names), name)
         if own in found or (own != name and own in given):
             raise ConfigError(f"{name} and {own} are two names of one argument: give one of them.")
@@ -190,7 +187,7 @@ def _is_public(kind: type) -> bool:
 
 
 def in_words(function: _Function) -> _Function:
-    """A public function whose arguments have :data:`SYNONYMS`, and which refuses others by :func:`check_known`."""
+    """A public function whose arguments have synonyms, and which refuses others by :func:`check_known`."""
 
     @functools.wraps(function)
     def call(*args: Any, **given: Any) -> Any:

@@ -42,7 +42,7 @@ from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.writing import to_yaml
 from warpvox.keys import flat
-from warpvox.runs import CONFIG, END, keep_code, run_folder, search_as_now
+from warpvox.runs import CONFIG, END, as_now, keep_code, run_folder
 from warpvox.types import Cell
 
 
@@ -199,7 +199,7 @@ def run_codesign(
             previous = {}
             if resumed is not None:
                 with Archive.read(resumed / ARCHIVE) as archive:
-                    previous = search_as_now(archive.settings, resumed)
+                    previous = as_now(archive.settings, resumed)
             settings = dataclasses.replace(settings, batch=_batch_size(settings, workers, previous))
             written = dataclasses.replace(settings, task=task_name(settings.task))
             fixed = dataclasses.asdict(Codesign.of(vars(written)))  # without the keys of the command line

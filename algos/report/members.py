@@ -12,7 +12,7 @@ import numpy as np
 from warpvox.algos.archive import FILE, Archive, Record
 from warpvox.algos.statistics import Interval
 from warpvox.keys import flat
-from warpvox.runs import keys_as_now, read_summary
+from warpvox.runs import read_summary
 
 SHOWN = 3
 """Most settings in the name of a search."""
@@ -93,7 +93,7 @@ def read_members(archives: Sequence[Path]) -> list[SearchResult]:
     for folder in archives:
         with Archive.read(folder / FILE) as archive:
             best = archive.best()
-            found.append((folder, keys_as_now(archive.settings), archive.records(), best[0] if best else None))
+            found.append((folder, archive.settings, archive.records(), best[0] if best else None))
     names = _names([(folder, settings) for folder, settings, _, _ in found])
     results = []
     for name, (folder, settings, records, winner) in zip(names, found, strict=True):

@@ -75,7 +75,7 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
     "envs of an evaluation": (lambda: wv.Specialist(envs=16), "It is a setting of wv.DesignTraining"),
     "place of a setting": (lambda: wv.GA(25), "GA takes settings by name, GA(population=...)"),
     "search resumed": (lambda: wv.codesign(resume="mine"), "goes on when it is called again with folder="),
-    "limit of designs": (lambda: wv.GA(max_designs=0), "search.max_designs must be at least 1"),
+    "limit of designs": (lambda: wv.GA(max_evaluations=0), "search.max_designs must be at least 1"),
     "limit as mapping": (lambda: wv.codesign(search={"algorithm": "ga", "max_designs": 0}), "at least 1"),
     "steps": (lambda: wv.record(env(), "zero", steps=0), "num_steps"),
     "key of record": (lambda: wv.record(env(), agent="zero"), "It takes env, policy, num_steps, metadata"),

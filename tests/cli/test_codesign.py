@@ -237,18 +237,10 @@ def test_a_search_of_version_0_1_goes_on_or_is_refused_in_a_sentence(copied: Pat
             (text,) = db.execute("SELECT value FROM experiment WHERE key='settings'").fetchone()
             settings = json.loads(text)
             for values in (config, settings):
-                values.pop("protocol", None)
-                if "fitness" in values and "evaluation" not in values:
-                    values["evaluation"] = values["fitness"]
-                values["evaluation"] = values["evaluation"] | {"name": evaluation}
-                values |= {"policy": policy, "network": None, "fitness": "nominal"}
-                values["training"] |= {"method": method}
-                for part, name, now in (
-                    ("training", "eval_envs", "episodes"),
-                    ("search", "max_evaluations", "max_designs"),
-                ):
-                    if now in values[part]:
-                        values[part][name] = values[part].pop(now)
+                values["evaluation"] = values.get("evaluation", values["fitness"]) | {"name": evaluation}
+                values |= {"policy": policy, "network": None, "fitness": values.pop("protocol", "nominal")}
+                values["search"].setdefault("max_evaluations", values["search"].pop("max_designs", None))
+                values["training"] |= {"method": method, "eval_envs": values["training"].pop("episodes", None)}
             config["training"]["save_interval"] = 25
             db.execute("UPDATE experiment SET value=? WHERE key='settings'", [json.dumps(settings)])
         (folder / "config.yaml").write_text(yaml.safe_dump(config) + "...\n")

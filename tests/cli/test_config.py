@@ -121,7 +121,7 @@ def test_no_default_is_missing_and_none_is_out_of_range(command: str) -> None:
 
 @pytest.mark.parametrize(
     ("command", "group"),
-    [("train", "physics"), ("train", "ppo"), *(("codesign", name) for name in ("search", "evaluation", "training"))],
+    [("train", "physics"), ("train", "ppo"), *(("codesign", name) for name in ("search", "fitness", "training"))],
 )
 def test_every_choice_of_a_group_composes(command: str, group: str) -> None:
     names = options_of(command, group)

@@ -29,9 +29,9 @@ ROUNDS = "fitness.final_passes=0"  # finalists of fitness=gaits have rounds alon
 
 
 def tiny_search(*words: str) -> list[str]:
-    """A search with the usual sizes of its evaluation."""
-    evaluation = dict(word.split("=", 1) for word in words).get("evaluation", "specialist")
-    return tiny("codesign", *OF[evaluation], *words)
+    """A search with the usual sizes of its fitness."""
+    fitness = dict(word.split("=", 1) for word in words).get("fitness", "specialist")
+    return tiny("codesign", *OF[fitness], *words)
 
 
 def search(warpvox: Callable, *words: str) -> Path:

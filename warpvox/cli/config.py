@@ -22,7 +22,7 @@ from warpvox.errors import ConfigError, did_you_mean
 from warpvox.examples import bare_id
 from warpvox.io.reading import LARGEST_CONFIG, Unreadable, parse_yaml, read_text
 from warpvox.keys import ELSEWHERE, flat, other_names
-from warpvox.runs import CODESIGN, CONFIG, TRAINING, ZOO, keys_as_now, search_as_now, without_services
+from warpvox.runs import CODESIGN, CONFIG, TRAINING, ZOO, as_now, without_services
 
 
 def load(command: str, words: Sequence[str], config_dir: Path | None = None) -> Any:
@@ -172,9 +172,7 @@ def _stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path |
         if not isinstance(values, dict) or not values:
             raise ConfigError(f"config must be a YAML file or the folder of a run; {path} holds no KEY: VALUE.")
         given["config"] = None
-        if command == CODESIGN:
-            values = search_as_now(values, path)
-        values = keys_as_now(values)
+        values = as_now(values, path)
     elif given.get("resume") is not None:
         name = str(given["resume"])
         output_dir = str(given.get("output_dir", "outputs"))

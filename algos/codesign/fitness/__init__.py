@@ -1,4 +1,4 @@
-"""Ways to evaluate the designs of a search, each with its settings, checks and costs; one file each."""
+"""Ways to find the fitness of designs, each with its settings, checks and costs; one file each."""
 
 from warpvox.algos.codesign.fitness.custom import Custom
 from warpvox.algos.codesign.fitness.gaits import Gaits

@@ -1,4 +1,4 @@
-"""Evaluation by code of the user's own, named by a file or module."""
+"""Fitness by code of the user's own, named by a file or module."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 @register_fitness
 @dataclass
 class Custom(Fitness):
-    """An evaluation of your own; see docs/own_search.md."""
+    """A fitness of your own; see docs/own_search.md."""
 
-    name: str = key("custom", "an evaluation of your own", choices=("custom",))
+    name: str = key("custom", "a fitness of your own", choices=("custom",))
     make: str | None = key(
         None,
         "FILE.py:NAME or MODULE:NAME, called with the settings of the search and those below; makes an evaluator",

@@ -1,4 +1,4 @@
-"""Evaluation by open-loop gaits, which evolve with the designs and need no training."""
+"""Fitness by open-loop gaits, which evolve with the designs and need no training."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Gaits(Specialist):
         for prefix, passes, rounds in ("", self.passes, self.rounds), ("final_", self.final_passes, self.final_rounds):
             if passes + rounds == 0:
                 raise ConfigError(
-                    f"evaluation.{prefix}passes and evaluation.{prefix}rounds are both 0: one of them must be 1 or"
+                    f"fitness.{prefix}passes and fitness.{prefix}rounds are both 0: one of them must be 1 or"
                     " more, or no gait is tried."
                 )
 

@@ -1,4 +1,4 @@
-"""Evaluation by training a policy for each design."""
+"""Fitness by training a policy for each design."""
 
 from __future__ import annotations
 
