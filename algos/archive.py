@@ -1,4 +1,4 @@
-"""The archive of a design search: one SQLite file with all candidates and their results.
+"""Archive of a design search: one SQLite file with all candidates and results.
 
 Every change is a transaction, so that a process killed at any moment leaves a consistent file, and other programs
 can read it while the search is running. The tables are described in ``docs/formats.md``.
@@ -34,27 +34,27 @@ from warpvox.io.reading import parse_json
 from warpvox.io.writing import atomic_path
 
 FILE = "archive.sqlite"
-"""Name of the archive in a run's folder."""
+"""File name of the archive in a run's folder."""
 BACKUP = "archive.backup.sqlite"
-"""Name of the copy that is made after each complete generation."""
+"""File name of the copy made after each complete generation."""
 
 APPLICATION = 0x77766F78
-"""SQLite's application id of our files: "wvox"."""
+"""SQLite application id of archive files: "wvox"."""
 VERSION = 1
-"""Version of the tables in archive.sql; a file of a later version is refused."""
+"""Version of the tables in archive.sql; files of later versions are refused."""
 
 _KINDS = {
     "id": int, "generation": int, "body": str, "origin": str, "seed": int, "fitness": float, "steps": int,
     "stopped": int, "reused": int, "policy": str, "policy_sha256": str, "seconds": float,
 }  # fmt: skip
-"""Columns of a candidate that are read, and their types; from ``fitness`` on they may be NULL."""
+"""Columns of a candidate and their types; ``fitness`` and the columns after it may be NULL."""
 DIVERGED = 2
-"""Value of the column ``stopped`` if learning diverged before any evaluation; see :meth:`Archive.rank_diverged`."""
+"""Value of the column ``stopped`` for a candidate whose training diverged before any evaluation."""
 
 
 @dataclass(frozen=True)
 class Record:
-    """A row of the archive: a candidate and, once it is evaluated, its result.
+    """A row of the archive: a candidate, and its result once evaluated.
 
     ``fitness`` and the fields after it are None until then. ``reused`` is the id of the earlier candidate with an equal
     body whose result was copied; ``policy`` is a path relative to the archive's folder; ``seconds`` the wall time since
@@ -85,12 +85,12 @@ class Record:
 
     @property
     def body(self) -> Design:
-        """The body, int8 ``[rows, columns]``."""
+        """Body, int8 ``[rows, columns]``."""
         return self.candidate.body
 
     @property
     def design(self) -> Design:
-        """The same as :attr:`body`, by which it may be given wherever a design is taken."""
+        """Same as :attr:`body`, so that functions that take a design accept a record."""
         return self.body
 
     @property
@@ -106,18 +106,18 @@ class Record:
 
     @property
     def finished(self) -> bool:
-        """True once the candidate has a result."""
+        """True once the candidate has been evaluated."""
         return self.stopped is not None
 
     @property
     def id(self) -> int:
-        """Number of the candidate in its experiment."""
+        """Number of the candidate in its search."""
         return self.candidate.id
 
 
 @dataclass(frozen=True)
 class Finished:
-    """A result to store for the candidate ``id``; ``policy`` and ``policy_sha256`` as in :class:`Record`."""
+    """Result to store for the candidate ``id``; ``policy`` and ``policy_sha256`` as in :class:`Record`."""
 
     id: int
     outcome: Outcome
@@ -127,7 +127,7 @@ class Finished:
 
 
 class Archive(AbstractContextManager["Archive"]):
-    """The SQLite file of one experiment, for reading and writing; a context manager that closes it.
+    """The SQLite file of one search, for reading and writing; a context manager that closes the file.
 
     Open it with :meth:`create`, :meth:`open` or :meth:`read`. Only one process at a time may write.
     """
@@ -162,7 +162,7 @@ class Archive(AbstractContextManager["Archive"]):
 
     @staticmethod
     def _create_tables(path: Path, settings: Mapping[str, Any]) -> None:
-        """Create the tables at ``path`` and store ``settings``, in one transaction."""
+        """Create the tables of a new archive and store ``settings``, in one transaction."""
         with closing(_connect(path, "rwc")) as db, _transaction(db):
             for statement in _statements():
                 db.execute(statement)
@@ -189,7 +189,7 @@ class Archive(AbstractContextManager["Archive"]):
 
     @classmethod
     def read(cls, path: Path) -> Archive:
-        """Open the archive at ``path`` for reading, also while another process is writing it.
+        """Open the archive at ``path`` for reading, even while another process writes to it.
 
         Raises:
             RunError: no archive, or a damaged or foreign one.
@@ -200,7 +200,7 @@ class Archive(AbstractContextManager["Archive"]):
         return cls(path, db, None)
 
     def close(self) -> None:
-        """Close the file and release the lock for writing."""
+        """Close the file and release the write lock."""
         self._db.close()
         if self._lock is not None:
             self._lock.close()
@@ -209,7 +209,7 @@ class Archive(AbstractContextManager["Archive"]):
         self.close()
 
     def propose(self, candidates: Sequence[Candidate], seed: int) -> None:
-        """Store candidates before their evaluation, all or none.
+        """Insert new candidates before their evaluation, all or none.
 
         Args:
             seed: of the experiment; those of the candidates follow from it.
@@ -240,7 +240,7 @@ class Archive(AbstractContextManager["Archive"]):
                     db.execute("INSERT INTO parents VALUES (?,?,?)", (item.id, position, parent))
 
     def finish(self, results: Iterable[Finished], seconds: float = 0.0) -> None:
-        """Store results, all or none.
+        """Store results of evaluated candidates, all or none.
 
         Raises:
             RunError: no such candidate, one that is evaluated already, a fitness or a value of the learning curve that
@@ -278,7 +278,7 @@ class Archive(AbstractContextManager["Archive"]):
 
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
-        """Within the block, run a transaction for writing and convert SQLite's errors to ours."""
+        """Run a write transaction within the block, and convert SQLite's errors to ours."""
         if self._lock is None:
             raise RunError(f"The archive {self.path} was opened for reading.")
         try:
@@ -291,7 +291,7 @@ class Archive(AbstractContextManager["Archive"]):
             raise _write_error(self.path, error) from None
 
     def rank_diverged(self, generation: int) -> None:
-        """Set the fitness of a generation's diverged designs to the worst of all other designs so far.
+        """Set the fitness of a generation's diverged designs to the worst fitness so far.
 
         Searches need a finite number (a Gaussian process cannot learn from -inf), and one that follows from the
         archive alone, in whatever order the designs were trained.
@@ -308,7 +308,7 @@ class Archive(AbstractContextManager["Archive"]):
                 raise RunError(f"No design has a fitness yet that those of generation {generation} could be given.")
 
     def back_up(self) -> Path:
-        """Write a copy beside the archive, whole or not at all; return its path.
+        """Copy the archive to its backup file atomically; return the path.
 
         Raises:
             StorageError: it cannot be written.
@@ -323,7 +323,7 @@ class Archive(AbstractContextManager["Archive"]):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Settings that :meth:`create` was given."""
+        """Settings of the search, as given to :meth:`create`."""
         with self._reading():
             (text,) = self._db.execute("SELECT value FROM experiment WHERE key='settings'").fetchone()
             settings = json.loads(text)
@@ -332,13 +332,13 @@ class Archive(AbstractContextManager["Archive"]):
         return settings
 
     def _number(self, query: str) -> int:
-        """Return the single number that an SQL query gives."""
+        """Return the single number that an SQL query selects."""
         with self._reading():
             return self._db.execute(query).fetchone()[0]
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Within the block, report values of a kind that we never write as damage: SQLite's own check accepts them."""
+        """Report values of invalid types found within the block as damage, which SQLite itself accepts."""
         try:
             yield
         except (sqlite3.Error, ValueError, TypeError) as error:
@@ -346,20 +346,20 @@ class Archive(AbstractContextManager["Archive"]):
             raise _unreadable(self.path, _access_problem(error) or f"is damaged ({error})") from None
 
     def count(self) -> int:
-        """Return the number of candidates so far, evaluated or not."""
+        """Count all candidates, evaluated or not."""
         return self._number("SELECT COUNT(*) FROM candidates")
 
     def trained(self) -> int:
-        """Return the number of designs that were evaluated, without those that took the result of an equal body."""
+        """Count the evaluated designs, except copies of results for an equal body."""
         return self._number("SELECT COUNT(*) FROM candidates WHERE stopped IS NOT NULL AND reused IS NULL")
 
     def finalists(self) -> int:
-        """Return the number of finalists that were evaluated; :meth:`trained` counts them, too."""
+        """Count the evaluated finalists, which :meth:`trained` includes."""
         query = f"SELECT COUNT(*) FROM candidates WHERE stopped IS NOT NULL AND origin = '{FINALIST}'"
         return self._number(query)
 
     def generations(self) -> list[dict[str, Any]]:
-        """Return a row for each generation: generation, designs, evaluated, best, mean, worst, steps."""
+        """Summarise each generation in a row: generation, designs, evaluated, best, mean, worst, steps."""
         with self._reading():
             return [dict(row) for row in self._db.execute("SELECT * FROM generations ORDER BY generation")]
 
@@ -379,9 +379,9 @@ class Archive(AbstractContextManager["Archive"]):
         return found[0]
 
     def best(self, count: int = 1, until: int | None = None, *, with_parents: bool = False) -> list[Record]:
-        """Return the ``count`` designs of highest fitness, each body once; among equals finalists come first.
+        """Return the ``count`` designs of highest fitness with distinct bodies; in ties finalists come first.
 
-        Those whose learning diverged before there was an evaluation are not among them.
+        Designs whose training diverged before any evaluation are left out.
 
         Args:
             with_parents: also the designs that finalists come from, which have the same bodies.
@@ -411,7 +411,7 @@ class Archive(AbstractContextManager["Archive"]):
         return self._records(query, number)
 
     def _records(self, where: str, *values: object) -> list[Record]:
-        """Return the candidates that an SQL condition selects, ordered by id."""
+        """Return the candidates selected by an SQL condition, ordered by id."""
         parents = defaultdict(list)
         curves = defaultdict(list)
         # One transaction, so that a writer cannot change the tables between the queries
@@ -433,7 +433,7 @@ class Archive(AbstractContextManager["Archive"]):
         return records
 
     def digest(self) -> str:
-        """Return the SHA-256 of everything but dates and durations: equal for equal experiments."""
+        """Return a SHA-256 of everything but dates and durations: equal for equal searches."""
         total = hashlib.sha256(json.dumps(self.settings, sort_keys=True).encode())
         for record in self.records():
             item = record.candidate
@@ -445,7 +445,7 @@ class Archive(AbstractContextManager["Archive"]):
 
 
 def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, float]]) -> Record:
-    """Make a record from a row of :data:`_KINDS`; ValueError if a value is not of a kind that we write.
+    """Build a record from a row of :data:`_KINDS`; ValueError: a value of an invalid type.
 
     SQLite's columns take values of any kind, whatever their declaration says.
     """
@@ -480,7 +480,7 @@ def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, 
 
 
 def repair_hint(path: Path) -> str:
-    """Return a sentence on how to restore an archive from its backup; empty if there is no backup."""
+    """Return a sentence on how to restore an archive from its backup; empty without a backup."""
     backup = path.with_name(BACKUP)
     if path == backup or not backup.is_file():
         return ""
@@ -491,12 +491,12 @@ def repair_hint(path: Path) -> str:
 
 
 def archives_in(folder: Path) -> list[Path]:
-    """Return the folders of all design searches in ``folder``, itself included, ordered by path."""
+    """List the folders of all design searches in ``folder``, including the folder itself, by path."""
     return sorted(path.parent for path in folder.rglob(FILE))
 
 
 def body_text(body: np.ndarray) -> str:
-    """Return a body as the archive stores it: JSON without blanks."""
+    """Encode a body as in the archive: JSON without blanks."""
     return json.dumps(np.asarray(body).tolist(), separators=(",", ":"))
 
 
@@ -506,7 +506,7 @@ def _now() -> str:
 
 @contextmanager
 def _transaction(db: sqlite3.Connection, kind: str = "IMMEDIATE") -> Iterator[None]:
-    """Within the block, run a transaction, which is undone if the block raises."""
+    """Run a transaction within the block, rolled back if the block raises."""
     db.execute(f"BEGIN {kind}")
     try:
         yield
@@ -545,13 +545,13 @@ def _connect(path: Path, mode: str, wait: float = 30.0) -> sqlite3.Connection:
 
 
 def _check_interrupt(error: Exception) -> None:
-    """Raise KeyboardInterrupt if a query failed because of one."""
+    """Raise KeyboardInterrupt if Ctrl-C made a query fail."""
     if isinstance(error, sqlite3.OperationalError) and str(error) == "interrupted":
         raise KeyboardInterrupt from None
 
 
 def _lock_for_writing(path: Path) -> sqlite3.Connection:
-    """Take the lock for writing: an exclusive transaction on a separate file, which ends with this process.
+    """Lock the archive for writing by a transaction on a separate file, released when this process ends.
 
     The folder's own lock does not hold on Windows, nor on NFS, which locks only what is open for writing (flock(2)).
     """
@@ -571,7 +571,7 @@ def _lock_for_writing(path: Path) -> sqlite3.Connection:
 
 
 def _write_error(path: Path, error: Exception) -> StorageError:
-    """Return the error for an archive, or its lock, that cannot be written; its content is unchanged."""
+    """Build the error for an archive, or its lock file, that cannot be written."""
     reason = str(error).rstrip(".")
     cause = error if isinstance(error, OSError) else None
     if not path.parent.is_dir():
@@ -590,7 +590,7 @@ def _check_exists(path: Path) -> None:
 
 
 def _checked(path: Path) -> sqlite3.Connection:
-    """Open a file and check that it is an undamaged archive. RunError: it is not."""
+    """Open a file and verify that it is an undamaged archive; RunError: it is not."""
     db = None
     try:
         # Writable also for reading: SQLite then undoes what a killed process has left half written.
@@ -616,7 +616,7 @@ def _unreadable(path: Path, reason: str) -> RunError:
 
 
 def _access_problem(error: Exception) -> str | None:
-    """Return why an intact archive cannot be read at present (disk full, locked, read-only); None: not that."""
+    """Return why an intact archive cannot be read now (disk full, locked, read-only); None: other causes."""
     text = str(error)
     unfinished = any(word in text for word in ("full", "I/O", "locked", "readonly"))
     if isinstance(error, sqlite3.OperationalError) and unfinished:
@@ -625,18 +625,18 @@ def _access_problem(error: Exception) -> str | None:
 
 
 def _without_comments(statement: str) -> str:
-    """Return an SQL statement in one line, without comments."""
+    """Strip comments and line ends from an SQL statement."""
     return " ".join(re.sub("--[^\n]*", "", statement).split())
 
 
 def _statements() -> list[str]:
-    """Return the SQL statements that create the tables."""
+    """Load the SQL statements that create the tables."""
     text = Path(__file__).with_suffix(".sql").read_text(encoding="utf-8")
     return [statement for statement in text.split(";\n") if statement.strip()]
 
 
 def _format_problem(db: sqlite3.Connection, application: int, version: int) -> str | None:
-    """Return in words why a file that can be opened is not a complete archive; None: it is one."""
+    """Return, as text, why an SQLite file is not a complete archive; None: it is one."""
     # Whose it is
     if application != APPLICATION:
         return "is no archive of warpvox: an empty file, another program's, or a damaged one"

@@ -1,4 +1,4 @@
-"""Data types and protocols that design searches, evaluations and the archive share."""
+"""Data types and protocols shared by searches, evaluators and the archive."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from warpvox.design import Design
 from warpvox.errors import RunError
 
 FINALIST = "finalist"
-"""Origin of a candidate that evaluates one of the best bodies of a search once more, at its end."""
+"""Origin of a candidate that evaluates one of the best bodies once more at the end of a search."""
 START = "start"
-"""Origin of a candidate whose body was given to the search to start with."""
+"""Origin of a candidate whose body the user gave to start the search with."""
 Report = Callable[[dict[str, Any]], None] | None
 """Called with progress: ``iteration`` of ``iterations`` of training, control ``steps`` so far over all candidates, and
 lists by candidate: ``best`` deterministic return so far (NaN: none yet), whether it is still in ``training``."""
 
 
 def best_so_far(curve: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
-    """Return a candidate's curve (control steps, return) with each return replaced by the best one so far."""
+    """Convert a learning curve (control steps, return) to its running maximum."""
     best = -math.inf
     points = []
     for steps, value in curve:
@@ -32,7 +32,7 @@ def best_so_far(curve: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
 
 
 def candidate_seed(seed: int, number: int) -> int:
-    """Return the seed for training candidate ``number`` of an experiment with ``seed``.
+    """Return the seed for training candidate ``number`` in a search with ``seed``.
 
     An integer of 63 bits, which torch, numpy and SQLite can all represent.
     """
@@ -41,7 +41,7 @@ def candidate_seed(seed: int, number: int) -> int:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A design to be evaluated.
+    """A design to evaluate, with its number, generation, parents and origin.
 
     ``id`` numbers the candidates of an experiment from 0 in the order of their proposal; ``body`` is int8
     ``[rows, columns]``; ``parents`` are the ids of the candidates that it descends from; ``origin`` says how it was
@@ -64,7 +64,7 @@ class Candidate:
 
 @dataclass
 class Outcome:
-    """The result of a candidate's evaluation.
+    """Result of a candidate's evaluation: fitness, learning curve, policy.
 
     ``fitness`` is the best deterministic return (paper section C.1), -inf if learning diverged before the first
     evaluation; ``curve`` the returns behind it as (control steps, return): of each evaluation of a training; with gaits
@@ -83,12 +83,12 @@ class Outcome:
 
     @property
     def diverged(self) -> bool:
-        """True if learning diverged before the first evaluation, so that there is no fitness."""
+        """True if training diverged before the first evaluation; then there is no fitness."""
         return self.fitness == -math.inf
 
 
 def checked_outcomes(found: Any, count: int) -> list[Outcome]:
-    """Return the outcomes that an evaluator gave for ``count`` candidates, with plain Python numbers.
+    """Validate the outcomes of ``count`` candidates, and convert their numbers to plain Python ones.
 
     Raises:
         RunError: it is no list of so many outcomes, or one holds what cannot be stored.
@@ -124,7 +124,7 @@ def checked_outcomes(found: Any, count: int) -> list[Outcome]:
 
 
 def _number(value: Any) -> float | None:
-    """Convert a number, such as one of NumPy's, to float; None: it is not a number."""
+    """Convert a number, such as one of NumPy's, to float; None: not a number."""
     try:
         return float(value) if hasattr(value, "__float__") else None
     except (TypeError, ValueError, OverflowError, RuntimeError):  # of several numbers
@@ -132,14 +132,14 @@ def _number(value: Any) -> float | None:
 
 
 def _steps(value: Any) -> int | None:
-    """Convert a count of control steps to an int that SQLite can hold; None: it is not a valid count."""
+    """Convert a count of control steps to an int that SQLite can hold; None: not a valid count."""
     number = _number(value)
     return int(value) if number is not None and 0 <= number < 2**63 and number.is_integer() else None
 
 
 @dataclass(frozen=True)
 class Parent:
-    """An evaluated candidate whose policy a child can start from."""
+    """An evaluated candidate whose policy a child's training can start from."""
 
     body: Design
     policy: dict[str, Any]
@@ -147,31 +147,31 @@ class Parent:
 
 
 Parents = Mapping[int, Parent]
-"""Evaluated parents by their ids."""
+"""Evaluated parents by id."""
 
 
 class Search(Protocol):
-    """Proposes designs and learns from their fitness; never simulates. Proposals depend on seed and fitness alone."""
+    """Protocol of search algorithms: propose designs and learn from their fitness, without simulating."""
 
     def ask(self) -> list[Candidate]:
-        """Return the next generation, empty when the evaluations are spent; :meth:`tell` must follow."""
+        """Return the next generation, empty when the budget is spent; :meth:`tell` must follow."""
         ...
 
     def tell(self, fitness: Sequence[float]) -> None:
-        """Learn from the fitness of the candidates asked for last, in the same order."""
+        """Learn from the fitness of the candidates last asked for, in the same order."""
 
     def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
-        """Restore the state after these generations, in order.
+        """Restore the state after these finished generations, in order.
 
         The result is that of asking and telling again, but candidates that are costly to propose are taken as given.
         """
 
 
 class DesignEvaluator(Protocol):
-    """Finds the fitness of designs, by training a policy for each of them or in another way."""
+    """Protocol of evaluators: compute the fitness of designs, for instance by training a policy for each."""
 
     def evaluate(self, candidates: Sequence[Candidate], parents: Parents, report: Report = None) -> list[Outcome]:
-        """Evaluate ``candidates`` and return their outcomes in the same order.
+        """Evaluate ``candidates`` and return the outcomes in the same order.
 
         The same candidates with the same seed of the experiment give the same bits on the same machine. Among other
         candidates an outcome is the same up to rounding, unless successive halving makes them compete.

@@ -1,4 +1,4 @@
-"""Disturbed episodes: noise on actions and sensors, repeated actions, random starts."""
+"""Disturbed episodes: noise on actions and observations, repeated actions, random starts."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -15,13 +15,13 @@ from warpvox.simulation import checked_actions
 from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 JUDGED, SEARCHED = 0xFA1F, 0x5EED
-"""Streams of random numbers, so that evaluations and searches draw different disturbances, whatever the seeds."""
+"""Random streams of final evaluations and of searches, so that both draw different disturbances."""
 NOISE, STICKY, START, SENSORS, LENGTH = range(5)
-"""Purposes of random numbers, each with numbers of its own."""
+"""Kinds of disturbance, each with random numbers of its own."""
 
 
 class Draws:
-    """Random numbers of disturbed episodes, which depend only on seed, stream, copy, control step and purpose.
+    """Random numbers of disturbed episodes, reproducible from seed, stream, copy, control step and kind.
 
     Args:
         seed: of the numbers.
@@ -34,13 +34,13 @@ class Draws:
         self.stream = RandomStream(cast(Any, [(stream, seed)]), copies, device)
 
     def uniform(self, purpose: int, step: int, count: int) -> torch.Tensor:
-        """Return uniform numbers in [0, 1), float64 ``[copies, count]``."""
+        """Draw uniform numbers in [0, 1), float64 ``[copies, count]``."""
         # An episode has fewer than 2**20 control steps.
         self.stream.episode.fill_(purpose * 2**20 + step)
         return self.stream.rewind().integers(0, 2**53, count).double() / 2**53
 
     def normal(self, purpose: int, step: int, count: int) -> torch.Tensor:
-        """Return standard normal numbers, float64 ``[copies, count]`` (Box and Muller)."""
+        """Draw standard normal numbers, float64 ``[copies, count]`` (Box and Muller)."""
         first, second = self.uniform(purpose, step, 2 * count).unflatten(1, (count, 2)).unbind(2)
         values = torch.sqrt(-2.0 * torch.log(1.0 - first)) * torch.cos(2.0 * math.pi * second)
         # Multiples of 2**-20: machines whose logarithms differ in the last bit agree.
@@ -48,7 +48,7 @@ class Draws:
 
 
 def with_noise(actions: torch.Tensor, draws: Draws, step: int, deviation: Any) -> torch.Tensor:
-    """Return ``actions`` ``[n * copies, num_actions]`` with noise; row r gets that of copy ``r % copies``.
+    """Add noise to ``actions`` ``[n * copies, num_actions]``; row r gets the noise of copy ``r % copies``.
 
     ``deviation``: a number or ``[n * copies, 1]``.
     """
@@ -58,7 +58,7 @@ def with_noise(actions: torch.Tensor, draws: Draws, step: int, deviation: Any) -
 
 
 class Disturbed:
-    """Policy in disturbed environments; each design has a block of episodes for each disturbance.
+    """Wrapper that disturbs a policy's actions and observations; each design has equal blocks of disturbances.
 
     Args:
         policy: observations to actions, as :func:`warpvox.algos.evaluate.evaluate` takes it.
@@ -114,11 +114,11 @@ class Disturbed:
             self.policy.reset()
 
     def _each(self, numbers: torch.Tensor) -> torch.Tensor:
-        """Repeat the numbers of the copies for all environments."""
+        """Repeat values per copy for all environments."""
         return numbers.repeat(len(self.kinds) // len(numbers), 1)
 
     def __call__(self, obs: torch.Tensor) -> torch.Tensor:
-        """Return disturbed actions ``[num_envs, num_actions]`` for observations ``[num_envs, num_obs]``."""
+        """Compute disturbed actions ``[num_envs, num_actions]`` from observations ``[num_envs, num_obs]``."""
         draws = self.draws
         step = self.step
 
@@ -147,7 +147,7 @@ class Disturbed:
 
 
 def as_judged(policy: Any, env: VoxelVecEnv, seed: int | Sequence[int] | None, protocol: str) -> Any:
-    """Return ``policy`` as ``protocol`` evaluates it: unchanged, or with noise on the actions drawn from ``seed``."""
+    """Wrap ``policy`` for the protocol ``protocol``: unchanged, or with action noise drawn from ``seed``."""
     if protocol == NOMINAL:
         return policy
     first = seed[0] if isinstance(seed, Sequence) else seed

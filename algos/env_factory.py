@@ -1,4 +1,4 @@
-"""Factory of the environments of a design search: a task and simulation options."""
+"""Factory of the environments of a design search, from a task and simulation options."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CPU = SimOptions(device="cpu")
 
 @dataclass(frozen=True)
 class EnvFactory:
-    """Makes environments for a task; the arguments are those of :func:`warpvox.envs.vec_env.make_vec`.
+    """Factory of environments for one task; fields as in :func:`warpvox.envs.vec_env.make_vec`.
 
     ``device="auto"`` is a GPU where there is one: all environments of a training are on one device, however many.
     ``protocol``: of the episodes that designs are judged by, see :mod:`warpvox.algos.protocols`.
@@ -31,22 +31,22 @@ class EnvFactory:
     protocol: str = NOMINAL
 
     def __post_init__(self) -> None:
-        """Replace the device ``auto`` by a GPU if there is one, else by the CPU."""
+        """Resolve the device ``auto``: a GPU if there is one, else the CPU."""
         if self.sim.device == "auto":
             object.__setattr__(self, "sim", replace(self.sim, device=resolve_device(self.sim.device)))
 
     def computed(self, **changes: Any) -> EnvFactory:
-        """Return a copy with other simulation options: ``changes`` of ``sim``."""
+        """Copy the factory with some simulation options changed."""
         return replace(self, sim=replace(self.sim, **changes))
 
     def episodes(self, given: int | None) -> int:
-        """Return the number of evaluation episodes of a design: ``given``, or the default of ``protocol``."""
+        """Return the number of evaluation episodes per design: ``given``, or the default of ``protocol``."""
         return episodes_of(given, self.protocol)
 
     def make(
         self, bodies: Sequence[Design], envs: int, seeds: Sequence[int], auto_reset: bool, shared: bool = False
     ) -> VoxelVecEnv:
-        """Make ``envs`` environments of each body; random tasks draw as if each body were alone with its seed.
+        """Create ``envs`` environments of each body; random tasks draw as if each body were alone with its seed.
 
         With ``shared`` different bodies share packs, which few environments of one body would not fill.
         """
@@ -66,7 +66,7 @@ class EnvFactory:
         )
 
     def shared_lanes(self, envs: int) -> int:
-        """Return the lanes of a pack with ``envs`` environments per design, whatever the designs are.
+        """Return the lane width for ``envs`` environments per design, independent of the designs.
 
         In fast arithmetic different bodies share packs, in exact arithmetic they do not.
         """

@@ -1,4 +1,4 @@
-"""Deterministic evaluation of policies in whole episodes without exploration."""
+"""Deterministic evaluation of policies over whole episodes, without exploration."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ from warpvox.envs.vec_env import VoxelVecEnv
 from warpvox.errors import ConfigError
 
 Policy = Callable[[torch.Tensor], torch.Tensor]
-"""Observations ``[num_envs, num_obs]`` to actions ``[num_envs, num_actions]`` in [0.6, 1.6]."""
+"""Function from observations ``[num_envs, num_obs]`` to actions ``[num_envs, num_actions]`` in [0.6, 1.6]."""
 
 
 @dataclass(frozen=True)
 class EpisodeReturns:
-    """Results of one episode in every environment, on the CPU.
+    """Returns of one episode in every environment, on the CPU.
 
     ``returns`` float64, ``lengths`` (control steps) and ``design_index`` long: all ``[num_envs]``.
     """
@@ -27,21 +27,21 @@ class EpisodeReturns:
 
     @property
     def mean_return(self) -> float:
-        """Mean return over all episodes."""
+        """Mean return of all episodes."""
         return float(self.returns.mean())
 
     @property
     def fitness(self) -> torch.Tensor:
-        """Mean return of each design, float64 ``[num_designs]``, which a design search maximises."""
+        """Mean return of each design, float64 ``[num_designs]``, the fitness in a design search."""
         return torch.bincount(self.design_index, self.returns) / torch.bincount(self.design_index)
 
 
 Evaluator = Callable[[Policy], EpisodeReturns]
-"""Evaluates policies during training; must not touch the environments that they are trained in."""
+"""Function that evaluates a policy during training, in environments of its own."""
 
 
 def evaluate(env: VoxelVecEnv, policy: Policy, seed: int | Sequence[int] | None = None) -> EpisodeReturns:
-    """Run one episode in every environment of ``env`` and return the returns.
+    """Run one episode of a policy in every environment of ``env`` and return the returns.
 
     Args:
         env: made with ``auto_reset=False``: an environment that has ended waits for the others.
@@ -69,7 +69,7 @@ def evaluate(env: VoxelVecEnv, policy: Policy, seed: int | Sequence[int] | None 
 
 
 def evaluator(env: VoxelVecEnv, seed: int | Sequence[int] | None = None, protocol: str = NOMINAL) -> Evaluator:
-    """Return an :class:`Evaluator` that uses ``env`` repeatedly; with ``seed``, always in the same episodes.
+    """Create an :class:`Evaluator` that reuses ``env``; with ``seed``, all evaluations use the same episodes.
 
     ``protocol``: nominal, or noise: the episodes of each design are disturbed copies.
     """

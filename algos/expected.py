@@ -1,4 +1,4 @@
-"""Checks of a file's content before it is used: names, types, shapes, finite numbers."""
+"""Validation of a file's content before use: names, types, shapes, finite numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from warpvox.errors import RunError
 
 @dataclass(frozen=True)
 class AnyTensor:
-    """Stands for any tensor of this type and shape; None in ``shape`` allows any length."""
+    """Placeholder for any tensor of this type and shape; None in ``shape`` allows any length."""
 
     dtype: torch.dtype
     shape: tuple[int | None, ...]
@@ -23,7 +23,7 @@ class AnyTensor:
 
 
 def check_like(found: Any, like: Any, name: str = "") -> None:
-    """Raise RunError unless ``found``, read from a file, has the types and shapes of ``like``.
+    """Raise RunError unless ``found``, read from a file, has the same types and shapes as ``like``.
 
     Args:
         like: a tensor, for one of its type and shape with finite numbers; an :class:`AnyTensor`; a type, for a value
@@ -65,7 +65,7 @@ def check_like(found: Any, like: Any, name: str = "") -> None:
 
 
 def _misfit(name: str, wanted: object, found: object) -> RunError:
-    """Return the error for an entry that has another type or shape than wanted."""
+    """Build the error for an entry with an unexpected type or shape."""
     got = f"{found!r:.60}"
     if isinstance(found, torch.Tensor):
         got = f"{str(found.dtype).removeprefix('torch.')} {list(found.shape)}"
@@ -73,7 +73,7 @@ def _misfit(name: str, wanted: object, found: object) -> RunError:
 
 
 def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> dict[str, Any]:
-    """Return an argument for ``optimizer.load_state_dict`` with a file's moments and learning rates, checked.
+    """Validate an optimiser's state from a file, and return it for ``optimizer.load_state_dict``.
 
     torch neither compares moments with the parameters nor looks at their strides, and goes on in them beyond their
     ends: what is returned are copies with all numbers in order.
@@ -125,7 +125,7 @@ def optimizer_state(found: Any, optimizer: torch.optim.Optimizer, name: str) -> 
 
 
 def _expected_moment(entry: Any, key: str, moment: Any, parameter: torch.Tensor) -> Any:
-    """Return what ``check_like`` must compare the entry ``key`` with, for this parameter."""
+    """Return the expected type and shape of an optimiser's entry ``key`` for one parameter."""
     if not isinstance(moment, torch.Tensor):
         return None if moment is None else type(moment)
     if moment.shape == (2,):
@@ -139,7 +139,7 @@ def _expected_moment(entry: Any, key: str, moment: Any, parameter: torch.Tensor)
 
 
 def check_plain(content: Any) -> None:
-    """Raise ValueError unless all tensors in nested dictionaries and lists are plain, with all numbers stored."""
+    """Raise ValueError unless all tensors in nested dictionaries and lists are plain and fully stored."""
     waiting: list[Any] = [content]
     seen: set[int] = set()  # a file may have lists that contain themselves
     while waiting:

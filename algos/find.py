@@ -1,4 +1,4 @@
-"""Finding of runs and design searches by name: ``latest``, a folder, a checkpoint, a pattern, ``zoo:TASK``."""
+"""Search for runs and design searches by name: ``latest``, a folder, a checkpoint, a pattern, ``zoo:TASK``."""
 
 import glob
 import os
@@ -16,11 +16,11 @@ NEEDED = {
     "train": ("a training", {"task", "design", "ppo"}),
     CODESIGN: ("a design search", {"task", "search", "training"}),
 }
-"""Kind of run that each command makes, and keys that its configuration must have."""
+"""Kind of run made by each command, and keys that its configuration must contain."""
 
 
 def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, CODESIGN), resume: bool = False) -> Run:
-    """Return the run that ``text`` names: ``latest``, a folder, a checkpoint file in it, or ``zoo:TASK``.
+    """Find a run by ``latest``, its folder, a checkpoint file in it, or ``zoo:TASK``.
 
     A design search stands for its best design; the folders ``designs/<id>`` in it are runs of their own.
 
@@ -45,14 +45,14 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
 
 
 def run_of_robot(robot: Robot) -> Run:
-    """Return a run that stands for a stored robot."""
+    """Create a run object for a stored robot."""
     policy = "mlp" if robot.has_feedback else "gait"
     known = {"task": robot.task, "design": robot.body.tolist(), "rules": "evogym", "obs": robot.obs}
     return Run(Path(robot.source or f"{ZOO}{robot.task}"), known | {"policy": policy}, robot=robot)
 
 
 def _folder_of(path: Path) -> Path:
-    """Return the run's folder that ``path`` is or lies in."""
+    """Return the run's folder that contains ``path``, or ``path`` itself."""
     if path.is_dir():
         return path
     if not (path.parent / CONFIG).is_file():
@@ -61,7 +61,7 @@ def _folder_of(path: Path) -> Path:
 
 
 def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
-    """Return the runs that ``texts`` name as for :func:`find_run` or by patterns, each once.
+    """Find all runs given by name (see :func:`find_run`) or by pattern, without duplicates.
 
     Other files and folders that a pattern such as ``outputs/train/*/*`` matches are ignored.
     """
@@ -86,7 +86,7 @@ def find_runs(texts: Sequence[str], output_dir: str) -> list[Run]:
 
 
 def matches(text: str) -> list[Path] | None:
-    """Return the paths that match a pattern; None: ``text`` is not a pattern."""
+    """Expand a pattern to the matching paths; None: ``text`` is not a pattern."""
     pattern = os.path.expanduser(text)
     if not any(mark in text for mark in "*?[") or Path(pattern).exists():
         return None
@@ -94,7 +94,7 @@ def matches(text: str) -> list[Path] | None:
 
 
 def find_codesign(text: str, output_dir: str) -> Run:
-    """Return the design search that ``text`` names: ``latest`` or a folder."""
+    """Find a design search by ``latest`` or its folder."""
     path = _latest(Path(output_dir), (CODESIGN,)) if text == "latest" else Path(text).expanduser()
     if not path.exists():
         raise RunError(f"There is no design search at {path}: expected latest or the folder of one.")
@@ -108,7 +108,7 @@ def find_codesign(text: str, output_dir: str) -> Run:
 
 
 def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
-    """Return the folders of the design searches that ``texts`` name, each once; empty if they name other runs.
+    """Find the folders of design searches by name, without duplicates; empty if ``texts`` name other runs.
 
     A text is ``latest``, the folder of a search, one that searches lie in, or a pattern of such.
     """
@@ -126,7 +126,7 @@ def find_searches(texts: Sequence[str], output_dir: str) -> list[Path]:
 
 
 def _config_of(folder: Path, command: str) -> dict[str, Any]:
-    """Read a run's configuration, and raise RunError unless it is one of ``command``."""
+    """Read a run's configuration; RunError unless the run was made by ``command``."""
     if not (folder / CONFIG).is_file():
         raise RunError(f"{folder} is not a run: it has no {CONFIG}.")
     content = read_config(folder)
@@ -137,7 +137,7 @@ def _config_of(folder: Path, command: str) -> dict[str, Any]:
 
 
 def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:
-    """Return the folder of the newest run of these commands in ``root``."""
+    """Return the newest run folder of these commands in ``root``."""
     folders = []
     for command in commands:
         # Files that show that a run has begun

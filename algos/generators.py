@@ -1,4 +1,4 @@
-"""Random number generators of one training, separate from all others in the process."""
+"""Random number generators of one training, separate from the process-wide ones."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _DRAWING = frozenset({
     "bernoulli_", "cauchy_", "exponential_", "geometric_", "log_normal_", "normal_", "random_", "uniform_",
     "kaiming_normal_", "kaiming_uniform_", "trunc_normal_", "xavier_normal_", "xavier_uniform_",
 })  # fmt: skip
-"""Functions of torch, methods of tensors and ways to initialise weights that take a ``generator``."""
+"""torch functions, tensor methods and weight initialisers that take a ``generator``."""
 
 
 class Generators(TorchFunctionMode):
-    """Random generators of a training, one per kind of device; they give the same numbers as torch's after a seed.
+    """Random generators of a training, one per kind of device, equal to torch's own after the same seed.
 
     As a context manager, it makes all random numbers that this thread draws by torch come from these generators; other
     threads are not affected. It slows down each call of torch: use it to make networks, not in every step.
@@ -41,7 +41,7 @@ class Generators(TorchFunctionMode):
                 generator.set_state(torch.get_rng_state() if kind == "cpu" else torch.cuda.get_rng_state(device))
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        """Call a function of torch; if it draws random numbers, pass it one of these generators."""
+        """Intercept torch functions within the block, and pass a generator to those that draw random numbers."""
         kwargs = kwargs or {}
         if getattr(func, "__name__", "") in _DRAWING and kwargs.get("generator") is None:
             first = args[0] if args else None
@@ -53,12 +53,12 @@ class Generators(TorchFunctionMode):
         return func(*args, **kwargs)
 
     def on(self, device: str | torch.device) -> torch.Generator:
-        """Return the generator of a device."""
+        """Return the generator for a device."""
         return self._generators[torch.device(device).type]
 
     @property
     def seed(self) -> int:
-        """Seed that the generators started with."""
+        """Initial seed of the generators."""
         return self.on("cpu").initial_seed()
 
     def state(self) -> dict[str, torch.Tensor]:
@@ -66,7 +66,7 @@ class Generators(TorchFunctionMode):
         return {kind: generator.get_state() for kind, generator in self._generators.items()}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Restore what :meth:`state` returned; missing kinds of devices are left unchanged. RunError: not valid."""
+        """Restore a :meth:`state`; missing kinds of devices are left unchanged. RunError: not valid."""
         like = {kind: AnyTensor(torch.uint8, (None,)) for kind in {"cpu", *state}}
         check_like(state, like, "random")
 

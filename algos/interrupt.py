@@ -1,4 +1,4 @@
-"""Interrupts that are deferred to a good moment."""
+"""Handling of Ctrl-C and termination signals: defer them to a safe moment."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from warpvox.system import HANGUP, stop_signals
 
 
 class Terminated(KeyboardInterrupt):
-    """KeyboardInterrupt for a signal that asks the process to end; it is handled like Ctrl-C.
+    """KeyboardInterrupt for a termination signal, handled like Ctrl-C.
 
     SIGTERM, as schedulers of clusters send it before they kill; SIGHUP, when the window or connection is closed.
     ``number`` is the signal's.
@@ -24,23 +24,23 @@ class Terminated(KeyboardInterrupt):
 
 
 class Interrupt:
-    """Flag that is true once Ctrl-C or a request to end has arrived; ``number`` is the signal."""
+    """Flag set by Ctrl-C or a termination signal; ``number`` is the signal."""
 
     def __init__(self) -> None:
         self.number: int | None = None
 
     def __bool__(self) -> bool:
-        """Return True once an interrupt has arrived."""
+        """Return whether an interrupt has arrived."""
         return self.number is not None
 
     def raise_interrupt(self) -> NoReturn:
-        """Raise KeyboardInterrupt, or Terminated if the signal was a request to end."""
+        """Raise KeyboardInterrupt, or Terminated after a termination signal."""
         raise KeyboardInterrupt if self.number in (None, signal.SIGINT) else Terminated(self.number)
 
 
 @contextmanager
 def deferred_interrupts() -> Iterator[Interrupt]:
-    """Within the block, let the first interrupt only set the yielded flag; the second raises KeyboardInterrupt.
+    """Defer the first interrupt within the block: it sets the yielded flag; a second one raises at once.
 
     SIGHUP is never the first or second of two: a terminal that closes sends it more than once, from the shell and from
     the kernel, and nobody is there who could mean by it that things should be left as they are.
@@ -63,7 +63,7 @@ def deferred_interrupts() -> Iterator[Interrupt]:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Within the block or the decorated function, defer interrupts; the first one is raised at its end.
+    """Defer interrupts to the end of the block or the decorated function.
 
     For code of libraries whose own clean-up fails when it is interrupted, and which is done within a second.
     """
@@ -77,7 +77,7 @@ def uninterrupted() -> Iterator[None]:
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """Within the block, raise Terminated on a request to end, so that clean-up runs as it does on Ctrl-C."""
+    """Raise Terminated on termination signals within the block, so that clean-up runs as after Ctrl-C."""
 
     def on_signal(number: int, frame: object) -> None:
         raise Terminated(number)
@@ -88,7 +88,7 @@ def terminable() -> Iterator[None]:
 
 @contextmanager
 def _handling(numbers: Sequence[int | None], handler: Callable[[int, Any], object] | signal.Handlers) -> Iterator[None]:
-    """Within the block, handle ``numbers`` by ``handler``, except signals that are ignored; None: not on this system.
+    """Install ``handler`` for the signals ``numbers`` within the block, except ignored and unsupported ones.
 
     Outside the main thread, where signals do not arrive, nothing is changed.
     """

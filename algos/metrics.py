@@ -1,4 +1,4 @@
-"""Metrics of a training run: ``metrics.csv``, TensorBoard events, and rsl-rl's writer for Neptune."""
+"""Metrics of a training run: ``metrics.csv``, TensorBoard events, and rsl-rl's writers for other services."""
 
 import csv
 import math
@@ -32,14 +32,14 @@ COLUMNS = {
     "steps_per_second": "Perf/steps_per_second",  # of this iteration, learning included, evaluation not
     "elapsed": "",  # seconds of all iterations and evaluations so far
 }
-"""Columns of ``metrics.csv``, and their logger tags (empty: not logged)."""
+"""Columns of ``metrics.csv`` and their logger tags (empty: not logged)."""
 FILE = "metrics.csv"
 SERVICES = ("wandb", "neptune")
-"""Loggers that are packages of their own; TensorBoard's events are written besides."""
+"""Loggers that need a package of their own; TensorBoard events are written as well."""
 
 
 class Metrics:
-    """Writes a row for each iteration to ``metrics.csv`` and to a logger; first drops rows that will be repeated.
+    """Writes each iteration to ``metrics.csv`` and a logger; a resumed run drops rows that will be repeated.
 
     Every row is with the system before the next iteration begins, in ``metrics.csv`` and in the TensorBoard events.
     ``logger``: one of :data:`warpvox.algos.settings.LOGGERS`, checked by :func:`check_logger`.
@@ -63,7 +63,7 @@ class Metrics:
             self._writer = resolve_callable("NeptuneLogWriter")(log_dir=str(folder), project_name="warpvox")
 
     def write(self, row: Mapping[str, float], log: Mapping[str, float] | None = None) -> None:
-        """Append a row (keys of :data:`COLUMNS`); ``log`` goes to the logger only, under its own tags."""
+        """Append a row (keys of :data:`COLUMNS`); ``log`` holds further values for the logger, by tag."""
         with writing(self.path), self.path.open("a", encoding="utf-8", newline="") as file:
             if not file.tell():  # the file was moved away: begin a new one
                 file.write(self._header)
@@ -83,18 +83,18 @@ class Metrics:
 
 
 def tagged(row: Mapping[str, float]) -> dict[str, float]:
-    """Return the known values of a row by their logger tags."""
+    """Return the known values of a row by logger tag."""
     return {tag: row[name] for name, tag in COLUMNS.items() if tag and _known(row.get(name))}
 
 
 def check_logger(name: str) -> None:
-    """Raise ConfigError if a logger needs a package that is not installed."""
+    """Raise ConfigError if the package of a logger is not installed."""
     if name in SERVICES and find_spec(name) is None:
         raise ConfigError(f"logger={name} needs the package {name}, which is not installed: pip install {name}")
 
 
 def read_metrics(folder: Path) -> list[dict[str, float]]:
-    """Read the rows of a run's ``metrics.csv``, empty cells as NaN; no rows if there is no file.
+    """Read a run's ``metrics.csv``, empty cells as NaN; no rows if the file is missing.
 
     A last line that was cut short by a crash is left out.
     """
@@ -119,7 +119,7 @@ def read_metrics(folder: Path) -> list[dict[str, float]]:
 
 
 def _row_line(row: Mapping[str, float]) -> str:
-    """Return a row as a line of ``metrics.csv``; unknown values are empty."""
+    """Format a row as a line of ``metrics.csv``; unknown values are empty."""
     cells = []
     for name in COLUMNS:
         value = row.get(name)

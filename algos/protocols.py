@@ -1,4 +1,4 @@
-"""Protocols of evaluation: episodes that evaluate a policy, and episodes that a search compares designs by."""
+"""Protocols of evaluation: disturbances and numbers of episodes."""
 
 from dataclasses import dataclass
 
@@ -32,15 +32,15 @@ DISTURBANCES = {
     "sensors": Disturbance(sensors=0.01),
 }
 PROTOCOLS = {name: (name,) for name in DISTURBANCES} | {ROBUST: tuple(DISTURBANCES)}
-"""Names of the disturbances in each protocol of evaluation."""
+"""Disturbances of each evaluation protocol, by name."""
 CHOOSING = (NOMINAL, NOISE)
-"""Protocols by which trainings and searches choose the best: one undisturbed episode, or several with noise."""
+"""Protocols by which trainings and searches choose the best: one undisturbed episode, or several with action noise."""
 COPIES = 8
-"""Default number of disturbed episodes of a trained policy."""
+"""Default number of disturbed episodes per policy."""
 
 
 def parts_of(protocol: str, feedback: bool) -> tuple[str, ...]:
-    """Return the disturbances of a protocol that apply to a policy. ConfigError: none does."""
+    """List the disturbances of a protocol that apply to a policy; ConfigError: none does."""
     found = tuple(name for name in PROTOCOLS[protocol] if feedback or name != "sensors")
     if not found:
         raise ConfigError("protocol=sensors needs a policy with feedback; an open-loop one acts by the time alone.")

@@ -1,4 +1,4 @@
-"""Settings of training and physics: dataclasses that the YAML files of ``warpvox/configs`` set."""
+"""Settings of training and physics: dataclasses behind the YAML files of ``warpvox/configs``."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
 
 
 WIDEST = 1 << 16
-"""Most observations, actions or units of a layer, so that no file or typing error asks for too much memory."""
+"""Maximum number of observations, actions or units of a layer."""
 MAX_LAYERS = 256
-"""Most layers of a network."""
+"""Maximum number of layers of a network."""
 MLP = "mlp"
-"""Name of the policy with fully connected layers on the whole observation; all others are for voxels."""
+"""Policy name of fully connected layers on the whole observation; all other policies work by voxel."""
 REFRESH = ("none", "new", "random", "performance")
-"""Values of ``designs.refresh``: how bodies are exchanged while one policy learns to control them."""
+"""Values of ``designs.refresh``: how environments get other bodies while one policy is trained."""
 LOGGERS = ("tensorboard", "wandb", "neptune", "none")
 
 
 @dataclass
 class Ppo(Settings):
-    """Keys ``ppo.*``: policy, value function and their optimisation.
+    """Keys ``ppo.*``: policy, value function and optimisation.
 
     The defaults are for hundreds to thousands of environments, tuned on Walker-v0 with 512. Short rollouts and as many
     updates as the KL divergence allows need the fewest control steps.
@@ -69,13 +69,13 @@ class Ppo(Settings):
     extra: Any = key(None, "further settings of rsl-rl's PPO by name, such as rnd_cfg")
 
     def __post_init__(self) -> None:
-        """Check the values, and convert ``rnn`` and ``extra`` to plain ones."""
+        """Validate the values, and convert ``rnn`` and ``extra`` to plain dictionaries."""
         super().__post_init__()
         self.rnn = plain(self.rnn, "ppo.rnn")
         self.extra = plain(self.extra, "ppo.extra")
 
     def check(self, num_envs: int, prefix: str = "ppo") -> None:
-        """Raise ConfigError if an iteration of ``num_envs`` environments is too small for its minibatches."""
+        """Raise ConfigError if ``num_envs`` environments give too few samples for the minibatches."""
         samples = self.steps * num_envs
         if not self.hidden:
             raise ConfigError(f"{prefix}.hidden must name the width of one layer or more, got [].")
@@ -99,7 +99,7 @@ class Ppo(Settings):
 
 @dataclass
 class DesignTraining(Settings):
-    """Keys ``training.*``: how a design search trains and evaluates a design.
+    """Keys ``training.*``: training and evaluation of each design in a search.
 
     The defaults take as many control steps as the paper's and spend them better: on Walker-v0 the example design
     ``walker`` gets to the end of the terrain within a third of them.
@@ -127,16 +127,16 @@ class DesignTraining(Settings):
     ppo: Ppo = key(lambda: Ppo(steps=64, epochs=8), "settings of PPO")  # large batches
 
     def halvings(self) -> list[int]:
-        """Return the iterations after which designs are dropped, in ascending order."""
+        """Return the iterations at which successive halving drops designs, ascending."""
         return sorted({max(1, round(share * self.iterations)) for share in self.rungs} - {self.iterations})
 
     def kept(self, designs: int) -> int:
-        """Return how many of ``designs`` are kept at a rung."""
+        """Return how many of ``designs`` survive a rung of successive halving."""
         # 0.28 of 25 must be 7, whatever rounding makes of it
         return max(1, math.ceil(round(self.keep * designs, 9)))
 
     def steps_of_design(self, designs: int) -> float:
-        """Return the control steps of a design's training, as the mean over ``designs`` side by side."""
+        """Return the mean number of control steps of a design's training, of ``designs`` in one batch."""
         left = designs
         before = 0
         iterations = 0
@@ -171,11 +171,11 @@ _Constants: Any = make_dataclass(
 
 
 class PhysicsConfig(_Constants):
-    """Keys ``physics.*``: a preset, and constants that differ from it (paper section A, Table 1)."""
+    """Keys ``physics.*``: a preset and changed constants (paper section A, Table 1)."""
 
     @classmethod
     def of(cls, given: Any) -> Any:
-        """Convert the name of a preset or a set of constants to these keys; other values are returned unchanged."""
+        """Convert a preset's name or a set of constants to these keys; other values are returned unchanged."""
         if isinstance(given, Physics):
             given = dataclasses.asdict(given)
             return cls(given.pop("name"), **given)
@@ -183,11 +183,11 @@ class PhysicsConfig(_Constants):
 
 
 PRESETS = {name: PhysicsConfig(preset=name) for name in ("auto", *Physics.presets())}
-"""The choices of the group ``physics``."""
+"""Choices of the group ``physics``."""
 
 
 def physics_of(config: Any) -> Physics:
-    """Return the physics constants that ``physics`` and ``rules`` of a configuration give together."""
+    """Return the physics constants selected by ``physics`` and ``rules`` of a configuration."""
     values = dataclasses.asdict(config.physics)
     preset = values.pop("preset")
     changes = {name: value for name, value in values.items() if value is not None}
@@ -195,7 +195,7 @@ def physics_of(config: Any) -> Physics:
 
 
 def sim_of(config: Any) -> SimOptions:
-    """Return the simulation options of a configuration."""
+    """Collect the simulation options from a configuration."""
     from warpvox.batch.options import SimOptions  # and torch with it, for which mistakes in keys do not wait
 
     return SimOptions(

@@ -1,4 +1,4 @@
-"""Means and their confidence intervals by Student's t distribution."""
+"""Means with confidence intervals by Student's t distribution."""
 
 import math
 import warnings
@@ -14,7 +14,7 @@ LEVEL = 0.95
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean, or a difference of two, its confidence interval, and the number of values.
+    """A mean or a difference of means, with confidence interval and sample size.
 
     ``low`` and ``high`` are NaN where there are too few values.
     """
@@ -25,7 +25,7 @@ class Interval:
     n: int
 
     def __str__(self) -> str:
-        """Return the mean and, if it is known, the interval, with three decimals."""
+        """Format the mean and the interval, if known, with three decimals."""
         known = math.isfinite(self.low)
         return f"{self.mean:.3f}" + (f" [{self.low:.3f}, {self.high:.3f}]" if known else "")
 
@@ -50,7 +50,7 @@ def mean_interval(values: Sequence[float] | np.ndarray, level: float = LEVEL) ->
 
 
 def difference(first: Sequence[float], second: Sequence[float], level: float = LEVEL) -> Interval:
-    """Return the mean of ``first`` minus that of ``second`` with Welch's interval, for unequal variances.
+    """Return the mean of ``first`` minus the mean of ``second``, with Welch's interval for unequal variances.
 
     ``n`` is the smaller number of values. ValueError: there are no values.
     """
@@ -73,7 +73,7 @@ def difference(first: Sequence[float], second: Sequence[float], level: float = L
 
 
 def _checked(values: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Return the values as float64 ``[n]``; ValueError: there are none, or they are no list."""
+    """Return the values as float64 ``[n]``; ValueError: empty or not a list."""
     data = np.asarray(values, dtype=np.float64)
     if data.ndim != 1 or not len(data):
         raise ValueError(f"a mean needs a list of values, got an array of shape {data.shape}")

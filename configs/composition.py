@@ -1,4 +1,4 @@
-"""Composition of settings by Hydra, from the YAML files and dataclasses of this package."""
+"""Composition of settings by Hydra, from this package's YAML files and dataclasses."""
 
 import copy
 import functools
@@ -36,14 +36,14 @@ def composed(command: str, overrides: Sequence[str] = (), config_dir: Path | Non
 
 @functools.cache
 def _from_package(command: str, overrides: tuple[str, ...]) -> DictConfig:
-    """Compose a configuration from the package's files alone, once for the same arguments."""
+    """Compose a configuration from the package's files alone; cached."""
     with _opened(command):
         return compose(command, list(overrides))
 
 
 @contextmanager
 def _opened(command: str) -> Iterator[None]:
-    """Within the block, let Hydra's global state read our configurations; then restore a launcher's state."""
+    """Let Hydra read our configurations within the block; then restore Hydra's global state."""
     register(command)
     shared = GlobalHydra.instance()
     outer = shared.hydra
@@ -57,7 +57,7 @@ def _opened(command: str) -> Iterator[None]:
 
 @contextmanager
 def hydras_errors(beginning: str = "") -> Iterator[None]:
-    """Within the block, convert errors of Hydra and OmegaConf to a ConfigError of one sentence."""
+    """Convert errors of Hydra and OmegaConf within the block to a ConfigError of one sentence."""
     try:
         yield
     except (HydraException, OmegaConfBaseException, OverflowError, yaml.YAMLError) as found:
@@ -80,13 +80,13 @@ def hydras_errors(beginning: str = "") -> Iterator[None]:
 
 
 def quoted(text: str) -> str:
-    """Return a text in quotes, which Hydra reads as the same text."""
+    """Quote a text so that Hydra reads it unchanged."""
     return QuotedString(text=text, quote=Quote.single).with_quotes()
 
 
 @functools.cache
 def register(command: str) -> None:
-    """Register a command's dataclass, the choices of its groups and the ``paper_*`` resolvers with Hydra, once."""
+    """Register a command's dataclass, group choices and ``paper_*`` resolvers with Hydra, once."""
     store = ConfigStore.instance()
     own = (files("warpvox.configs") / f"{command}.yaml").is_file()
     store.store(name=f"{command}_schema" if own else command, node=schema_of(command))
@@ -104,7 +104,7 @@ def register(command: str) -> None:
 
 
 def settings_named(command: str, **names: str) -> dict[str, Any]:
-    """Return the settings that differ from the defaults where names such as ``ppo="evogym"`` are chosen."""
+    """Return the settings that a choice of named presets such as ``ppo="evogym"`` changes from the defaults."""
     with hydras_errors():
         words = [f"{key}={quoted(name)}" for key, name in names.items()]
         usual = vars(OmegaConf.to_object(composed(command)))

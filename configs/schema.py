@@ -25,10 +25,10 @@ COMMANDS = {
     "tasks": "tools",
     "info": "tools",
 }
-"""Module of this package with the dataclass ``<Command>Config`` of each command."""
+"""Commands, each with the module of this package that has the dataclass ``<Command>Config``."""
 
 PRESET = "preset"
-"""Name of the key that takes the name of a preset, a file of ``configs/preset/COMMAND``."""
+"""Key that selects a preset, a file of ``configs/preset/COMMAND``."""
 
 EXPORTS = ("usd", "gif", "mp4", "html", "png", "strip")
 SHOW = ("auto", "on", "off")
@@ -41,7 +41,7 @@ def schema_of(command: str) -> type:
 
 
 def nodes_of(command: str) -> dict[str, Mapping[str, Any]]:
-    """Return the groups of a command whose choices are dataclasses or instances, with the choices by name.
+    """Return the groups of a command with typed choices (dataclasses or instances), by choice name.
 
     Where they are of different dataclasses, these have a common base, which is the type of the command's field, and a
     first field, ``name`` or ``algorithm``, by which a stored configuration says which of them it has.
@@ -52,7 +52,7 @@ def nodes_of(command: str) -> dict[str, Mapping[str, Any]]:
 
 @dataclass
 class PresetConfig:
-    """The key of commands that have presets: sets of defaults, ``configs/preset/COMMAND/NAME.yaml``."""
+    """Key of commands with presets: sets of defaults in ``configs/preset/COMMAND/NAME.yaml``."""
 
     preset: str | None = key(
         None, "a named set of other defaults, which the keys that are given override; null: the defaults shown here"

@@ -1,4 +1,4 @@
-"""Keys of the commands that show what runs have left: play, export, evaluate, curves."""
+"""Keys of the commands that show results of runs: play, export, evaluate, curves."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -14,12 +14,12 @@ from warpvox.view.rollout import AGENTS
 
 POLICY_EXPORTS = ("onnx", "jit")
 _OWN_TASK = "For a run of a task of your own: its code, file.py:NAME"
-"""Help of the key ``task`` in commands that show a run."""
+"""Help text of the key ``task`` for a run with the user's own task."""
 
 
 @dataclass
 class _PolicyConfig(Settings):
-    """Keys that play, export and evaluate share; named as the first base, they come after the others."""
+    """Keys shared by play, export and evaluate; as first base class, they are listed last."""
 
     stochastic: bool = key(False, "sample actions from the policy as in training, instead of taking their mean")
     policy: str | None = key(
@@ -37,7 +37,7 @@ class _PolicyConfig(Settings):
 
 @dataclass
 class _RolloutConfig(Settings):
-    """Keys that play and export share."""
+    """Keys shared by play and export."""
 
     run: str = key("latest", "latest, the folder of a run, or a checkpoint file")
     zoo: str | None = key(
@@ -110,7 +110,7 @@ class ExportConfig(_PolicyConfig, _RolloutConfig):
 
 @dataclass
 class _EvaluationConfig(Settings):
-    """Keys of evaluate alone."""
+    """Keys of evaluate only."""
 
     runs: list[str] | None = key(
         None,

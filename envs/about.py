@@ -1,4 +1,4 @@
-"""Metadata of terms: formula, unit, size and range, declared beside their code.
+"""Descriptions of terms: formula, unit, size and range, declared beside the term's code.
 
 ``warpvox tasks`` prints it, and the spaces of gymnasium take their bounds from it. Formulas are text only.
 """
@@ -18,14 +18,14 @@ UNITS = {
     ANGLE: "radians, counter-clockwise",
     NUMBER: "no unit",
 }
-"""Descriptions of the units."""
+"""Descriptions of the units of observations."""
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
 class About:
-    """A term's description of itself: formula, unit, range and number of columns.
+    """Description of a term: formula, unit, range and number of columns.
 
     Attributes:
         formula: text with the term's parameters in braces; ``{low!d}`` writes an angle in degrees.
@@ -43,17 +43,17 @@ class About:
     high: float = inf
 
     def text(self, params: Mapping[str, Any]) -> str:
-        """Return the formula with the values of ``params`` filled in."""
+        """Return the formula with the values of ``params`` inserted."""
         return _Filler().vformat(self.formula, (), params)
 
     def size(self, params: Mapping[str, Any], points: int) -> int:
-        """Return how many columns the observation has for an object with ``points`` points."""
+        """Return the number of observation columns for an object with ``points`` points."""
         entries = self.entries(**params) if callable(self.entries) else self.entries
         return entries + self.per_point * points
 
 
 def about(formula: str, **details: Any) -> Callable[[Function], Function]:
-    """Decorate a term's function with an :class:`About`."""
+    """Attach an :class:`About` to a term's function (decorator)."""
 
     def decorate(function: Function) -> Function:
         function.about = About(formula, **details)  # pyright: ignore[reportFunctionMemberAccess] # functions take any
@@ -63,12 +63,12 @@ def about(formula: str, **details: Any) -> Callable[[Function], Function]:
 
 
 def about_of(function: Callable[..., Any]) -> About | None:
-    """Return the :class:`About` of a function, or None."""
+    """Return the :class:`About` attached to a function, or None."""
     return getattr(function, "about", None)
 
 
 class _Filler(string.Formatter):
-    """Formats numbers with six significant digits."""
+    """String formatter that writes numbers with six significant digits."""
 
     def convert_field(self, value: Any, conversion: str | None) -> Any:
         return f"{degrees(value):g}°" if conversion == "d" else super().convert_field(value, conversion)

@@ -1,8 +1,8 @@
-"""Checks of what the terms and memories of a task return, made once for new environments, and of states.
+"""Validation of a task's terms and memories in new environments, and of saved states.
 
-They find what a term gets wrong in every step, so that steps need no checks: shape, type, device, non-finite values,
-unknown objects and memories, exceptions. Values that are not finite later terminate the episode; a warning names the
-term.
+The checks find mistakes that a term makes in every step, so that steps need no checks: shape, type, device, non-finite
+values, unknown objects and memories, exceptions. Values that are not finite later terminate the episode; a warning
+names the term.
 """
 
 import math
@@ -24,7 +24,7 @@ from warpvox.simulation import Simulation
 
 
 def check_memory(spec: TaskSpec, sim: Simulation, draws: RandomStream) -> None:
-    """Raise TaskError unless every memory of a task begins with finite numbers ``[num_envs, ...]``."""
+    """Raise TaskError unless every memory of a task starts with finite numbers ``[num_envs, ...]``."""
     stream = draws.rewind()
     for memory in spec.memory:
         what = f"The memory '{memory.name}' of the task '{spec.id}'"
@@ -38,7 +38,7 @@ def check_memory(spec: TaskSpec, sim: Simulation, draws: RandomStream) -> None:
 
 
 def check_terms(spec: TaskSpec, sim: Simulation, state: Snapshot) -> None:
-    """Raise TaskError unless all terms of a task give valid values at the beginning of an episode.
+    """Raise TaskError unless all terms of a task return valid values at the start of an episode.
 
     Memories must have been drawn.
 
@@ -66,7 +66,7 @@ def _name(term: Term, spec: TaskSpec) -> str:
 
 
 def _check_column(what: str, value: Any, kind: str, sim: Simulation) -> None:
-    """Raise TaskError unless a term gives one finite number or, with ``kind="bool"``, one bool for each environment."""
+    """Raise TaskError unless a term returns one finite number (``kind="bool"``: one bool) per environment."""
     rows = _has_rows(value, sim)
     if not rows or value.ndim != 1 or value.dtype.is_complex or (kind == "bool") > (value.dtype == torch.bool):
         axis = " Leave its last axis out: value[:, 0]." if getattr(value, "shape", ())[1:] == (1,) else ""
@@ -78,7 +78,7 @@ def _check_column(what: str, value: Any, kind: str, sim: Simulation) -> None:
 
 
 def _check_observation(what: str, term: Observation, value: Any, sim: Simulation) -> None:
-    """Raise TaskError unless an observation term gives finite columns, as many as its ``@about`` declares."""
+    """Raise TaskError unless an observation term returns as many finite columns as ``@about`` declares."""
     if not _has_rows(value, sim) or value.ndim not in (2, 3) or value.dtype.is_complex or not value.shape[1]:
         columns = " Add the axis of columns: value[:, None]." if getattr(value, "ndim", 0) == 1 else ""
         raise TaskError(
@@ -124,7 +124,7 @@ def _got(value: Any) -> str:
 
 
 def check_fields(state: Any, like: Mapping[str, Any], inside: str = "") -> None:
-    """Raise SimulationError unless a state has the names, types and shapes of a valid one.
+    """Raise SimulationError unless a saved state has the right names, types and shapes.
 
     ``like``: nested mappings of tensors and None; ``torch.Tensor`` itself stands for any tensor.
     """
@@ -149,7 +149,7 @@ def check_fields(state: Any, like: Mapping[str, Any], inside: str = "") -> None:
 
 
 class FiniteGuard:
-    """Replaces non-finite values in observations and rewards, and counts them by term.
+    """Replaces NaN and infinity in observations and rewards by 0, and counts them by term.
 
     On the CPU :func:`all_finite` decides whether there is anything to do. Elsewhere reading it would wait for the
     device: masks are applied in every step, and counts stay on the device until :meth:`report` reads them.
@@ -169,9 +169,7 @@ class FiniteGuard:
         self._named: set[str] = set()
 
     def observation(self, obs: torch.Tensor, where: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-        """Count non-finite entries of ``obs`` ``[num_envs, num_obs]``; return ``obs`` with 0 in place of them.
-
-        The second result, bool ``[num_envs]``, is True where an environment had a non-finite entry that was counted.
+        """Replace non-finite entries of ``obs`` ``[num_envs, num_obs]`` by 0, and count them by term.
 
         The second result, bool ``[num_envs]``, is True where an environment had a non-finite entry that was counted.
 
@@ -188,7 +186,7 @@ class FiniteGuard:
         return obs.masked_fill(nonfinite, 0.0), counted.any(1)
 
     def first_observation(self, obs: torch.Tensor, where: torch.Tensor | None) -> torch.Tensor:
-        """Return the first observation of episodes with 0 in place of non-finite entries, and count these.
+        """Replace and count non-finite entries in the first observation of new episodes.
 
         ``where`` is explained under :meth:`observation`.
         """
@@ -202,7 +200,7 @@ class FiniteGuard:
     def step(
         self, obs: torch.Tensor, terms: dict[str, torch.Tensor], where: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Do the same as :meth:`observation` and also count non-finite reward terms, ``[num_envs]`` each.
+        """Replace non-finite observations as :meth:`observation` does, and also count non-finite reward terms.
 
         The second result is True where an environment had a non-finite entry or reward term.
         """
@@ -216,7 +214,7 @@ class FiniteGuard:
         return obs, nonfinite
 
     def refresh(self) -> None:
-        """Move the counts to those of earlier designs and begin new ones; call it after designs have changed.
+        """Start new counts after designs have changed, and add the present ones to those of earlier designs.
 
         It waits for the device.
         """
@@ -226,11 +224,11 @@ class FiniteGuard:
         self._columns = self._layout.columns
 
     def total(self) -> torch.Tensor:
-        """Return how many numbers were not finite since designs have changed: a long tensor on the device."""
+        """Return the number of non-finite values since the last change of designs, a long tensor on the device."""
         return self._of_rewards.sum() + self._of_columns.sum()
 
     def _counts(self) -> dict[str, int]:
-        """Return in how many environments each term was not finite so far, zeros included."""
+        """Count the environments in which each term has been non-finite, zeros included."""
         counts: dict[str, int] = {}
         totals: list[int] = self._of_rewards.cpu().numpy().tolist()
         for name, count in zip(self._rewards, totals, strict=True):
@@ -246,7 +244,7 @@ class FiniteGuard:
         return {name: count + self._earlier.get(name, 0) for name, count in counts.items()}
 
     def report(self) -> dict[str, int]:
-        """Return the counts of terms that were not finite, and warn once for each such term; waits for the device."""
+        """Return the counts of non-finite terms, and warn once for each term; waits for the device."""
         found = {name: count for name, count in self._counts().items() if count}
         for name in [name for name in found if name not in self._named]:
             self._named.add(name)
@@ -262,6 +260,6 @@ class FiniteGuard:
 
 
 def all_finite(*values: torch.Tensor) -> bool:
-    """Return whether the sum of all values is finite, which it is not if a value is not; False also if it overflows."""
+    """Return whether all values are finite, judged by their sum; also False if the sum overflows."""
     total: Any = sum(value.sum() for value in values)
     return math.isfinite(total.item())

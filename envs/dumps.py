@@ -1,4 +1,4 @@
-"""Rollout files with the last states of environments that have diverged."""
+"""Recording of diverged environments: a rollout file with the last states of each."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW
 from warpvox.view.rollout import Rollout, facts_of, scenes_of
 
 STEPS = 64
-"""Control steps that a file holds at most."""
+"""Maximum number of control steps in a file."""
 
 
 class DivergenceDump:
-    """Keeps the last control steps of all environments, and writes those of one that diverges.
+    """Ring buffer of the last control steps; writes a rollout file for each environment that diverges.
 
     ``env.dump = DivergenceDump(env, "dumps")`` switches it on.
 
@@ -51,22 +51,22 @@ class DivergenceDump:
         self._begun = torch.zeros_like(self._at)
 
     def refresh(self) -> None:
-        """Read the bodies of the environments again; then call :meth:`clear` for environments with a new body."""
+        """Update the bodies after some were exchanged; call :meth:`clear` for these environments next."""
         self._scenes, self._points = scenes_of(self.env.sim)
 
     def clear(self, mask: torch.Tensor | None = None) -> None:
-        """Forget the recorded steps of environments (bool ``[num_envs]``; None: all), which begin again."""
+        """Discard the recorded steps of environments (bool ``[num_envs]``; None: all) at their reset."""
         mask = torch.ones_like(self._at, dtype=torch.bool) if mask is None else mask
         self._at = self._at.masked_fill(mask, -1)
         self._begun = self._begun.masked_fill(mask, self._count)
 
     def before(self, actions: torch.Tensor) -> None:
-        """Record the state before a step, and its actions ``[num_envs, num_actions]``."""
+        """Record the state before a step and the actions ``[num_envs, num_actions]``."""
         self._note("positions", self._points())
         self._note("actions", actions)
 
     def _note(self, name: str, values: torch.Tensor) -> None:
-        """Write ``values`` into the ring buffer of that name, at the place of the present step."""
+        """Write ``values`` into a ring buffer at the present step."""
         if name not in self._rings:
             self._rings[name] = values.new_zeros((self._room, *values.shape))
         ring = self._rings[name]
@@ -76,7 +76,7 @@ class DivergenceDump:
         ring[self._count % self._room] = values
 
     def after(self, reward: torch.Tensor, info: dict[str, Any]) -> list[Path]:
-        """Record the result of the step; write files of divergences if it is time, and return their paths."""
+        """Record the result of a step, and write files of diverged environments from time to time; return paths."""
         self._note("rewards", reward)
         new = info["diverged"] & (self._at < 0)
         self._at = torch.where(new, self._count, self._at)
@@ -90,7 +90,7 @@ class DivergenceDump:
         return written
 
     def _write(self, env: int) -> Path | None:
-        """Write the file of one environment and return its path; None if there are 10 files or writing fails.
+        """Write the file of one environment and return the path; None after 10 files or a failed write.
 
         A failure warns, and no more files are written.
         """
@@ -106,7 +106,7 @@ class DivergenceDump:
             return None
 
     def rollout(self, env: int) -> Rollout:
-        """Return the last steps of an environment up to its divergence."""
+        """Return the last steps of an environment before its divergence as a rollout."""
         # What was recorded, in the order of the steps
         end = int(self._at[env]) + 1
         steps = min(int(self._length[env]), STEPS, end - int(self._begun[env]))

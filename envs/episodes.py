@@ -1,4 +1,4 @@
-"""Episode state of environments, in tensors that are allocated once."""
+"""State of episodes (lengths, returns, flags) in tensors that are allocated once."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,7 +9,7 @@ from warpvox.envs.snapshot import Quantity, Snapshot
 
 
 class Episodes:
-    """The running episodes of all environments.
+    """Lengths, returns and flags of the running episodes of all environments.
 
     Every tensor is made once and written to in place, never replaced, so that a captured step finds it again.
 
@@ -39,11 +39,11 @@ class Episodes:
 
     @property
     def active(self) -> torch.Tensor:
-        """Where an episode is running, bool ``[num_envs]``; False: it has ended and waits for its reset."""
+        """Mask of environments with a running episode, bool ``[num_envs]``; the others wait for a reset."""
         return ~(self.terminated | self.truncated)
 
     def clear(self, mask: torch.Tensor | None = None) -> None:
-        """Set counters and flags to 0, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
+        """Reset counters and flags to 0, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
         for tensor in self._counts.values():
             if mask is None:
                 tensor.zero_()
@@ -51,7 +51,7 @@ class Episodes:
                 tensor.masked_fill_(mask, 0)
 
     def end(self, terminated: torch.Tensor, truncated: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mark the environments that end now; return which have terminated and which were truncated since their reset.
+        """Mark episodes that end now; return all that have terminated and all that were truncated since their reset.
 
         All are bool ``[num_envs]``.
         """
@@ -62,7 +62,7 @@ class Episodes:
         return terminated, truncated
 
     def set_memory(self, values: Mapping[str, torch.Tensor], mask: torch.Tensor | None = None) -> None:
-        """Set the task's episode state, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
+        """Write the values of the task's memories, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
         if not self.memory:
             self.memory = {name: value.clone() for name, value in values.items()}
             return
@@ -81,24 +81,24 @@ class Episodes:
             tensor.copy_(value)
 
     def set_before(self, state: Snapshot) -> None:
-        """Store the quantities of ``state`` that rewards will compare the next step with."""
+        """Store the quantities of ``state`` that rewards compare with after the next step."""
         self.times_set += 1
         state.fetch(self.before)
         for quantity, held in self.before.items():
             held.copy_(state.value(quantity))
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Return copies of counters and flags by name."""
+        """Copy counters and flags by name."""
         return {name: tensor.clone() for name, tensor in self._counts.items()}
 
     def set_state(self, state: Mapping[str, torch.Tensor]) -> None:
-        """Set counters and flags to what :meth:`state` gave."""
+        """Restore counters and flags from a :meth:`state`."""
         for name, tensor in self._counts.items():
             tensor.copy_(state[name])
 
 
 def state_rows(state: torch.Tensor | dict[str, Any] | None, rows: torch.Tensor) -> Any:
-    """Return the state of an environment or adapter with only these rows, in this order.
+    """Select rows of a saved state of environments.
 
     Args:
         state: tensors in dictionaries of dictionaries; None stays None.

@@ -1,4 +1,4 @@
-"""CUDA graphs: a control step of environments, or a whole iteration of PPO, as one launch.
+"""CUDA graphs: a control step, or a whole iteration of PPO, replayed as one launch.
 
 A graph repeats launches on fixed addresses. What lives on from one repetition to the next is in tensors that are
 written to in place, as episode state is (:mod:`warpvox.envs.episodes`); what is returned is cloned.
@@ -16,7 +16,7 @@ import warp as wp
 from warpvox.kernels.device import current_stream
 
 Capture = Callable[[Callable[[], Any], Sequence[torch.Generator]], tuple[Callable[[], None], Any]]
-"""Records what a function launches, without doing it; returns what does it, again and again, and what it returned.
+"""Function that records a call's kernel launches; returns a function that replays them, and the call's result.
 
 It takes the generators that the function draws from as well: each repetition draws further numbers.
 """
@@ -25,7 +25,7 @@ It takes the generators that the function draws from as well: each repetition dr
 def capture_on_cuda(
     device: str, work: Callable[[], Any], generators: Sequence[torch.Generator] = ()
 ) -> tuple[Callable[[], None], Any]:
-    """Run ``work`` once on a stream of its own and record it as a CUDA graph, without computing anything.
+    """Run ``work`` once on a separate stream, and record its launches as a CUDA graph without computing.
 
     Returns a function that replays the graph, and the results of ``work``, whose tensors a replay fills. With its
     device given this is a :data:`Capture`.
@@ -55,7 +55,7 @@ def capture_on_cuda(
 
 
 class Graph:
-    """Calls a function that works on the device, such as a control step, and replays it as a CUDA graph if it can.
+    """Replays a function's kernel launches, such as a control step, as a CUDA graph; else calls the function.
 
     Under settings that it meets for the first time some calls are made as they are; the next is captured, and from then
     on replayed. Each settings have a recording of their own, so that a change of them is never missed and costs nothing
@@ -76,7 +76,7 @@ class Graph:
         self._failed = False
 
     def __call__(self, work: Callable[[], Any], settings: Hashable = None) -> Any:
-        """Run ``work``, or replay its recording; return its results as new tensors.
+        """Run ``work`` or replay its CUDA graph; return the results as new tensors.
 
         Args:
             work: takes no arguments, reads and writes tensors that stay where they are. Not kept: the environments that
@@ -94,11 +94,11 @@ class Graph:
 
     @property
     def is_recorded(self) -> bool:
-        """True if there is a recording to replay."""
+        """True if a CUDA graph has been recorded."""
         return bool(self._recorded)
 
     def _record(self, work: Callable[[], Any], settings: Hashable) -> bool:
-        """Record ``work`` without computing anything; return False, with a warning, if that fails."""
+        """Record ``work`` as a CUDA graph; return False, with a warning, if the capture fails."""
         try:
             self._recorded[settings] = self._capture(work, self._generators)
         except RuntimeError as error:  # of torch and of Warp
@@ -112,11 +112,11 @@ class Graph:
 
 
 def _cloned(value: Any) -> Any:
-    """Return a copy of ``value``, tuples and dictionaries of tensors, with new tensors."""
+    """Clone all tensors in ``value``, a nest of tuples and dictionaries."""
     fresh: dict[torch.dtype, tuple[list[torch.Tensor], list[torch.Tensor]]] = {}
 
     def made(value: torch.Tensor | dict[str, Any] | tuple[Any, ...]) -> Any:
-        """Return ``value`` with new, empty tensors, and note both in ``fresh``."""
+        """Return ``value`` with new, empty tensors, and list both in ``fresh`` for copying."""
         if isinstance(value, torch.Tensor):
             new, old = fresh.setdefault(value.dtype, ([], []))
             new.append(torch.empty_like(value))

@@ -1,4 +1,4 @@
-"""Memory is asked for before it is taken: bytes an environment, times environments, against what is free.
+"""Memory check before environments are created: estimated bytes against free memory.
 
 What is counted stays as long as there are environments: the arrays of the kernels, with room for the largest bodies
 that may come, where the environments lie in them, observations, and what PPO keeps of a rollout. Intermediate results
@@ -27,13 +27,13 @@ from warpvox.kernels.state import DATA, MODEL, bytes_of
 from warpvox.world import World
 
 _MEMORY_SHARE = 0.8
-"""Share of the free memory that may be asked for."""
+"""Maximum fraction of the free memory that environments may take."""
 
 
 def environment_bytes(
     spec: TaskSpec, worlds: Sequence[World], count: int, sim: ResolvedOptions, *, obs: str = "task", ppo: Any = None
 ) -> float:
-    """Return the bytes that each of ``count`` environments will take, without making them.
+    """Estimate the memory of each of ``count`` environments in bytes, without creating them.
 
     Args:
         worlds: one for each design. In fast arithmetic there is room for all bodies of their common box or of the grid.
@@ -86,7 +86,7 @@ def environment_bytes(
 
 
 def _entries(spec: TaskSpec, obs: str, points: int, cells: int) -> int:
-    """Return an upper bound for the columns of an observation; a term without :class:`About` counts as one column."""
+    """Estimate the number of columns of an observation, from above; a term without :class:`About` counts as one."""
     by_voxel = "voxel" in obs
     entries = len(spec.robots) * cells * NUM_FEATURES if by_voxel else 0
     for term in spec.observations:
@@ -98,7 +98,7 @@ def _entries(spec: TaskSpec, obs: str, points: int, cells: int) -> int:
 
 
 def fitting(each: float, device: str) -> float:
-    """Return how many things of ``each`` bytes fit into the free memory; infinity where that is unknown."""
+    """Return how many items of ``each`` bytes fit into free memory; infinity if that is unknown."""
     free = free_memory(device)
     return inf if free is None else _MEMORY_SHARE * free / each
 
@@ -106,7 +106,7 @@ def fitting(each: float, device: str) -> float:
 def ask(
     each: float, count: int, device: str, key: str = "num_envs", things: str = "environments", step: int = 1
 ) -> None:
-    """Raise MemoryLimitError, with the number that fits, if ``count`` things of ``each`` bytes are too many.
+    """Raise MemoryLimitError if ``count`` items of ``each`` bytes exceed free memory; the message says how many fit.
 
     Args:
         device: resolved.

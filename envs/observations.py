@@ -1,4 +1,4 @@
-"""The columns of observation terms, for designs of different sizes."""
+"""Layout of observations whose size differs between designs."""
 
 import numpy as np
 import torch
@@ -9,7 +9,7 @@ from warpvox.simulation import Simulation
 
 
 class ObservationLayout:
-    """Concatenates observation terms; each design's real entries come first, the rest of its row is 0.
+    """Concatenates observation terms, with each design's real entries first and zeros behind.
 
     Terms with a value for every point (x and y apart) or for every action are padded by the simulator to the largest
     body. A term has a value for every action if it reads ``actions(name)`` and has ``num_actions`` columns. A gather
@@ -56,7 +56,7 @@ class ObservationLayout:
         self.num_never_padded = start
 
     def _robot_of(self, term: Observation, value: torch.Tensor, state: Snapshot) -> str:
-        """Return the name of the robot if a term has a column for every action of one robot, else ""."""
+        """Return the robot whose actions a term observes, else ""."""
         if value.shape[1:] != (self._sim.num_actions,):
             return ""
         own = Snapshot(self._sim, state.memory_values, copies=True)
@@ -65,7 +65,7 @@ class ObservationLayout:
         return robots[0] if len(robots) == 1 else ""
 
     def refresh(self) -> np.ndarray:
-        """Set the layout from the present designs; return how many columns each term has, int ``[designs, terms]``."""
+        """Recompute the layout for the present designs; return columns by term, int ``[designs, terms]``."""
         sim = self._sim
 
         # Which of a term's flattened columns each design has, bool [designs, k]
@@ -112,7 +112,7 @@ class ObservationLayout:
         return counts
 
     def observe(self, state: Snapshot) -> torch.Tensor:
-        """Evaluate all terms; return observations ``[num_envs, num_obs]``, a new tensor in the simulation's dtype."""
+        """Compute observations ``[num_envs, num_obs]`` from all terms, in the simulation's dtype."""
         parts = [term(state).flatten(1).to(self._dtype) for term in self._terms]
         if self._gather is None:
             return torch.cat(parts, dim=1)

@@ -1,4 +1,4 @@
-"""Random integers for the episodes of many environments, on their device."""
+"""Random integers for the memories of many environments, generated on the device."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from warpvox.errors import TaskError
 
 
 class RandomStream:
-    """Random integers of every environment, each from a stream of its own.
+    """Independent streams of random integers, one per environment.
 
     Stream e begins at a key from numpy's ``SeedSequence(seed)`` spawned for environment e, so it does not depend
     on how many other environments there are. Within a stream numbers are counted (SplitMix64): number n of episode k
@@ -33,14 +33,14 @@ class RandomStream:
         self._count = 0
 
     def begin(self, seed: int | Sequence[int], mask: torch.Tensor | None = None) -> None:
-        """Restart the streams from new seeds, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
+        """Restart streams from new seeds, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
         keys = _keys(seed, self.num_envs).to(self.keys.device)
         mask = torch.ones_like(keys, dtype=torch.bool) if mask is None else mask
         self.keys.copy_(torch.where(mask, keys, self.keys))
         self.episode.masked_fill_(mask, 0)
 
     def rewind(self) -> RandomStream:
-        """Go back to the first number of the present episode; return this object."""
+        """Return to the first number of the present episode; returns this object."""
         self._count = 0
         return self
 
@@ -50,11 +50,11 @@ class RandomStream:
         return len(self.episode)
 
     def zeros(self, count: int) -> torch.Tensor:
-        """Return zeros, long ``[num_envs, count]``, for a memory that does not start at random."""
+        """Return zeros, long ``[num_envs, count]``, for a memory without a random start."""
         return torch.zeros((self.num_envs, count), dtype=torch.long, device=self.episode.device)
 
     def integers(self, low: int, high: int, count: int) -> torch.Tensor:
-        """Return the next ``count`` numbers of each stream, long ``[num_envs, count]``, uniform in [low, high).
+        """Draw ``count`` uniform integers in [low, high) from each stream, long ``[num_envs, count]``.
 
         Raises:
             TaskError: no number lies there, or more are asked for than an episode may draw.
@@ -74,12 +74,12 @@ class RandomStream:
         return low + _shifted(word, 11) % (high - low)
 
     def cells(self, x: tuple[int, int], y: tuple[int, int]) -> torch.Tensor:
-        """Return a random integer in each of two ranges, ends included: long ``[num_envs, 2]``."""
+        """Draw a uniform integer from each of two closed ranges, long ``[num_envs, 2]``."""
         return torch.cat([self.integers(low, high + 1, 1) for low, high in (x, y)], dim=1)
 
 
 def _keys(seed: int | Sequence[int], num_envs: int) -> torch.Tensor:
-    """Return the keys of the streams of ``num_envs`` environments from a seed or seeds: long ``[num_envs]``."""
+    """Derive the streams' keys from a seed or a list of seeds, long ``[num_envs]``."""
     seeds = list(seed) if isinstance(seed, Sequence) else [seed]
     children = [child for one in seeds for child in np.random.SeedSequence(one).spawn(num_envs // len(seeds))]
     keys = np.array([child.generate_state(1, np.uint64)[0] for child in children], np.uint64)
@@ -87,5 +87,5 @@ def _keys(seed: int | Sequence[int], num_envs: int) -> torch.Tensor:
 
 
 def _shifted(word: torch.Tensor, bits: int) -> torch.Tensor:
-    """Return ``word`` shifted right by ``bits``, with zeros from the left."""
+    """Shift ``word`` right by ``bits``, filling with zeros."""
     return (word >> bits) & ((1 << (64 - bits)) - 1)

@@ -1,4 +1,4 @@
-"""Tasks by name, and the returns that others have published."""
+"""Tasks by id, and published returns."""
 
 # Users may give anything for a text.
 # pyright: reportUnnecessaryIsInstance=false
@@ -24,12 +24,12 @@ _TASKS = {
 
 
 def task_ids() -> list[str]:
-    """Return the ids of all tasks in the order of the paper."""
+    """List the ids of all tasks in the order of the paper."""
     return list(_TASKS)
 
 
 def get_task(task: str | TaskSpec) -> TaskSpec:
-    """Return the task with this id; a specification is returned as it is.
+    """Look up a task by id; a specification is returned unchanged.
 
     A :class:`warpvox.code.Code` (``module:NAME`` or ``path/to/file.py:NAME``, typed by the user) names a specification
     in a module or file, which is imported. A plain string is the id of a task and nothing else, as it may come from a
@@ -54,13 +54,13 @@ def get_task(task: str | TaskSpec) -> TaskSpec:
 
 
 def released_id(task_id: str) -> str:
-    """Return the id of a task as the release spells it."""
+    """Return a task's id as the released benchmark spells it."""
     return next((theirs for theirs, ours in _ALIASES.items() if ours == task_id), task_id)
 
 
 @dataclass(frozen=True)
 class KnownReturn:
-    """Known returns of a task.
+    """Published and measured returns of a task.
 
     Attributes:
         task: its id.
@@ -81,7 +81,7 @@ class KnownReturn:
     note: str
 
     def score(self, value: float) -> float:
-        """Return ``(value - random) / (best - random)``: 0 is chance, 1 the best published return.
+        """Normalise a return: ``(value - random) / (best - random)``, 0 is chance, 1 the best published return.
 
         Raises:
             ValueError: no return is published.
@@ -93,7 +93,7 @@ class KnownReturn:
 
 @cache
 def known_returns() -> dict[str, KnownReturn]:
-    """Return the known returns of the benchmark's tasks, by id."""
+    """Load the known returns of the benchmark's tasks, by id."""
     text = files("warpvox.envs").joinpath("known_returns.csv").read_text(encoding="utf-8")
     rows: list[dict[str, Any]] = list(csv.DictReader(text.splitlines()))
     for row in rows:

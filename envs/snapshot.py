@@ -1,4 +1,4 @@
-"""Quantities of the simulation at one time, which terms read."""
+"""Cached sensor readings of a simulation at one time, which terms use."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 Quantity = tuple[Any, ...]
-"""A method of the simulation and its arguments."""
+"""A sensing method of the simulation and its arguments."""
 
 
 class Snapshot:
-    """Quantities of all environments at one time, computed on first use and cached.
+    """State of all environments at one time as terms see it: sensed on first use and cached.
 
-    They must be read before the simulation is stepped: :meth:`fetch` reads the quantities that rewards
+    Quantities must be read before the simulation is stepped: :meth:`fetch` reads the quantities that rewards
     will ask of the state before the next step; :attr:`quantities` lists what has been read.
 
     Lengths are in simulator units (0.1 a voxel), velocities in those units per inner time (a control step
@@ -44,21 +44,21 @@ class Snapshot:
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """Names and arguments of the quantities read so far."""
+        """Sensing methods and arguments used so far."""
         return tuple(self._values)
 
     def fetch(self, quantities: Iterable[Quantity]) -> Snapshot:
-        """Read ``quantities`` now; return this object."""
+        """Sense ``quantities`` now; return this object."""
         for quantity in quantities:
             self._ask(*quantity)
         return self
 
     def value(self, quantity: Quantity) -> Tensor:
-        """Return a quantity that was read, no copy: do not write to it."""
+        """Return a sensed quantity without copying; read-only."""
         return self._values[quantity]
 
     def update(self, updates: Mapping[str, Callable[[Snapshot], Tensor]]) -> dict[str, Tensor]:
-        """Update the episode state, one memory after the other; return the values of all memories.
+        """Compute the new values of all memories, one after another.
 
         Args:
             updates: by the name of a memory what gives its new value.
@@ -78,15 +78,15 @@ class Snapshot:
         return self._ask("velocity", name)
 
     def orientation(self, name: str) -> Tensor:
-        """Return the turn since time 0, float64 ``[num_envs]``, counter-clockwise in [0, 2 pi) (theta in B.1)."""
+        """Return the rotation since time 0, float64 ``[num_envs]``, counter-clockwise in [0, 2 pi) (theta in B.1)."""
         return self._ask("orientation", name)
 
     def relative_positions(self, name: str) -> Tensor:
-        """Return all points minus the centre of mass, ``[num_envs, 2, points]``: a row of x, a row of y (c in B.1)."""
+        """Return all points relative to the centre of mass, ``[num_envs, 2, points]`` (c in B.1)."""
         return self._ask("relative_positions", name)
 
     def positions(self, name: str) -> Tensor:
-        """Return the positions of all points of an object, also fixed ones: ``[num_envs, points, 2]``."""
+        """Return the positions of all points of an object, fixed ones included: ``[num_envs, points, 2]``."""
         return self._ask("object_positions", name)
 
     def velocities(self, name: str) -> Tensor:
@@ -94,22 +94,22 @@ class Snapshot:
         return self._ask("object_velocities", name)
 
     def actions(self, name: str) -> Tensor:
-        """Return a robot's actions in the last step, clipped, ``[num_envs, num_actions]``; 1 (at rest) without one.
+        """Return a robot's clipped actions of the last step, ``[num_envs, num_actions]``; 1 (at rest) without any.
 
-        There is none behind those of a smaller body, and before the first step of an episode.
+        There are none behind those of a smaller body, and before the first step of an episode.
         """
         return self._ask("robot_actions", name)
 
     def floor_scan(self, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
-        """Return the distances down to ``objects`` in windows about an object: float64 ``[num_envs, 2 reach + 1]``."""
+        """Return distances down to ``objects`` in windows around an object: float64 ``[num_envs, 2 reach + 1]``."""
         return self._ask("floor_scan", name, reach, objects)
 
     def ceiling_scan(self, name: str, reach: int, objects: tuple[str, ...]) -> Tensor:
-        """Return the distances up to ``objects`` in windows about an object: float64 ``[num_envs, 2 reach + 1]``."""
+        """Return distances up to ``objects`` in windows around an object: float64 ``[num_envs, 2 reach + 1]``."""
         return self._ask("ceiling_scan", name, reach, objects)
 
     def extent(self, name: str) -> Tensor:
-        """Return width and height of the box about all points of an object, float64 ``[num_envs, 2]``."""
+        """Return width and height of an object's bounding box, float64 ``[num_envs, 2]``."""
         return self._ask("extent", name)
 
     def hull_area(self, name: str) -> Tensor:
@@ -117,7 +117,7 @@ class Snapshot:
         return self._ask("hull_area", name)
 
     def memory(self, name: str) -> Tensor:
-        """Return an entry of the task's episode state, ``[num_envs, ...]``.
+        """Return the value of a task's memory, ``[num_envs, ...]``.
 
         Raises:
             TaskError: the task has no such memory.

@@ -1,4 +1,4 @@
-"""Tasks as data: a :class:`TaskSpec` names a world, terms and limits.
+"""Tasks as data: a :class:`TaskSpec` lists a world, observations, rewards, terminations and limits.
 
 A *term* is a small function on :class:`warpvox.envs.snapshot.Snapshot` together with its parameters. The vector
 environment adds terms up, so that no task has code of its own.
@@ -39,12 +39,12 @@ ROBOT = "robot"
 """Name of the robot in the world of a task."""
 
 Function: TypeAlias = "Callable[..., Tensor]"
-"""A function of states, whose parameters are given by name."""
+"""A term's function of states, with parameters passed by name."""
 
 
 @dataclass(frozen=True)
 class Term:
-    """A function of states with all its parameters but the states filled in."""
+    """A function of states with fixed parameters."""
 
     function: Function
     params: tuple[tuple[str, Any], ...] = ()
@@ -53,7 +53,7 @@ class Term:
     states: ClassVar[tuple[str, ...]] = ("state",)
 
     def __post_init__(self) -> None:
-        """Raise TaskError unless the function can be called with the states and these parameters."""
+        """Raise TaskError if the function cannot be called with states and these parameters."""
         try:
             taken = signature(self.function)
         except (TypeError, ValueError):  # what cannot be called, or does not say how
@@ -69,7 +69,7 @@ class Term:
             raise TaskError(f"The {self.kind} '{self.name}' {takes}: {error}.{hint}") from None
 
     def __call__(self, *states: object) -> Tensor:
-        """Evaluate the term in these states; TaskError: its function has failed."""
+        """Evaluate the term in these states; TaskError: the function failed."""
         try:
             return self.bound(*states)
         except Exception as error:
@@ -77,18 +77,18 @@ class Term:
 
     @cached_property
     def bound(self) -> Function:
-        """The function with the parameters filled in, which takes the states alone."""
+        """The function with its parameters bound, taking only states."""
         return partial(self.function, **dict(self.params))
 
     @property
     def name(self) -> str:
-        """The function's name followed by the parameters that are strings: ``displacement_robot_x``."""
+        """Name of the function followed by its string parameters: ``displacement_robot_x``."""
         words = [value for _, value in self.params if isinstance(value, str)]
         return "_".join([getattr(self.function, "__name__", type(self.function).__name__), *words])
 
     @property
     def formula(self) -> str:
-        """The computation as text, from ``@about``; without it, the function's name and parameters."""
+        """Formula as text from ``@about``, else the function's name and parameters."""
         described = about_of(self.function)
         if described is not None:
             return described.text(dict(self.params))
@@ -97,19 +97,19 @@ class Term:
 
 @dataclass(frozen=True)
 class Observation(Term):
-    """A term ``function(state)`` that gives ``[num_envs, k]``, or for all points ``[num_envs, 2, points]``."""
+    """A term ``function(state)`` that returns ``[num_envs, k]``, or ``[num_envs, 2, points]`` for all points."""
 
     kind: ClassVar[str] = "observation"
 
     @property
     def about(self) -> About:
-        """Formula, unit and range; a function without ``@about`` counts as a number of any size."""
+        """Formula, unit and range; without ``@about``, any number of unlimited size."""
         return about_of(self.function) or About(self.formula)
 
 
 @dataclass(frozen=True)
 class Reward(Term):
-    """A term ``function(before, after)`` that gives float64 ``[num_envs]``, which is multiplied by ``weight``."""
+    """A term ``function(before, after)`` that returns float64 ``[num_envs]``, multiplied by ``weight``."""
 
     weight: float = 1.0
     kind: ClassVar[str] = "reward"
@@ -118,7 +118,7 @@ class Reward(Term):
 
 @dataclass(frozen=True)
 class Termination(Term):
-    """A term ``function(after)`` that gives bool ``[num_envs]``: where True the episode ends and ``bonus`` is added."""
+    """A term ``function(after)`` that returns bool ``[num_envs]``: True ends the episode and adds ``bonus``."""
 
     bonus: float = 0.0
     kind: ClassVar[str] = "termination"
@@ -126,7 +126,7 @@ class Termination(Term):
 
 @dataclass(frozen=True)
 class Memory:
-    """An entry of a task's episode state, read by terms with ``state.memory(name)``.
+    """A task's own state within an episode, which terms read by ``state.memory(name)``.
 
     Attributes:
         name: unique in its task.
@@ -141,7 +141,7 @@ class Memory:
     update: Callable[[Snapshot], Tensor] | None = None
 
     def begin(self, draws: RandomStream) -> Tensor:
-        """Call ``start`` with the random stream; return the initial value, ``[num_envs, ...]``.
+        """Compute the value at the start of an episode, ``[num_envs, ...]``, with the random stream.
 
         Raises:
             TaskError: the function has failed; the message says where.
@@ -152,7 +152,7 @@ class Memory:
             _raise_task_error(f"start of the memory '{self.name}'", error)
 
     def advance(self, state: Snapshot) -> Tensor:
-        """Call ``update`` with the state after a step and return the new value; without ``update``, the present value.
+        """Compute the value after a step; without ``update``, return the present value.
 
         Raises:
             TaskError: the function has failed; the message says where.
@@ -166,7 +166,7 @@ class Memory:
 
 
 def _raise_task_error(part: str, error: Exception) -> NoReturn:
-    """Raise TaskError for an ``error`` that a function of a task has raised; ``part`` names the function.
+    """Raise a TaskError for an ``error`` raised by a task's function; ``part`` names the function.
 
     If the error is not one of warpvox, the message gives its file and line. A shortage of memory is raised as it is.
     """
@@ -180,7 +180,7 @@ def _raise_task_error(part: str, error: Exception) -> NoReturn:
 
 
 def _is_ours(function: Callable[..., Any]) -> bool:
-    """Return whether a function belongs to warpvox or to Python's ``operator``."""
+    """Return whether a function is part of warpvox or of Python's ``operator``."""
     while isinstance(function, partial):
         function = function.func
     module = str(getattr(function, "__module__", ""))
@@ -188,23 +188,23 @@ def _is_ours(function: Callable[..., Any]) -> bool:
 
 
 def observes(function: Function, name: str = "robot", **params: Any) -> Observation:
-    """Return an observation of the object ``name``."""
+    """Declare an observation of the object ``name``."""
     return Observation(function, (("name", name), *params.items()))
 
 
 def rewards(function: Function, name: str = "robot", weight: float = 1.0, **params: Any) -> Reward:
-    """Return a reward for what the object ``name`` does."""
+    """Declare a reward for the object ``name``."""
     return Reward(function, (("name", name), *params.items()), weight)
 
 
 def terminates(function: Function, name: str = "robot", bonus: float = 0.0, **params: Any) -> Termination:
-    """Return a termination of the episode for what the object ``name`` does."""
+    """Declare a termination by the object ``name``."""
     return Termination(function, (("name", name), *params.items()), bonus)
 
 
 @dataclass(frozen=True)
 class TaskSpec:
-    """A task as data.
+    """Specification of a task: world, observations, rewards, terminations, memories, limits.
 
     Attributes:
         id: what users type, for instance ``Walker-v0``.
@@ -246,7 +246,7 @@ class TaskSpec:
         return f"TaskSpec({self.id}, {self.max_episode_steps} steps: {self.summary})"
 
     def __post_init__(self) -> None:
-        """Raise TaskError unless the fields are valid and names are unique; make mappings read-only."""
+        """Validate fields and unique names (TaskError), and make mappings read-only."""
         for name in ("paper", "partners"):
             if not is_mapping(given := getattr(self, name)):
                 raise TaskError(f"{name} of the task {self.id!r} must be a dictionary, got {given!r:.60}.")
@@ -276,7 +276,7 @@ class TaskSpec:
             )
 
     def _check_parts(self) -> None:
-        """Raise TaskError unless all parts have the right types; values of terms are checked later."""
+        """Raise TaskError unless all parts have the right types; term values are checked later."""
         kinds = {"objects": WorldObject, "observations": Observation, "rewards": Reward}
         kinds |= {"terminations": Termination, "memory": Memory}
         for name, kind in kinds.items():
@@ -310,21 +310,21 @@ class TaskSpec:
                 raise TaskError(f"The {what} in the task '{self.id}' must be a finite number, got {number!r:.60}.")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what copies and pickles the task."""
+        """Pickle and copy the task by its fields."""
         # Views of mappings cannot be copied or sent to other processes; the mappings can.
         values = {item.name: getattr(self, item.name) for item in fields(self)}
         return partial(TaskSpec, **values | {"paper": dict(self.paper), "partners": dict(self.partners)}), ()
 
     @property
     def has_code(self) -> bool:
-        """True if some function of the task is the user's own."""
+        """True if the task contains functions written by the user."""
         functions = [term.function for term in (*self.observations, *self.rewards, *self.terminations)]
         functions += [function for memory in self.memory for function in (memory.start, memory.update) if function]
         return not all(_is_ours(function) for function in functions)
 
     @property
     def is_random(self) -> bool:
-        """True if environments begin with different values of some memory, as it is drawn at random."""
+        """True if some memory starts at random, so that environments differ."""
         from torch import equal
 
         from warpvox.envs.random_stream import RandomStream
@@ -335,11 +335,11 @@ class TaskSpec:
 
     @property
     def robots(self) -> dict[str, tuple[int, int]]:
-        """All robots whose bodies are designed: ``{name: (x, y)}``, the cell of each as in ``robot_cell``."""
+        """Robots with designed bodies: ``{name: (x, y)}``, positions as in ``robot_cell``."""
         return {ROBOT: self.robot_cell, **self.partners}
 
     def under(self, rules: str) -> TaskSpec:
-        """Return the task under ``rules`` (one of :data:`RULES`); ``paper`` applies the changes in :attr:`paper`.
+        """Return the task under a rule set (:data:`RULES`); ``paper`` applies the changes in :attr:`paper`.
 
         Raises:
             ConfigError: unknown rules.

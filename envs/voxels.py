@@ -1,4 +1,4 @@
-"""Observations voxel by voxel, for modular and transformer controllers: ``make_vec(..., obs="voxel")``.
+"""Voxel-wise observations for modular and transformer controllers: ``make_vec(..., obs="voxel")``.
 
 The body lies in the upper left corner of a grid of cells, as large as the largest body of the batch. Every cell has
 :data:`FEATURES`; those of empty cells and of padding are 0 but for the type, which is "empty". After the grid come the
@@ -22,7 +22,7 @@ from warpvox.types import ACTUATORS, ROBOT_CELLS
 from warpvox.world import WorldObject
 
 FEATURES = {"positions": slice(0, 8), "velocities": slice(8, 16), "type": slice(16, 21), "neighbours": slice(21, 25)}
-"""Columns of the features of a cell.
+"""Columns of a cell's features.
 
 ``positions``: x and y of the corners (top left, top right, bottom right, bottom left, as the body was designed) about
 the robot's centre of mass; ``velocities``: of the same corners, absolute; ``type``: one of (empty, rigid, soft,
@@ -33,7 +33,7 @@ NUM_FEATURES = 25
 
 @dataclass(frozen=True)
 class VoxelLayout:
-    """Places of the voxels of one robot in observations and actions.
+    """Columns of one robot's voxels in observations and actions.
 
     Attributes:
         rows, columns: of the grid.
@@ -48,11 +48,11 @@ class VoxelLayout:
     action_cell: torch.Tensor
 
     def cells(self, obs: torch.Tensor) -> torch.Tensor:
-        """Return the features of every cell, row by row from the top left: ``[..., rows * columns, 25]``."""
+        """Extract the features of every cell, row by row from the top left: ``[..., rows * columns, 25]``."""
         return torch.unflatten(obs[..., self.place], -1, (self.rows * self.columns, NUM_FEATURES))
 
     def actions(self, values: torch.Tensor) -> torch.Tensor:
-        """Return actions ``[num_envs, num_actions]`` from a value for every cell ``[num_envs, rows * columns]``.
+        """Select actions ``[num_envs, num_actions]`` from one value per cell ``[num_envs, rows * columns]``.
 
         Actions of other robots are 0, so that the results for all robots of a world can be added.
         """
@@ -60,7 +60,7 @@ class VoxelLayout:
 
 
 class VoxelGrid:
-    """The observation term with the features of every cell of the grid of one robot."""
+    """Observation term with the features of every cell in the grid around one robot."""
 
     __name__ = "voxels"
 
@@ -78,14 +78,12 @@ class VoxelGrid:
         self.action_cell, self._corners, self._known, self._filled = self._tables
 
     def refresh(self) -> None:
-        """Update the tables after bodies of the simulation have changed."""
+        """Update the tables after the simulation's bodies changed."""
         for table, new in zip(self._tables, self._make_tables(), strict=True):
             table.copy_(new)  # in place: a captured step may read it
 
     def _make_tables(self) -> tuple[torch.Tensor, ...]:
-        """Return, for every environment, the cells of its actions, the points of its cells, and their fixed features.
-
-        The last result is 1 where a cell is not empty.
+        """Build, for every environment, the cells of its actions, the points of its cells, and fixed features.
 
         The last result is 1 where a cell is not empty.
         """
@@ -114,7 +112,7 @@ class VoxelGrid:
         return action_cell, corners, known, filled
 
     def _cells_of(self, source: WorldObject, design: int) -> _Cells:
-        """Return the cells of a body on the grid: points, type and neighbours, and which of them actions drive."""
+        """List the cells of a body on the grid: points, type, neighbours, and actuated cells."""
         # Corners
         rows, columns = np.nonzero(source.grid)
         cells = rows * self.columns + columns
@@ -141,7 +139,7 @@ class VoxelGrid:
         return _Cells(source, corners, known, cells[driving])
 
     def __call__(self, state: Snapshot, name: str) -> torch.Tensor:
-        """Return the features of all cells of the robot ``name``, ``[num_envs, cells * 25]``."""
+        """Compute the features of all cells of the robot ``name``, ``[num_envs, cells * 25]``."""
         places = state.relative_positions(name).transpose(1, 2)
         at = self._corners[..., None].expand(-1, -1, 2)
         parts: list[torch.Tensor] = []
@@ -152,7 +150,7 @@ class VoxelGrid:
 
 
 class _Cells(NamedTuple):
-    """The cells of a body on the grid: their points, type and neighbours (``known``), and those that actions drive."""
+    """The cells of a body on the grid: points, features that never change (``known``), and actuated cells."""
 
     source: WorldObject
     corners: np.ndarray
@@ -163,14 +161,14 @@ class _Cells(NamedTuple):
 def voxel_observations(
     terms: tuple[Observation, ...], robots: tuple[str, ...], sim: Simulation
 ) -> tuple[Observation, ...]:
-    """Return a grid term for each robot, followed by the task's terms without the shapes of those robots."""
+    """Replace the robots' shape observations of a task by a voxel grid for each robot."""
     grids = tuple(Observation(VoxelGrid(sim, name), (("name", name),)) for name in robots)
     shapes = [Observation(shape, (("name", name),)) for name in robots]
     return grids + tuple(term for term in terms if term not in shapes)
 
 
 def voxel_layouts(terms: tuple[Observation, ...], places: dict[str, slice]) -> dict[str, VoxelLayout]:
-    """Return the layout of every grid term by the name of its robot; ``places`` has the columns of each term."""
+    """Return the voxel layout of each robot by name; ``places`` has the columns of each term."""
     return {
         dict(term.params)["name"]: VoxelLayout(grid.rows, grid.columns, places[term.name], grid.action_cell)
         for term in terms

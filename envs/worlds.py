@@ -1,4 +1,4 @@
-"""Terrain as text: run-length data turned into objects, and the world of a task with a robot in it.
+"""Terrain from text and run-length data, and the world of a task with its robots.
 
 Cells are written ``.`` empty, ``R`` rigid, ``S`` soft, ``H`` and ``V`` actuators, ``F`` fixed. A *line* is a
 list of runs: ``"20. 10F"`` is twenty empty cells and ten fixed ones, a run of one cell needs no number.
@@ -25,22 +25,22 @@ _CELLS = {EMPTY_LETTER: Cell.EMPTY} | {material.letter: cell for cell, material 
 
 
 def block(name: str, width: int, height: int, cell: str = "F", x: int = 0, y: int = 0) -> WorldObject:
-    """Return a solid rectangle of one kind of cell with its lower left corner at cell (x, y)."""
+    """Create a solid rectangle of one cell type with its lower left corner at cell (x, y)."""
     return WorldObject.from_array(name, np.full((height, width), int(_CELLS[cell]), np.int8), x, y)
 
 
 def rows(name: str, *lines: str, x: int = 0, y: int = 0) -> WorldObject:
-    """Return an object drawn by rows from left to right, the bottom row first; short rows end with empty cells."""
+    """Create an object from rows of cells, the bottom row first; short rows end with empty cells."""
     return WorldObject.from_array(name, _stack(lines)[::-1], x, y)
 
 
 def columns(name: str, *lines: str, x: int = 0, y: int = 0) -> WorldObject:
-    """Return an object drawn by columns from the bottom up, the leftmost first; short columns end with empty cells."""
+    """Create an object from columns of cells, the leftmost first, bottom up; short columns end with empty cells."""
     return WorldObject.from_array(name, _stack(lines).T[::-1], x, y)
 
 
 def heights(name: str, profile: str, cell: str = "F", x: int = 0, y: int = 0) -> WorldObject:
-    """Return solid columns from y upward with heights in runs ``HEIGHTxCOUNT``: ``"1x22 2 1x5"``."""
+    """Create solid columns from y upward with heights in runs ``HEIGHTxCOUNT``: ``"1x22 2 1x5"``."""
     lines: list[str] = []
     for run in profile.split():
         height, _, count = run.partition("x")
@@ -49,7 +49,7 @@ def heights(name: str, profile: str, cell: str = "F", x: int = 0, y: int = 0) ->
 
 
 def task_team(task: TaskSpec, design: object) -> dict[str, object]:
-    """Return the bodies of all robots of a task: ``{name: body}``, the robot first.
+    """Return the body of every robot of a task, ``{name: body}``, the robot named ``robot`` first.
 
     Args:
         design: such a mapping, or one body, which all robots of the task then have.
@@ -70,7 +70,7 @@ def task_team(task: TaskSpec, design: object) -> dict[str, object]:
 
 
 def task_world(task: TaskSpec, body: object, connections: object = None) -> World:
-    """Return the world of a task with its robots in their places.
+    """Build the world of a task with its robots in place.
 
     Args:
         body: valid design, int8 ``[rows, columns]``, or such bodies by the names of the task's robots.
@@ -97,7 +97,7 @@ def task_world(task: TaskSpec, body: object, connections: object = None) -> Worl
 
 
 def _stack(lines: Sequence[str]) -> np.ndarray:
-    """Return lines of text as cells, int8 ``[lines, cells]``, padded with empty cells."""
+    """Convert lines of text to cells, int8 ``[lines, cells]``, padded with empty cells."""
     run = rf"(\d*)([{''.join(_CELLS)}])"
     parsed: list[list[int]] = []
     for line in lines:
@@ -112,7 +112,7 @@ def _stack(lines: Sequence[str]) -> np.ndarray:
 
 
 def one_body(body: object, designs: Any, connections: Any) -> tuple[Any, Any]:
-    """Return ``designs`` and ``connections``, as lists of one if ``body`` is given; ConfigError: both are given."""
+    """Return ``designs`` and ``connections``, made from ``body`` if given; ConfigError: both are given."""
     if body is None:
         return designs, connections
     if designs is not None:
@@ -121,7 +121,7 @@ def one_body(body: object, designs: Any, connections: Any) -> tuple[Any, Any]:
 
 
 def load_worlds(spec: TaskSpec, designs: Any, connections: Any) -> tuple[list[Design | dict[str, Design]], list[World]]:
-    """Load and check the bodies (of several robots by name); return the bodies and the world of each.
+    """Load and check the bodies (of several robots by name); return the bodies and a world for each.
 
     Raises:
         DesignError, WorldError: a body that is not valid, or does not fit. ConfigError: not a connection for each.

@@ -1,4 +1,4 @@
-"""Stages of the physics, one per file; ``step.py`` has the table of all, ``kit.py`` what they are written with."""
+"""Stages of the physics, one per file; ``step.py`` lists them in order, ``kit.py`` has the tools to write them."""
 
 if __name__ != "warpvox.kernels":
     # The folder is also importable as `kernels` when the repository root is on sys.path; that would register

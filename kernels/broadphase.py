@@ -29,7 +29,7 @@ def boxes(kit: Kit):
 
 @builder
 def boxes_overlap(kit: Kit):
-    """Build a function that returns the mask of lanes in which row i of one table of boxes meets row j of another."""
+    """Build a function that compares two tables of boxes: in which lanes row i of one meets row j of the other."""
 
     @kit.func_native("native/boxes_overlap.h", precision="float64")
     def overlap(one: wp.array3d(dtype=wp.float64), i, other: wp.array3d(dtype=wp.float64), j, pack, lane) -> int: ...
@@ -39,7 +39,7 @@ def boxes_overlap(kit: Kit):
 
 @builder
 def mark_pair(kit: Kit):
-    """Build a function that marks two voxels as candidates, in one bit for both orders; it skips two fixed voxels."""
+    """Build a function that marks a pair of voxels as contact candidates, except two fixed voxels."""
 
     @kit.func
     def mark(model, data, mesh, unit, v, w):
@@ -54,13 +54,13 @@ def mark_pair(kit: Kit):
 
 @builder
 def hulls(kit: Kit):
-    """Build the stage that computes for each movable voxel the box around its boxes in all lanes."""
+    """Build the stage that computes one bounding box per movable voxel, around its boxes in all lanes."""
     return kit.stage("native/hulls.h", precision="float64")
 
 
 @builder
 def mark_all(kit: Kit):
-    """Build the stage that marks pairs of movable voxels whose boxes meet, by comparing all with all."""
+    """Build the stage that marks candidate pairs of movable voxels by comparing all with all."""
     return kit.stage("native/mark_all.h", precision="float64")
 
 
@@ -90,7 +90,7 @@ def on_lattice(x0: wp.float64, x1: wp.float64, y0: wp.float64, y1: wp.float64):
 
 @builder
 def mark_grid(kit: Kit):
-    """Build the stage that marks pairs of movable voxels by a hashed grid, one lane after another."""
+    """Build the stage that marks candidate pairs of movable voxels by a hashed grid, one lane after another."""
     width = kit.width
     mark = mark_pair(kit)
     near = near_in_lane(kit)
@@ -102,7 +102,7 @@ def mark_grid(kit: Kit):
 
     @kit.func
     def cells(data, pack, k, v, margin):
-        """Return first and last column, first and last row of the grid cells that a voxel's box covers.
+        """Return first and last column, first and last row of the grid cells under a voxel's box.
 
         The box is half the margin wider on every side. No cells (0, -1, 0, -1) if it is not finite or too wide.
         """
@@ -117,7 +117,7 @@ def mark_grid(kit: Kit):
 
     @kit.func
     def insert(model, data, mesh, pack, k, unit, v, entries):
-        """Mark voxel v with the voxels in its grid cells, then add v to them; return the new number of entries."""
+        """Mark voxel v as near all voxels in its grid cells, then add v to these cells; return the entry count."""
         n = int(entries)
         x0, x1, y0, y1 = cells(data, pack, k, v, model.margin)
         for y in range(y0, y1 + 1):
@@ -154,7 +154,7 @@ def mark_grid(kit: Kit):
 
 @wp.func
 def lattice_cells(size: wp.vec2i, x0: wp.float64, x1: wp.float64, y0: wp.float64, y1: wp.float64):
-    """Return first and last column, first and last row of the terrain lattice that bounds cover; none if not finite."""
+    """Return first and last column, first and last row of terrain cells within bounds; none if not finite."""
     if on_lattice(x0, x1, y0, y1):
         s = wp.float64(1.0 / VOXEL)
         slack = wp.float64(1.0e-3)  # in cells: coordinates carry rounding, the lattice does not
@@ -169,7 +169,7 @@ def lattice_cells(size: wp.vec2i, x0: wp.float64, x1: wp.float64, y0: wp.float64
 
 @builder
 def lattice_range(kit: Kit):
-    """Build a function that returns which columns and rows of the terrain lattice a voxel's box overlaps.
+    """Build a function that returns the columns and rows of the terrain lattice under a voxel's box.
 
     The box is ``margin`` wider on every side.
     """
@@ -185,7 +185,7 @@ def lattice_range(kit: Kit):
 
 @builder
 def lattice_content(kit: Kit):
-    """Build a function that returns what the terrain lattice holds within the hull of the n-th movable voxel.
+    """Build a function that returns what the terrain lattice contains near the n-th movable voxel.
 
     Bit 1: the surface of terrain; bit 2: fixed voxels.
 
@@ -194,7 +194,7 @@ def lattice_content(kit: Kit):
 
     @kit.func
     def content(model, data, mesh, unit, n):
-        """Return bit 1 for terrain surface, bit 2 for fixed voxels, within the hull of the n-th movable voxel."""
+        """Return flags for the hull of the n-th movable voxel: bit 1 terrain surface, bit 2 fixed voxels."""
         frame, margin = model.frame[mesh], model.margin
         size = model.terrain[frame]
         x0, x1, y0, y1 = lattice_cells(
@@ -218,7 +218,7 @@ def lattice_content(kit: Kit):
 
 @builder
 def mark_fixed(kit: Kit):
-    """Build the stage that marks pairs of a movable and a fixed voxel, which the terrain lattice finds."""
+    """Build the stage that marks candidate pairs of a movable and a fixed voxel by the terrain lattice."""
     width = kit.width
     mark = mark_pair(kit)
     near = near_in_lane(kit)
@@ -238,7 +238,7 @@ def mark_fixed(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
-        """Mark fixed voxels near each movable voxel in the lanes of the unit."""
+        """Mark the fixed voxels near each movable voxel, in all lanes of the unit."""
         if model.movables[mesh] == model.voxels[mesh]:
             return
         lanes = int(width)
@@ -259,14 +259,14 @@ def list_pairs(kit: Kit):
 
 @builder
 def collect_near(kit: Kit):
-    """Build the stage that lists the voxels that may touch terrain in some lane, in ``near``."""
+    """Build the stage that lists the voxels close to terrain in some lane, in ``near``."""
     width = kit.width
     span = lattice_range(kit)
     content = lattice_content(kit)
 
     @kit.func
     def store_near_box(model, data, mesh, pack, k, v):
-        """Store the bounds of the terrain's surface cells near voxel v in lane k; return 1 if there are any, else 0.
+        """Store the bounds of surface terrain near voxel v in lane k; return 1 if there is any, else 0.
 
         Without such cells the stored bounds are inverted: left > right.
         """
@@ -290,7 +290,7 @@ def collect_near(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
-        """List the voxels of the unit that are near terrain in some lane."""
+        """List the unit's voxels close to terrain in some lane."""
         lanes = int(width)
         n = int(0)
         for m in range(model.movables[mesh]):
@@ -310,7 +310,7 @@ def collect_near(kit: Kit):
 
 @builder
 def collect_pairs(kit: Kit):
-    """Build the stage that finds all candidate pairs of voxels again."""
+    """Build the stage that recomputes all candidate pairs of voxels."""
     grid_from = GRID_FROM if kit.width == 1 else WIDE_GRID_FROM
     all_boxes = kit.stage("native/voxel_boxes.h", precision="float64", movable=0)
     around = hulls(kit)
@@ -337,7 +337,7 @@ def collect_pairs(kit: Kit):
 
 @builder
 def collect(kit: Kit):
-    """Build the stage that finds all candidates again once points may have moved by half the margin."""
+    """Build the stage that recomputes all contact candidates once points may have moved by half the margin."""
     pairs = collect_pairs(kit)
     near = collect_near(kit)
 

@@ -32,7 +32,7 @@ def inside_quad(x: real, y: real, r: quad) -> bool:
     constants(PARALLEL=PARALLEL, DEGENERATE=DEGENERATE) + text("native/crossing.h", "native/nearest_side.h")
 )
 def nearest_side(m: quad, m_sides: int, c: int, r: quad, r_sides: int) -> wp.vec4d:
-    """Return the nearest surface side of quad r that an edge at corner c of quad m crosses: number, vector, depth.
+    """Return the surface side of quad r that corner c of quad m crossed: number, vector, depth.
 
     The number is -1 if there is none.
     """
@@ -41,7 +41,7 @@ def nearest_side(m: quad, m_sides: int, c: int, r: quad, r_sides: int) -> wp.vec
 
 @builder
 def contact_forces(kit: Kit):
-    """Build a function that adds ``times`` the forces of one contact to corner p and to the ends a, b of the side.
+    """Build a function that adds one contact's forces, scaled by ``times``, to corner p and side ends a and b.
 
     ``side`` holds its vector and the depth of the corner under it.
     """
@@ -57,7 +57,7 @@ def contact_forces(kit: Kit):
 
 @builder
 def apply(kit: Kit):
-    """Build a function that adds the forces of a contact: corner c (point p) of voxel i with a side of voxel j.
+    """Build a function that applies the forces of a contact: corner c (point p) of voxel i with a side of voxel j.
 
     A voxel below 0 stands for cell -1 - i of the terrain. What is done with a contact is an argument of :func:`find`.
     """
@@ -76,7 +76,7 @@ def apply(kit: Kit):
 
 @wp.func
 def surface_sides(side_lanes: wp.array2d(dtype=wp.vec4i), mesh: int, v: int, k: int):
-    """Return which sides of voxel v are surface in lane k: one bit for each side."""
+    """Return the surface sides of voxel v in lane k as bits."""
     lanes = side_lanes[mesh, v]
     low = ((lanes[0] >> k) & 1) | (((lanes[1] >> k) & 1) << 1)
     return low | (((lanes[2] >> k) & 1) << 2) | (((lanes[3] >> k) & 1) << 3)
@@ -84,7 +84,7 @@ def surface_sides(side_lanes: wp.array2d(dtype=wp.vec4i), mesh: int, v: int, k: 
 
 @wp.func
 def leader(twin_range: pairs, twin: pairs, twin_lanes: masks, mesh: int, p: int, k: int):
-    """Return the point that stands for point p in lane k, as twins share one point there; -1 for p = -1."""
+    """Return the leading point of point p in lane k, as twins share one point; -1 for p = -1."""
     found = int(p)
     if p >= 0:
         twins = twin_range[mesh, p]
@@ -99,13 +99,13 @@ def leader(twin_range: pairs, twin: pairs, twin_lanes: masks, mesh: int, p: int,
 
 @functools.cache
 def corner_contact(kit: Kit, act):
-    """Build a function that looks for the side that corner c of quad m entered quad r by, and calls ``act`` with it."""
+    """Build a function that finds the side by which a corner entered a quad, and passes it to ``act``."""
 
     @kit.func
     def contact(
         model, data, mesh, pack, k, i, m: quad, m_sides, p, c, j, r: quad, r_sides, r_points: wp.vec4i, times: real,
     ):  # fmt: skip
-        """Call ``act`` with the side of quad r through which corner c of quad m came, if there is one."""
+        """Find the side of quad r by which corner c of quad m entered, and pass it to ``act``."""
         found = nearest_side(m, m_sides, c, r, r_sides)
         first = int(found[0])
         if first >= 0:
@@ -129,7 +129,7 @@ def quad_of(places: points3, pack: int, k: int, c: wp.vec4i) -> quad:
 
 @functools.cache
 def voxel_contacts(kit: Kit, act):
-    """Build a function that calls ``act`` with each contact of the candidate pairs."""
+    """Build a function that calls ``act`` for each contact between voxels of the candidate pairs."""
 
     contact = corner_contact(kit, act)
 
@@ -139,7 +139,7 @@ def voxel_contacts(kit: Kit, act):
         twin_range: wp.array2d(dtype=wp.vec2i), twin: wp.array2d(dtype=wp.vec2i), twin_lanes: wp.array2d(dtype=int),
         places: points3, boxes: points3, touching: wp.array(dtype=int), mesh, pack, lane, unit, count, active, begin,
     ) -> int:  # fmt: skip
-        """Return the next corner, from ``begin`` on, that is in the other voxel of its pair in some lane.
+        """Return the next corner, from ``begin`` on, that lies in the other voxel of its pair in some lane.
 
         The mask of these lanes is written to ``touching``.
         """
@@ -164,7 +164,7 @@ def voxel_contacts(kit: Kit, act):
 
     @kit.func
     def all_pairs(model, data, mesh, pack, lane, unit, active):
-        """Handle every corner of a candidate pair that is in the other voxel, lane by lane."""
+        """Handle every corner of a candidate pair that lies in the other voxel, lane by lane."""
         at = corner_from(model, data, mesh, pack, lane, unit, active, 0)
         while at < 8 * data.pair_count[unit]:
             pair = data.pairs[unit, at >> 3]
@@ -189,7 +189,7 @@ def in_box(x0: real, x1: real, y0: real, y1: real, x: real, y: real):
 
 @functools.cache
 def terrain_contacts(kit: Kit, act):
-    """Build a function that calls ``act`` with each contact of near voxels with cells of the terrain lattice."""
+    """Build a function that calls ``act`` for each contact between voxels and terrain."""
     contact = corner_contact(kit, act)
     span = lattice_range(kit)
     overlap = boxes_overlap(kit)
@@ -203,7 +203,7 @@ def terrain_contacts(kit: Kit, act):
 
     @kit.func
     def with_cell(model, data, mesh, pack, k, v, m: quad, mc: wp.vec4i, cell, r: quad):
-        """Handle contacts of corners of the voxel in the cell, then of corners of the cell in the voxel."""
+        """Handle corners of the voxel inside the terrain cell, then corners of the cell inside the voxel."""
         none = wp.vec4i(-1, -1, -1, -1)
         x0, x1 = wp.min(wp.min(m[0], m[2]), wp.min(m[4], m[6])), wp.max(wp.max(m[0], m[2]), wp.max(m[4], m[6]))
         y0, y1 = wp.min(wp.min(m[1], m[3]), wp.min(m[5], m[7])), wp.max(wp.max(m[1], m[3]), wp.max(m[5], m[7]))
@@ -226,7 +226,7 @@ def terrain_contacts(kit: Kit, act):
 
     @kit.func
     def with_terrain(model, data, mesh, pack, k, v):
-        """Handle the contacts of voxel v with all terrain cells that its box overlaps, in lane k."""
+        """Handle the contacts of voxel v with all terrain cells under its box, in lane k."""
         cx0, cx1, cy0, cy1 = span(model, data, mesh, pack, k, v, real(0.0))
         loaded, frame = int(0), model.frame[mesh]
         corners = model.corner[mesh, v]
@@ -256,7 +256,7 @@ def terrain_contacts(kit: Kit, act):
 
 @functools.cache
 def find(kit: Kit, act):
-    """Build the stage that sets ``contact`` to 0, then calls ``act`` with each contact."""
+    """Build the stage that clears ``contact`` and calls ``act`` for each contact."""
     width = kit.width
     with_voxels = voxel_contacts(kit, act)
     with_terrain = terrain_contacts(kit, act)
@@ -283,5 +283,5 @@ def find(kit: Kit, act):
 
 @builder
 def contacts(kit: Kit):
-    """Build the stage that finds all contacts and adds their forces to ``contact`` at once."""
+    """Build the stage that finds all contacts and adds their forces to ``contact``."""
     return find(kit, apply(kit))

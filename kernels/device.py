@@ -1,4 +1,4 @@
-"""The one way to a device: what every kernel is compiled with, and where it is launched and arrays are allocated.
+"""Compilation, launching and array allocation for all kernels, on the CPU and on CUDA.
 
 On CUDA a launch goes to torch's current stream of the device, so that it is in order with torch's operations whichever
 stream they are on, and can be part of a graph that torch captures. Memory is torch's, which does not reuse it while
@@ -37,9 +37,9 @@ BLOCK = 64
 256 fits into a multiprocessor, and a batch of 4,096 environments would keep 16 multiprocessors busy."""
 
 SMALL = 1 << 16
-"""Bytes of the largest array that shares a block of memory with others."""
+"""Maximum size in bytes of an array that shares a block of memory with others."""
 ALIGNMENT = 64
-"""Bytes of a cache line, at which arrays begin."""
+"""Alignment of arrays in bytes: a cache line."""
 
 _streams: dict[tuple[str, int], wp.Stream] = {}
 
@@ -50,12 +50,12 @@ def on_cuda(device: str) -> bool:
 
 
 def shared_memory(device: str) -> int:
-    """Return the bytes of shared memory that a block of a CUDA device may ask for: 227 KiB of an H200; 0 on the CPU."""
+    """Return the shared memory in bytes available to a block of a CUDA device (227 KiB on an H200); 0 on the CPU."""
     return wp.get_device(device).max_shared_memory_per_block
 
 
 def current_stream(device: str) -> wp.Stream:
-    """Return torch's current stream of a CUDA device as a Warp stream, which is cached."""
+    """Return torch's current CUDA stream as a Warp stream; cached."""
     import torch
 
     stream = torch.cuda.current_stream(device)
@@ -66,7 +66,7 @@ def current_stream(device: str) -> wp.Stream:
 
 
 class Command:
-    """A recorded kernel launch for CUDA, which runs on the stream that is torch's current one at each launch."""
+    """A recorded CUDA kernel launch that runs on torch's current stream."""
 
     def __init__(self, command: wp.Launch, device: str) -> None:
         self._command = command
@@ -88,7 +88,7 @@ def launch(kernel: wp.Kernel, dim: Any, inputs: Sequence[Any], device: str) -> N
 def record(
     kernel: wp.Kernel, dim: Any, inputs: Sequence[Any], device: str, block: int = BLOCK, together: bool = False
 ) -> wp.Launch | Command:
-    """Return a recorded launch; each ``launch()`` of it runs the kernel on the same arrays, faster than a new launch.
+    """Record a kernel launch: each ``launch()`` runs the kernel on the same arrays, faster than a new launch.
 
     The arrays must stay at their addresses.
 
@@ -109,7 +109,7 @@ def record(
 
 
 def zeros(shape: tuple[int, ...], dtype: Any, device: str) -> wp.array:
-    """Return an array ``shape`` of zeros of a scalar or vector type."""
+    """Allocate an array ``shape`` of zeros of a scalar or vector type."""
     if not on_cuda(device):
         return wp.zeros(shape, dtype=dtype, device=device)
     import torch
@@ -121,7 +121,7 @@ def zeros(shape: tuple[int, ...], dtype: Any, device: str) -> wp.array:
 
 
 class HostArrays(Mapping[str, wp.array]):
-    """Arrays of zeros on the CPU by name; the small ones share a block of memory.
+    """Zero-initialised arrays on the CPU by name; small ones share a block of memory.
 
     A simulation of one environment has a hundred arrays of some hundred bytes. To allocate them one by one, and to make
     all of them known to Warp, takes longer than a control step: Warp's array is made when it is asked for by name.
@@ -157,7 +157,7 @@ class HostArrays(Mapping[str, wp.array]):
         return len(self._kinds)
 
     def __getitem__(self, name: str) -> wp.array:
-        """Return the Warp array of a name; it is made when it is first asked for."""
+        """Return the Warp array of a name, created on first access."""
         if name not in self._arrays:
             shape, dtype = self._kinds[name]
             block, _, address = self._memory[name]
@@ -166,14 +166,14 @@ class HostArrays(Mapping[str, wp.array]):
         return self._arrays[name]
 
     def numpy(self, name: str) -> np.ndarray:
-        """Return a numpy view of an array, no copy; vectors become the last axis."""
+        """Return a numpy view of an array, without copying; vectors become the last axis."""
         shape, dtype = self._kinds[name]
         block, begin, _ = self._memory[name]
         scalar, inner, _ = _layout(dtype)
         return np.ndarray((*shape, *inner), scalar, block, begin)
 
     def set_fields(self, struct: Any, names: Iterable[str]) -> None:
-        """Point the fields ``names`` of a Warp struct to the arrays; keep this object as long as the struct."""
+        """Point fields ``names`` of a Warp struct to these arrays; keep this object alive as long as the struct."""
         fields = struct.__ctype__()
         for name in names:
             shape, dtype = self._kinds[name]
@@ -188,7 +188,7 @@ class HostArrays(Mapping[str, wp.array]):
 
 
 def _aligned(size: int) -> np.ndarray:
-    """Return ``size`` bytes of zeros that begin at a cache line."""
+    """Allocate ``size`` zero bytes aligned to a cache line."""
     block = np.zeros(size + ALIGNMENT, np.uint8)
     begin = -block.ctypes.data % ALIGNMENT
     return block[begin : begin + size]
@@ -196,7 +196,7 @@ def _aligned(size: int) -> np.ndarray:
 
 @functools.cache
 def _layout(dtype: Any) -> tuple[np.dtype, tuple[int, ...], int]:
-    """Return numpy's scalar type of a Warp type, the shape of its vectors, and the bytes of an entry."""
+    """Return a Warp type's numpy scalar type, vector shape, and size of an entry in bytes."""
     scalar = getattr(dtype, "_wp_scalar_type_", dtype)
     scalar = np.dtype(wp.dtype_to_numpy({int: wp.int32, float: wp.float32}.get(scalar, scalar)))
     inner = tuple(getattr(dtype, "_shape_", ()))
@@ -204,18 +204,18 @@ def _layout(dtype: Any) -> tuple[np.dtype, tuple[int, ...], int]:
 
 
 def _keep(block: np.ndarray, pointer: int, size: int) -> None:
-    """Do nothing when Warp frees an array in ``block``: the memory goes with the last of its arrays."""
+    """Ignore Warp's request to free an array in a shared ``block``; Python frees the block."""
 
 
 def allocate(kinds: Mapping[str, tuple[tuple[int, ...], Any]], device: str) -> Mapping[str, wp.array]:
-    """Return arrays of zeros by name, from their shapes and types."""
+    """Allocate arrays of zeros by name, from their shapes and types."""
     if on_cuda(device):
         return {name: zeros(shape, dtype, device) for name, (shape, dtype) in kinds.items()}
     return HostArrays(kinds)
 
 
 def put(arrays: Mapping[str, wp.array], name: str, place: Any, values: Any) -> None:
-    """Write numpy values, or one number, into ``arrays[name][place]``."""
+    """Write numpy values, or one number, into part of an array: ``arrays[name][place]``."""
     if isinstance(arrays, HostArrays):
         arrays.numpy(name)[place] = values
     else:
@@ -226,7 +226,7 @@ def put(arrays: Mapping[str, wp.array], name: str, place: Any, values: Any) -> N
 
 
 def set_fields(struct: Any, arrays: Mapping[str, wp.array], names: Iterable[str]) -> None:
-    """Set the fields ``names`` of a Warp struct to the arrays of these names."""
+    """Point the fields ``names`` of a Warp struct to the arrays of these names."""
     if isinstance(arrays, HostArrays):
         arrays.set_fields(struct, names)
     else:
@@ -235,7 +235,7 @@ def set_fields(struct: Any, arrays: Mapping[str, wp.array], names: Iterable[str]
 
 
 def from_numpy(values: Any, dtype: Any, device: str) -> wp.array:
-    """Return a new array on the device with these values; if ``dtype`` is a vector, it is their last axis."""
+    """Copy values to a new array on the device; for a vector ``dtype`` the last axis holds the components."""
     values = np.ascontiguousarray(values)
     inner = len(getattr(dtype, "_shape_", ()))
     array = zeros(values.shape[: values.ndim - inner], dtype, device)

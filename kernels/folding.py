@@ -1,4 +1,4 @@
-"""Self-folding (paper section A.4): more overlapping pairs of distant voxels than surface voxels stop the step.
+"""Self-folding (paper section A.4): a step is undone if too many pairs of distant voxels of a robot overlap.
 
 Uses the boxes of the sub-step's start; a pair counts in both orders.
 """
@@ -17,14 +17,14 @@ def check(kit: Kit):
 
     @kit.func
     def clear(data, pack, lane, robots):
-        """Set the numbers of folded pairs to 0."""
+        """Reset the counts of folded pairs to 0."""
         for robot in range(robots):
             for k in range(lane, lane + int(width)):
                 data.folds[pack, robot, k] = 0
 
     @kit.func
     def apply_limits(model, data, mesh, pack, lane):
-        """Set UNSTABLE where a robot has more folded pairs than its limit."""
+        """Set UNSTABLE where a robot exceeds its limit of folded pairs."""
         for robot in range(model.robots[mesh]):
             for k in range(lane, lane + int(width)):
                 if data.folds[pack, robot, k] > model.fold_limit[mesh, robot, k]:
@@ -32,7 +32,7 @@ def check(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
-        """Count the folded pairs of each robot of the unit and set UNSTABLE where there are too many."""
+        """Count the folded pairs of each robot of the unit, and set UNSTABLE above the limit."""
         found = int(0)
         for n in range(data.pair_count[unit]):
             pair = data.pairs[unit, n]

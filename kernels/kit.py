@@ -1,4 +1,4 @@
-"""The tools that stages are written with: types for one precision and lane width, and decorators.
+"""Tools for writing stages: types for one precision and lane width, and decorators.
 
 A stage is made by a *builder*, a function of a :class:`Kit` that returns a Warp function. In Warp functions an argument
 without a type gets it by its name: ``model``, ``data``, ``tape`` are the structs, ``dt`` and ``margin`` float64, all
@@ -16,7 +16,7 @@ from warpvox.kernels.state import CPP_CONSTANTS, structs
 
 
 class Kit:
-    """The types, structs and decorators with which Warp functions are compiled for one precision and lane width.
+    """Types, structs and decorators for Warp functions of one precision and lane width.
 
     Attributes:
         precision, width, real: 'float32' or 'float64', lanes, and Warp's type.
@@ -35,14 +35,14 @@ class Kit:
         self._types = dict(model=self.Model, data=self.Data, tape=self.Tape, dt=wp.float64, margin=wp.float64)
 
     def func(self, source):
-        """Decorate a Warp function; it is inlined, as a call would copy the structs, which are passed by value.
+        """Decorate a Warp function so that it is inlined; a call would copy its structs.
 
         Parameters without annotation get the type of their name (``model``, ``dt``, ...), else int.
         """
         return inline(self._typed(source))
 
     def func_native(self, *files: str, precision: str | None = None, code: str = "", **values: float):
-        """Return a decorator for a Warp function whose body is C++ from files of this folder, for the kit's precision.
+        """Return a decorator for a Warp function whose body is C++ from this folder.
 
         Warp looks for this name to find out what the function returns.
 
@@ -54,7 +54,7 @@ class Kit:
         return lambda source: wp.func_native(body)(self._typed(source))
 
     def stage(self, *files: str, precision: str | None = None, **values: float):
-        """Return a stage whose body is C++ (see :meth:`func_native`)."""
+        """Create a stage whose body is C++ (see :meth:`func_native`)."""
 
         def stage(model, data, mesh, pack, lane, unit, dt): ...
 
@@ -69,12 +69,12 @@ class Kit:
 
 @functools.cache
 def kit_of(precision: str, width: int) -> Kit:
-    """Return the kit of a precision ('float32', 'float64') and a width (1 to 32); it is made once."""
+    """Return the kit of a precision ('float32', 'float64') and a lane width (1 to 32), cached."""
     return Kit(precision, width)
 
 
 def builder(build):
-    """Decorate a function that builds something from a Kit, so that it runs once for each kit.
+    """Decorate a function of a Kit so that its result is cached for each kit.
 
     It may also be called with a precision and a width.
     """

@@ -1,4 +1,4 @@
-"""Arithmetic on lanes: one source in C++ for a scalar and for a vector of environments.
+"""Lane arithmetic: the same C++ source for one environment and for a SIMD vector of environments.
 
 State arrays are ``[pack, row, lane]``. On the CPU one thread advances all lanes of a pack at once: a value is
 a vector of ``width`` lanes, which the compiler turns into AVX code. On CUDA (and for a single environment)
@@ -33,23 +33,23 @@ inline = functools.partial(wp.func, inline=True)
 """
 )
 def first_lane(mask: int) -> int:
-    """Return the number of the lowest lane in a mask that is not 0."""
+    """Return the lowest lane in a non-zero mask."""
     ...
 
 
 @wp.func
 def without_first(mask: int) -> int:
-    """Return the mask without its lowest lane."""
+    """Clear the lowest lane in a mask."""
     return mask & (mask - 1)
 
 
 def text(*files: str) -> str:
-    """Return the contents of files of this folder, joined by line ends."""
+    """Read files of this folder and join them by line ends."""
     return "\n".join(Path(__file__).parent.joinpath(file).read_text(encoding="utf-8") for file in files)
 
 
 def constants(**values: float) -> str:
-    """Return C++ that defines each value by its name: an ``int`` as ``int``, a ``float`` as ``double``.
+    """Generate C++ definitions of named constants: an ``int`` as ``int``, a ``float`` as ``double``.
 
     Values must be finite and no bools, whose Python text is not C++.
     """
@@ -61,7 +61,7 @@ def constants(**values: float) -> str:
 
 @functools.cache
 def native(files: tuple[str, ...], precision: str, width: int) -> str:
-    """Return the C++ body of a Warp function of a pack and a lane, made of ``files`` for a precision and a lane width.
+    """Assemble the C++ body of a Warp function from ``files``, for a precision and a lane width.
 
     ``Value`` holds the lanes in that precision, ``Wide`` in float64; ``values(array)[r]`` and ``wides(array)[r]`` are
     row r of the pack (``native/scalar.h``, ``native/vector.h``).

@@ -1,4 +1,4 @@
-"""Masked reset, and the way back to the start of a step for frozen and stopped environments; the host never waits."""
+"""Masked reset of environments, and restoring of frozen and undone ones after a step, without waiting on the host."""
 
 import warp as wp
 
@@ -10,26 +10,26 @@ from warpvox.kernels.state import STALE
 
 @builder
 def save(kit: Kit):
-    """Build the first stage of a control step: it puts diverged environments at rest, then saves the state of all."""
+    """Build the first stage of a control step: stop diverged environments, then save the state of all."""
     return kit.stage("native/springs.h", "native/bounds.h", "native/save.h")
 
 
 @builder
 def settle(kit: Kit):
-    """Build the last stage of a control step: it restores the saved state of frozen and stopped environments."""
+    """Build the last stage of a control step: restore the saved state of frozen and undone environments."""
     return kit.stage("native/springs.h", "native/bounds.h", "native/settle.h")
 
 
 @builder
 def reset_kernel(kit: Kit):
-    """Build the kernel over environments that puts those with a True mask back to their state at time 0."""
+    """Build the kernel that resets environments with a True mask to time 0, one thread per environment."""
 
     @kernel
     def reset(
         model: kit.Model, data: kit.Data, units: int, width: int,
         env_pack: wp.array(dtype=int), env_lane: wp.array(dtype=int), mask: wp.array(dtype=wp.bool),
     ):  # fmt: skip
-        """Put one environment back to its state at time 0 if its mask is True."""
+        """Reset one environment to time 0 if its mask is True."""
         env = wp.tid()
         if not mask[env]:
             return
@@ -56,7 +56,7 @@ def launch(state, mask):
 
 @builder
 def follow_kernel(kit: Kit) -> wp.Kernel:
-    """Build the kernel over (packs, lanes) that copies the state of leading points to their twins.
+    """Build the kernel that copies the state of leading points to their twins, over (packs, lanes).
 
     Twins are points that a lane joins into one, the leader.
     """
@@ -79,6 +79,6 @@ def follow_kernel(kit: Kit) -> wp.Kernel:
 
 
 def launch_follow(state):
-    """Copy the state of leading points to their twins, after a state was written for leaders only."""
+    """Copy the state of leading points to their twins, after writing leaders only."""
     inputs = [state.model, state.data]
     device.launch(follow_kernel(state.precision), (state.packs, state.lanes), inputs, state.device)

@@ -1,5 +1,5 @@
-"""Reverse pass of a control step, in fast arithmetic: from the derivatives of a loss by the state at the end of the
-step to those by the state at its start and by its actions.
+"""Reverse pass of a control step in fast arithmetic: from the gradient of a loss at the end of the step to the
+gradients with respect to the state at its start and to its actions.
 
 The control step is done again with the state at the start of each sub-step written to a
 :data:`warpvox.kernels.state.TAPE`, which is then read from its end. A corner of a voxel that enters the terrain is
@@ -22,14 +22,14 @@ from warpvox.kernels.springs import goals, limit, runge_kutta
 from warpvox.types import VOXEL
 
 REACH = 30.0
-"""Smoothings: a point higher than this above a side has no contact with it."""
+"""Height above a side, in units of the smoothing length, beyond which a point has no contact."""
 
 real = wp.float64
 
 
 @builder
 def soften(kit: Kit):
-    """Build a function that adds the derivatives of one contact with terrain, of a point ``height`` above a side.
+    """Build a function that adds the gradients of one smoothed contact of a point ``height`` above a side of terrain.
 
     The push sets in as (1 - z / sqrt(z^2 + 4)) / 2 with z = height / smoothing. ``level`` 1: a floor or a ceiling, 0: a
     wall; ``sign`` 1 where the height grows with the coordinate, -1 where it falls.
@@ -38,7 +38,7 @@ def soften(kit: Kit):
 
     @kit.func
     def add(model, data, tape, pack, k, p, row, height: real, level, sign: real):
-        """Subtract or add the derivatives of one contact by height and by velocity in ``tape.contact``."""
+        """Add or subtract one contact's derivatives by height and by velocity in ``tape.contact``."""
         z = height / real(tape.smoothing)
         if z < real(REACH):
             over, law = real(1.0) / wp.sqrt(z * z + real(4.0)), model.contact
@@ -61,7 +61,7 @@ def soften(kit: Kit):
 
 @wp.func
 def sides_at(sides: wp.array2d(dtype=int), size: wp.vec2i, frame: int, x: int, y: int):
-    """Return which sides of a terrain cell are surface, a bit for each; 0 for cells outside the lattice."""
+    """Return the surface sides of a terrain cell as bits; 0 outside the lattice."""
     if x < 0 or x >= size[0] or y < 0 or y >= size[1]:
         return 0
     return sides[frame, y * size[0] + x]
@@ -69,7 +69,7 @@ def sides_at(sides: wp.array2d(dtype=int), size: wp.vec2i, frame: int, x: int, y
 
 @builder
 def ground(kit: Kit):
-    """Build a function that writes the derivatives of contacts with terrain at the start of the last recorded sub-step.
+    """Build a function that computes the gradients of terrain contacts at the start of the last recorded sub-step.
 
     Every corner of a voxel counts, as in :mod:`warpvox.kernels.contact`.
     """
@@ -78,7 +78,7 @@ def ground(kit: Kit):
 
     @kit.func
     def above(model, frame, cell, n, x: real, y: real):
-        """Return the height of a point above side n of a cell (clockwise from the top); negative inside the cell."""
+        """Return a point's height above side n of a cell (clockwise from the top); negative inside the cell."""
         height = y - model.terrain_box[frame, cell, 3]
         if n == 1:
             height = x - model.terrain_box[frame, cell, 1]
@@ -90,7 +90,7 @@ def ground(kit: Kit):
 
     @kit.func
     def nearest(model, frame, cell, bits, x: real, y: real):
-        """Return the surface side of a cell that a point in the cell is nearest to."""
+        """Return the surface side closest to a point in the cell."""
         found, highest = int(0), real(-VOXEL)
         for n in range(int(4)):
             height = above(model, frame, cell, n, x, y)
@@ -107,7 +107,7 @@ def ground(kit: Kit):
 
     @kit.func
     def point(model, data, tape, mesh, pack, k, p, row):
-        """Add the contacts of point p in lane k: with the terrain cell that it is in, else with the cells beside it."""
+        """Add the gradients of point p's contacts in lane k with its terrain cell, or with the cells beside it."""
         x, y, frame = data.pos[pack, 2 * p, k], data.pos[pack, 2 * p + 1, k], model.frame[mesh]
         if not on_lattice(x, x, y, y):
             return
@@ -127,7 +127,7 @@ def ground(kit: Kit):
 
     @kit.func
     def all_near(model, data, tape, mesh, pack, lane, unit):
-        """Add the contacts of the corners of all voxels near terrain, lane by lane."""
+        """Add the gradients of all corners of voxels near terrain, lane by lane."""
         first = (tape.substeps[unit] - 1) * model.points[mesh]
         for n in range(data.near_count[unit]):
             v = data.near[unit, n]
@@ -142,7 +142,7 @@ def ground(kit: Kit):
 
 @functools.cache
 def reverse_kernel(precision: str, width: int) -> wp.Kernel:
-    """Build the kernel of a control step and its reverse pass; launch it over (packs, units of a pack).
+    """Build the kernel of a control step with its reverse pass; launch it over (packs, units of a pack).
 
     ``first_pack`` is the first pack of a launch.
     """
@@ -169,7 +169,7 @@ def reverse_kernel(precision: str, width: int) -> wp.Kernel:
     def reverse_step(
         model: kit.Model, data: kit.Data, tape: kit.Tape, units: int, first_pack: int, substeps: int, dt: wp.float64
     ):
-        """Do the control step of one unit with all states kept, then go back to its start."""
+        """Do one unit's control step while keeping all states, then propagate gradients back to its start."""
         row, part = wp.tid()
         pack = first_pack + row
         lane = part * width
@@ -194,7 +194,7 @@ def reverse_kernel(precision: str, width: int) -> wp.Kernel:
 
 
 def record_reverse(state, tape, substeps: int, first: int, packs: int):
-    """Record a control step of the packs ``first`` to ``first + packs`` and its reverse pass; return the command.
+    """Record a control step with its reverse pass, for the packs ``first`` to ``first + packs``.
 
     It leaves the state at the end of the step. ``tape`` is the struct; the caller has written the derivatives by that
     state into its ``by_pos``, ``by_vel`` and ``by_true_vel``, which then hold those by the state at the start.

@@ -25,7 +25,7 @@ DENOMINATOR = wp.types.vector(5, wp.float64)(
 
 @wp.struct
 class SensingArrays:
-    """The arrays that all sensing kernels read; fields as in :mod:`warpvox.kernels.state`."""
+    """Arrays read by all sensing kernels; fields as in :mod:`warpvox.kernels.state`."""
 
     pos: wp.array3d(dtype=wp.float64)
     vel: wp.array3d(dtype=wp.float64)
@@ -40,13 +40,13 @@ class SensingArrays:
 
 @wp.func
 def span_of(arrays: SensingArrays, pack: int, o: int, k: int):
-    """Return where an object's points lie in the order of observations: begin and end."""
+    """Return the range of an object's points in the order of observations: begin and end."""
     return arrays.object_range[arrays.pack_mesh[pack], o, k]
 
 
 @wp.func
 def points_of(arrays: SensingArrays, env: int, o: int):
-    """Return pack and lane of an environment, and begin and end of an object's points in the order of observations."""
+    """Return an environment's pack and lane, and the range of an object's points in the order of observations."""
     pack, k = arrays.env_pack[env], arrays.env_lane[env]
     span = span_of(arrays, pack, o, k)
     return pack, k, span[0], span[1]
@@ -54,13 +54,13 @@ def points_of(arrays: SensingArrays, env: int, o: int):
 
 @wp.func
 def row(arrays: SensingArrays, pack: int, i: int, k: int):
-    """Return the number, in the pack's arrays, of the i-th point in the order of observations."""
+    """Return the pack's row of the i-th point in the order of observations."""
     return arrays.order[arrays.pack_mesh[pack], i, k]
 
 
 @wp.func
 def centre(arrays: SensingArrays, pack: int, k: int, begin: int, end: int):
-    """Return x and y of the centre of mass of the points ``begin`` to ``end``."""
+    """Return x and y of the centre of mass of the points from ``begin`` to ``end``."""
     x, y = wp.float64(0.0), wp.float64(0.0)
     for i in range(begin, end):
         p = row(arrays, pack, i, k)
@@ -72,7 +72,7 @@ def centre(arrays: SensingArrays, pack: int, k: int, begin: int, end: int):
 
 @kernel
 def centres(arrays: SensingArrays, com: wp.array2d(dtype=wp.vec2d), velocity: wp.array2d(dtype=wp.vec2d)):
-    """Write the centre of mass of every object, and the velocity of that centre: [environment, object]."""
+    """Compute the centre of mass and its velocity for every object: [environment, object]."""
     env, o = wp.tid()
     pack, k, begin, end = points_of(arrays, env, o)
     if end <= begin:
@@ -104,7 +104,7 @@ def rest(arrays: SensingArrays, pack: int, i: int, k: int):
 
 @wp.func
 def arc_cosine(c: wp.float64):
-    """Return the arc cosine of c, in [0, pi], with the same bits on every machine: only + - * / and roots.
+    """Compute the arc cosine of c, in [0, pi], with the same bits on every machine.
 
     Within two units in the last place. Method and constants: fdlibm (e_acos.c).
     """
@@ -142,7 +142,7 @@ def turn(ax: wp.float64, ay: wp.float64, bx: wp.float64, by: wp.float64):
 
 @kernel
 def orientations(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.float64)):
-    """Write the orientation of one object, counter-clockwise in [0, 2 pi): [environment]."""
+    """Compute the orientation of one object, counter-clockwise in [0, 2 pi): [environment]."""
     env = wp.tid()
     pack, k, begin, end = points_of(arrays, env, o)
     if end <= begin:
@@ -180,7 +180,7 @@ def orientations(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.float64))
 
 @kernel
 def points(arrays: SensingArrays, o: int, what: int, out: wp.array3d(dtype=wp.float64)):
-    """Write positions (what 0), velocities (1) or positions minus centre of mass (2): [environment, point, axis]."""
+    """Copy positions (what 0), velocities (1) or positions minus centre of mass (2): [environment, point, axis]."""
     env = wp.tid()
     pack, k, begin, end = points_of(arrays, env, o)
     x, y = wp.float64(0.0), wp.float64(0.0)
@@ -198,7 +198,7 @@ def points(arrays: SensingArrays, o: int, what: int, out: wp.array3d(dtype=wp.fl
 
 @wp.func
 def later(a: wp.vec2d, b: wp.vec2d):
-    """Return whether b comes after a in the order from bottom to top and, at equal height, from left to right."""
+    """Return whether b sorts after a, from bottom to top and then from left to right."""
     return b[1] > a[1] or (b[1] == a[1] and b[0] > a[0])
 
 
@@ -210,7 +210,7 @@ def cross(a: wp.vec2d, b: wp.vec2d):
 
 @kernel
 def extents(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.vec2d)):
-    """Write width and height of the bounding box of one object: [environment]."""
+    """Compute width and height of the bounding box of one object: [environment]."""
     env = wp.tid()
     pack, k, begin, end = points_of(arrays, env, o)
     if end <= begin:
@@ -225,7 +225,7 @@ def extents(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.vec2d)):
 
 @kernel
 def hulls(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.float64)):
-    """Write the area of the convex hull of one object: [environment].
+    """Compute the area of the convex hull of one object: [environment].
 
     Wraps the hull in two chains, up from the lowest point along its right side and down along its left: each
     step goes strictly on in one order of the points, so that rounding cannot send it round in circles.
@@ -264,7 +264,7 @@ def hulls(arrays: SensingArrays, o: int, out: wp.array(dtype=wp.float64)):
 
 @wp.func
 def seen(y: wp.float64, at: wp.float64, best: wp.float64, up: int):
-    """Return the smaller of ``best`` and the distance of a point at height y from height ``at``.
+    """Return the minimum of ``best`` and the distance from height ``at`` to a point at height y.
 
     Points on the other side do not count: ``up`` is 1 to look up from ``at``, -1 to look down.
     """
@@ -277,7 +277,7 @@ def seen(y: wp.float64, at: wp.float64, best: wp.float64, up: int):
 
 @wp.func
 def edge(window: int, reach: int, side: int):
-    """Return the left end (side -1) or right end (1) of a window, measured from the centre of mass, in voxels."""
+    """Return the left (side -1) or right (1) end of a window relative to the centre of mass, in voxels."""
     return wp.float64(window - reach) + wp.float64(side) * wp.float64(0.5)
 
 
@@ -287,7 +287,7 @@ def scans(
     column: wp.array2d(dtype=int), static_points: wp.array2d(dtype=wp.vec2d), moving: wp.array(dtype=int),
     out: wp.array2d(dtype=wp.float64),
 ):  # fmt: skip
-    """Write the distance to the nearest listed point in each window one voxel wide: [environment, window].
+    """Compute the distance to the nearest listed point in each window one voxel wide: [environment, window].
 
     ``static_points`` are fixed points in voxels sorted by lattice column, ``column`` where each column starts;
     ``moving`` lists objects that can move (-1: none). In voxels until the last line, as released.
@@ -334,7 +334,7 @@ KERNELS = {k.func.__name__: k for k in (centres, orientations, points, extents, 
 
 
 def record(state, name: str, dim, *inputs) -> wp.Launch | device.Command:
-    """Record the launch of one sensing kernel; return the command. ``inputs`` follow the arrays."""
+    """Record the launch of one sensing kernel; ``inputs`` follow the arrays."""
     arrays = SensingArrays()
     for field in ("pos", "vel", "rest_pos", "order", "object_range", "frame", "pack_mesh"):
         setattr(arrays, field, state.arrays[field])

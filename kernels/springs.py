@@ -14,7 +14,7 @@ def goals(kit: Kit):
 
 @builder
 def runge_kutta(kit: Kit):
-    """Build the stage that computes displacement and new velocity of every free point after ``dt``.
+    """Build the stage that integrates every free point over ``dt``: displacement and new velocity.
 
     Every spring, actuated or not, has in each sub-step the equilibrium length l + rate (goal - l), where l is its
     length at the sub-step's start (section A.4). This relaxation is also what damps the bodies. Its force, gravity,
@@ -25,7 +25,7 @@ def runge_kutta(kit: Kit):
 
 @builder
 def limit(kit: Kit):
-    """Build the stage that applies the strain limits, which move points but not velocities.
+    """Build the stage that applies the strain limits, which change positions but not velocities.
 
     Then it computes new positions, true velocity and drift.
 

@@ -1,5 +1,5 @@
 """The arrays of the kernels: Model (bodies and worlds), Data (state, per environment) and Tape
-(derivatives, and what they are computed from).
+(gradients, and the values needed to compute them).
 
 The tables below say every array's type, shape and meaning once; structs and allocations follow from them. Shape
 symbols: a ``mesh`` is what one pack holds, or several alike; ``point, active, joint, spring, link, rigid, twin,
@@ -38,7 +38,7 @@ STOPPED = UNSTABLE | DIVERGED
 DISTANT = 16  # bit in pairs[2]: voxels of one robot that are no neighbours in its grid
 STALE = 1.0e9  # a drift that makes the next sub-step rebuild its candidates
 FASTEST = 1.0e4
-"""Speed of a point, in units of inner time, beyond which a simulation has diverged.
+"""Speed of a point, in units of inner time, above which a simulation counts as diverged.
 
 At this speed a point crosses ten voxels between two looks at contacts: what follows is no simulation of anything. A
 fall without end reaches gravity / drag = 1100; benchmark tasks under random and alternating actions stay below 30.
@@ -46,15 +46,15 @@ An environment that has diverged is computed until the control step is over and 
 lanes meet in the candidates of contacts alone, whose list has room for all pairs where lanes share it.
 """
 FARTHEST = 1.0e6
-"""Coordinate beyond which it has diverged: no lattice goes so far, so that contacts are not looked for there."""
+"""Coordinate of a point beyond which a simulation counts as diverged; no terrain extends so far."""
 CPP_CONSTANTS = dict(
     UNSTABLE=UNSTABLE, DIVERGED=DIVERGED, OVERFLOW=OVERFLOW, DISTANT=DISTANT, STALE=STALE, FASTEST=FASTEST,
     FARTHEST=FARTHEST,
 )  # fmt: skip
-"""The constants as the C++ has them."""
+"""Constants of this module that the C++ uses, by name."""
 
 Table = dict[str, tuple[Any, str, str]]
-"""Type, shape and meaning of arrays by name."""
+"""Arrays by name, each with type, shape and meaning."""
 
 MODEL: Table = {
     "pack_mesh": (int, "pack", "the tables of a pack: those with the dimension ``mesh``"),
@@ -220,18 +220,18 @@ TAPE = {
         "unit vector halfway, stiffness or share of a correction, force density, unit vector at the start",
     ),
 }
-"""Arrays of one control step (see :mod:`warpvox.kernels.reverse`); ``trail`` are points times sub-steps plus 1."""
+"""Arrays of the reverse pass (:mod:`warpvox.kernels.reverse`); ``trail`` has points times sub-steps plus 1 entries."""
 
 
 def rows(shape: str, sizes: dict[str, int]) -> tuple[int, ...]:
-    """Return the size of each axis of a shape such as 'pack 2*point lane'; at least 1, as Warp cannot index size 0."""
+    """Return the size of each axis of a symbolic shape such as 'pack 2*point lane'; at least 1, as Warp needs."""
 
     return tuple([max(factor * sizes[name] if name else factor, 1) for factor, name in _axes(shape)])
 
 
 @functools.cache
 def _axes(shape: str) -> list[tuple[int, str]]:
-    """Return the factor and the symbol (empty: none) of each axis of a shape as for :func:`rows`."""
+    """Parse a symbolic shape into (factor, symbol) for each axis; an empty symbol stands for a number."""
     axes = []
     for term in shape.split():
         factor, _, name = term.rpartition("*")
@@ -241,7 +241,7 @@ def _axes(shape: str) -> list[tuple[int, str]]:
 
 @functools.cache
 def structs(precision: str) -> SimpleNamespace:
-    """Return the Warp structs ``Model``, ``Data``, ``Tape`` and ``Contact`` (constants of contacts) for a precision."""
+    """Create the Warp structs ``Model``, ``Data``, ``Tape`` and ``Contact`` (contact constants) for a precision."""
     real = REALS[precision]
 
     def struct(name, table, scalars):
@@ -256,7 +256,7 @@ def structs(precision: str) -> SimpleNamespace:
 
 
 def bytes_of(table: Table, sizes: dict[str, int], precision: str) -> int:
-    """Return the bytes that the arrays of a table take."""
+    """Return the memory of a table's arrays in bytes."""
     real = REALS[precision]
     return sum(
         math.prod(rows(shape, sizes)) * wp.types.type_size_in_bytes(real if kind is REAL else kind)
@@ -265,7 +265,7 @@ def bytes_of(table: Table, sizes: dict[str, int], precision: str) -> int:
 
 
 def allocate(table: Table, sizes: dict[str, int], precision: str, device: str) -> Mapping[str, wp.array]:
-    """Return arrays of zeros for all fields of a table, by name."""
+    """Allocate zeros for all fields of a table, by name."""
     real = REALS[precision]
     kinds = {name: (rows(shape, sizes), real if kind is REAL else kind) for name, (kind, shape, _) in table.items()}
     return device_arrays(kinds, device)

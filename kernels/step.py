@@ -1,4 +1,4 @@
-"""The control step: all stages of 30 sub-steps in one kernel, so that a pack stays in the cache.
+"""The control step: all stages of 30 sub-steps in one kernel, so that a pack's data stays in the cache.
 
 The stage functions are those of the other files; this file is their order. A stage is a Warp function
 ``(model, data, mesh, pack, lane, unit, dt)`` that serves the ``width`` environments at ``lane`` of a pack. A *unit* is
@@ -23,12 +23,12 @@ STAGES = {
     "fast": (boxes, collect, contacts, runge_kutta, limit, check),
     "exact": (boxes, collect, order.contacts, *exact_springs.STAGES, check),
 }
-"""The stages of a sub-step, in their order, by arithmetic (see :mod:`warpvox.kernels.state`)."""
+"""Stages of a sub-step in order, for each arithmetic."""
 
 
 @functools.cache
 def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
-    """Build the kernel that does whole control steps; launch it over (packs, units of a pack).
+    """Build the kernel of whole control steps; launch it over (packs, units of a pack).
 
     ``first_pack`` is the first pack of a launch.
     """
@@ -41,7 +41,7 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
 
     @kit.func
     def idle(data, pack, lane):
-        """Clear the status of the unit's lanes; return 1 if all of them are frozen, else 0."""
+        """Clear the status of the unit's lanes; return 1 if all lanes are frozen, else 0."""
         all_frozen = int(1)
         for k in range(lane, lane + int(width)):
             if data.frozen[pack, k] == 0:
@@ -75,7 +75,7 @@ def step_kernel(arithmetic: str, precision: str, width: int) -> wp.Kernel:
 
 @functools.cache
 def stage_kernel(build, precision: str, width: int) -> wp.Kernel:
-    """Build the kernel that runs one stage alone; launch it over (packs, units of a pack)."""
+    """Build a kernel that runs one stage alone; launch it over (packs, units of a pack)."""
     kit = kit_of(precision, width)
     stage = build(kit)
 
@@ -89,7 +89,7 @@ def stage_kernel(build, precision: str, width: int) -> wp.Kernel:
 
 @builder
 def action_kernel(kit: Kit) -> wp.Kernel:
-    """Build the kernel over (environments, actions) that clips actions and copies them into packs and lanes."""
+    """Build the kernel that clips actions and copies them into packs and lanes, over (environments, actions)."""
 
     @kernel
     def place_actions(
@@ -106,13 +106,13 @@ def action_kernel(kit: Kit) -> wp.Kernel:
 
 
 def record_actions(state, actions, low: float, high: float) -> wp.Launch | Command:
-    """Record the copying of ``actions``, a Warp array [environment, action], into the buffers; return the command."""
+    """Record the kernel that copies ``actions``, a Warp array [environment, action], to the packs."""
     inputs = [state.data, state.env_pack, state.env_lane, actions, low, high]
     return record(action_kernel(state.precision), actions.shape, inputs, state.device)
 
 
 def record_step(state, substeps: int, first: int, packs: int) -> wp.Launch | Command:
-    """Record one control step of the packs ``first`` to ``first + packs``; return the command that launches it.
+    """Record one control step of the packs ``first`` to ``first + packs``.
 
     The step reads the actions that are in the buffers when the command is launched.
     """

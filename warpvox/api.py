@@ -141,7 +141,7 @@ def train(
 
 
 def _dotted(given: Mapping[str, Any]) -> Iterator[str]:
-    """Return settings by dotted names; of nested parts only values that are not the default."""
+    """Flatten settings to a dictionary by dotted name, leaving out nested values that are the default."""
     for name, value in given.items():
         yield name
         if isinstance(value, Mapping):
@@ -167,7 +167,7 @@ def evaluate(
     output_dir: str | Path = "outputs",
     **options: Unpack[PlayKeywords],
 ) -> PolicyTable:
-    """Return the mean returns of policies over whole episodes, with confidence intervals.
+    """Run whole episodes of policies and return their mean returns with confidence intervals.
 
     Args:
         policies: one or several: names of runs (folders, checkpoints, ``latest``, patterns, ``zoo:Walker-v0``), what
@@ -288,7 +288,7 @@ def record(
     *,
     metadata: Mapping[str, Any] | None = None,
 ) -> Rollout:
-    """Reset ``env``, let ``policy`` act for one episode everywhere and return what happened.
+    """Record one episode of ``policy`` in every environment of ``env``, beginning with a reset.
 
     An environment whose episode ends stays as it ended until the recording is over, whatever ``env.auto_reset`` says
     (an environment that resets itself is left reset).

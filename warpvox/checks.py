@@ -1,4 +1,4 @@
-"""Checks of values that others give: what was expected, what was got."""
+"""Validation of values from users: the error says what was expected and what was given."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def is_integer(value: object) -> TypeIs[int]:
-    """Return whether a value is an integer of Python or numpy; ``True`` is none."""
+    """Return whether a value is an integer of Python or numpy, but not a bool."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
@@ -38,12 +38,12 @@ def is_mapping(value: object) -> TypeGuard[Mapping[str, Any]]:
 
 
 def design_of(thing: Any) -> Any:
-    """Return ``thing.design``, such as the body of a robot of the zoo, a run or a policy; without it, ``thing``."""
+    """Return the attribute ``design`` of a robot, run or policy, or the argument itself if it has none."""
     return getattr(thing, "design", thing)
 
 
 def check_choice(name: str, value: object, choices: Iterable[object], error: type[WarpvoxError] = ConfigError) -> None:
-    """Raise ``error`` unless ``value`` is one of ``choices``; True is not 1."""
+    """Raise ``error`` unless ``value`` is one of ``choices``; True does not count as 1."""
     options = list(choices)
     if isinstance(value, bool) or not any(isinstance(value, type(one)) and value == one for one in options):
         hint = did_you_mean(value, options)
@@ -51,14 +51,14 @@ def check_choice(name: str, value: object, choices: Iterable[object], error: typ
 
 
 def check_flag(name: str, value: object) -> bool:
-    """Return ``value`` as bool, or raise ConfigError."""
+    """Return ``value`` as a bool; ConfigError if it is something else."""
     if not isinstance(value, bool | np.bool_):
         raise ConfigError(f"{name} must be True or False, got {value!r:.80}.")
     return bool(value)
 
 
 def check_path(name: str, value: Any) -> Path:
-    """Return ``value`` as a path with ``~`` expanded, or raise ConfigError."""
+    """Return ``value`` as a path with ``~`` expanded; ConfigError if it is no path."""
     if not isinstance(value, str | Path) or "\0" in str(value):
         raise ConfigError(f"{name} must be a path, got {value!r:.80}.")
     return Path(value).expanduser()
@@ -67,7 +67,7 @@ def check_path(name: str, value: Any) -> Path:
 def check_integer(
     name: str, value: object, low: int, high: int | None = None, error: type[Exception] = ConfigError
 ) -> int:
-    """Return ``value`` as int, or raise ``error`` with the valid range."""
+    """Return ``value`` as an int; raise ``error`` with the valid range if it is out of range or no integer."""
     if not is_integer(value) or value < low or (high is not None and value > high):
         limits = f">= {low}" if high is None else f"from {low} to {high}"
         raise error(f"{name} must be an integer {limits}, got {value!r:.80}.")
@@ -75,7 +75,7 @@ def check_integer(
 
 
 def check_shape(name: str, value: Any, error: type[Exception] = ConfigError) -> tuple[int, int]:
-    """Return ``value`` as (rows, columns), or raise ``error``."""
+    """Return ``value`` as (rows, columns); raise ``error`` if it is no valid size."""
     try:
         sizes = list(value)
     except TypeError:

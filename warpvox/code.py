@@ -1,4 +1,4 @@
-"""Code of the user's own, ``FILE.py:NAME`` or ``MODULE:NAME``: the only module that imports any.
+"""Import of the user's own code, named ``FILE.py:NAME`` or ``MODULE:NAME``; no other module imports such code.
 
 A file names code, it never makes it run. What the user passes is a :class:`Code`; what a file holds is a plain string,
 which :func:`load_code` refuses. To go on with a run that names code, the user passes the key again.
@@ -20,11 +20,11 @@ from typing import Any
 from warpvox.errors import ConfigError, StoredCodeError, did_you_mean, listing
 
 KEYS = ("task", "policy", "search.make", "fitness.make")
-"""Settings whose values may name code."""
+"""Settings whose values may name the user's own code."""
 
 
 class Code(str):
-    """The name of code, ``FILE.py:NAME`` or ``MODULE:NAME``, that the user has passed in a command or in Python.
+    """The name of the user's own code, ``FILE.py:NAME`` or ``MODULE:NAME``, given in a command or in Python.
 
     A text like any other, but that :func:`load_code` takes it. Stored and read again it is a plain string.
     """
@@ -38,7 +38,7 @@ def is_code(text: object) -> bool:
 
 
 def check_code(text: str | None, needs: str, made: str) -> None:
-    """Raise ConfigError unless ``text`` names code; the message says which key ``needs`` it and what is ``made``."""
+    """Raise ConfigError unless ``text`` names code; the message says that the key ``needs`` expects a ``made``."""
     place, _, name = (text or "").rpartition(":")
     if not place or not name.isidentifier():
         raise ConfigError(f"{needs}=FILE.py:NAME or MODULE:NAME, where NAME makes {made}; got {text!r}.")
@@ -91,7 +91,7 @@ def load_code(code: str, is_wanted: Callable[[Any], bool] = callable, kind: str 
 
 @functools.cache
 def _import_file(path: Path) -> ModuleType:
-    """Import a file with its folder first on the search path; in a package, as a module of it."""
+    """Import a Python file with its folder first on the search path, or as a module of its package."""
     root = path.parent
     name = path.stem
     while (root / "__init__.py").is_file():
@@ -120,7 +120,7 @@ def _import_file(path: Path) -> ModuleType:
 
 @contextmanager
 def _first_on_path(folder: Path) -> Iterator[None]:
-    """Put ``folder`` first on the search path of imports within the block."""
+    """Put ``folder`` first on Python's import path within the block."""
     importlib.invalidate_caches()
     sys.path.insert(0, str(folder))
     try:
@@ -130,7 +130,7 @@ def _first_on_path(folder: Path) -> Iterator[None]:
 
 
 def passed_code(key: str, stored: Any, given: Any, place: object) -> Any:
-    """Return the stored value of a key; if it names code, return the code that the user has passed instead.
+    """Return a stored value; if it names code, return the code that the user passed with this command instead.
 
     Raises:
         StoredCodeError: the user has passed none.
@@ -143,7 +143,7 @@ def passed_code(key: str, stored: Any, given: Any, place: object) -> Any:
 
 
 def with_passed_code(settings: Any, given: Collection[str], place: object) -> Any:
-    """Return settings in which the code of keys that the user has ``given`` may be imported.
+    """Allow the import of code in stored settings for the keys that the user has ``given`` again.
 
     Raises:
         StoredCodeError: another key names code, in ``place``.
@@ -161,7 +161,7 @@ def with_passed_code(settings: Any, given: Collection[str], place: object) -> An
 
 
 def code_of(settings: Any) -> dict[str, str]:
-    """Return the values of settings, or of a stored configuration, that name code, by dotted key."""
+    """Return all values of settings that name code, by dotted key."""
     found = {}
     for key in KEYS:
         value = settings
@@ -173,10 +173,10 @@ def code_of(settings: Any) -> dict[str, str]:
 
 
 def words_of_code(settings: Any) -> str:
-    """Return arguments of a command that pass the code of settings again, quoted, each after a blank."""
+    """Return the command-line arguments that pass the code of these settings again, quoted for a shell."""
     return "".join(f" {shlex.quote(f'{key}={text}')}" for key, text in code_of(settings).items())
 
 
 def same_code(one: object, other: object) -> bool:
-    """Return whether both name code of the same NAME, whose file or module may differ."""
+    """Return whether two names of code end in the same NAME; file or module may differ."""
     return is_code(one) and is_code(other) and str(one).rpartition(":")[2] == str(other).rpartition(":")[2]

@@ -1,4 +1,4 @@
-"""From worlds to a Model: points, springs, surface voxels and a lattice of static terrain.
+"""Compilation of worlds into mass-spring models: points, springs, surface voxels and a lattice of static terrain.
 
 Orders are part of the contract (observations and contacts depend on them): robots first, then the other objects,
 each by name; inside an object points in the order in which its voxels, row by row from the top left, need them.
@@ -29,7 +29,7 @@ T = TypeVar("T")
 
 @dataclass
 class Body:
-    """The mesh of one object. Indices count from the object's own first point or spring.
+    """The mesh of one object; indices count from the object's own first point or spring.
 
     Equal objects share the lists, dictionaries and tables: they are not written to after the mesh is made.
     """
@@ -51,15 +51,15 @@ class Body:
 
     @property
     def cells(self) -> list[tuple[int, int]]:
-        """Cells that are not empty, row by row from the top left."""
+        """Non-empty cells as (row, column), row by row from the top left."""
         return list(self.corners)
 
     def kind(self, cell: tuple[int, int]) -> int:
-        """Return the type of a cell."""
+        """Return the type of the cell at (row, column)."""
         return int(self.source.grid[cell])
 
     def table(self, make: Callable[[Body], T]) -> T:
-        """Return ``make(self)``, which must not depend on the place in a world; it is made once for equal objects."""
+        """Return ``make(self)``, cached and shared by equal objects; it must not depend on the place in the world."""
         if make not in self.tables:
             self.tables[make] = make(self)
         return self.tables[make]
@@ -67,7 +67,7 @@ class Body:
 
 @dataclass
 class CompiledWorld:
-    """A compiled world: its bodies (objects with a cell that can move), its static terrain, and its size in cells."""
+    """A compiled world: meshes of movable objects, static terrain, and the size in cells."""
 
     bodies: list[Body]
     statics: list[Body]
@@ -76,16 +76,16 @@ class CompiledWorld:
 
     @property
     def robots(self) -> list[Body]:
-        """The bodies that are robots."""
+        """Meshes of the robots."""
         return [body for body in self.bodies if body.source.is_robot]
 
     def body(self, name: str) -> Body | None:
-        """Return the mesh of an object, or None."""
+        """Return the mesh of the object with this name, or None."""
         return next((body for body in self.bodies + self.statics if body.name == name), None)
 
 
 def compile_world(world: World, physics: Physics, loose: Sequence[str] = ()) -> CompiledWorld:
-    """Mesh every object of a world; those named in ``loose`` become bodies even if none of their cells can move.
+    """Mesh every object of a world; objects named in ``loose`` become bodies even if all their cells are fixed.
 
     SimulationError: the world has no object that can move.
     """
@@ -98,7 +98,7 @@ def compile_world(world: World, physics: Physics, loose: Sequence[str] = ()) -> 
 def compile_objects(
     objects: Iterable[WorldObject], size: tuple[int, int], physics: Physics, loose: Sequence[str]
 ) -> CompiledWorld:
-    """Mesh ``objects`` as :func:`compile_world` does, on a grid of ``size`` (columns, rows); all may be fixed."""
+    """Mesh ``objects`` as :func:`compile_world` does, on a grid of ``size`` (columns, rows)."""
     ordered = sorted(objects, key=lambda o: (not o.is_robot, o.name))
     bodies = []
     statics = []
@@ -131,7 +131,7 @@ def mesh(source: WorldObject, physics: Physics) -> Body:
 
 @functools.lru_cache(32)  # a benchmark task has at most 21 objects
 def _kept_mesh(source: WorldObject, physics: Physics) -> Body:
-    """Return the mesh of one object, cached."""
+    """Mesh one object; cached."""
     # The sides at which each filled cell is connected, row by row from the top left
     rows, columns = np.nonzero(source.grid)
     linked = dict.fromkeys(zip(rows.tolist(), columns.tolist(), strict=True), 0)
@@ -175,7 +175,7 @@ def _kept_mesh(source: WorldObject, physics: Physics) -> Body:
 
 
 def _add_voxel(body: Body, cell: tuple[int, int], bits: int, physics: Physics) -> None:
-    """Add the points and springs of a cell that no connected cell before it has made."""
+    """Add a cell's points and springs to the mesh, except those shared with connected cells added before."""
     row, column = cell
     above = body.corners[row - 1, column] if bits & TOP else None
     left = body.corners[row, column - 1] if bits & LEFT else None
@@ -229,7 +229,7 @@ def _add_voxel(body: Body, cell: tuple[int, int], bits: int, physics: Physics) -
 
 
 def _new_point(body: Body, row: int, column: int) -> int:
-    """Add the point at a grid node to the mesh; return its index."""
+    """Add a point at a grid node to the mesh; return its index."""
     # Exactly these expressions: the last bit of a coordinate decides which touching voxels are in contact.
     source = body.source
     x = source.x * VOXEL + column * VOXEL
@@ -240,7 +240,7 @@ def _new_point(body: Body, row: int, column: int) -> int:
 
 
 def _set_stiffness(body: Body, kinds: list[list[int]], physics: Physics) -> None:
-    """Set the stiffness of the sides by the preset's rule for shared sides; add two diagonals for each voxel."""
+    """Set the stiffness of sides by the preset's rule, and add two diagonal springs for each voxel."""
     diagonal = (VOXEL * VOXEL + VOXEL * VOXEL) ** 0.5
     by_kind = {int(kind): physics.stiffness(kind) for kind in Cell}
     stiffest: dict[int, float] = {}
@@ -258,7 +258,7 @@ def _set_stiffness(body: Body, kinds: list[list[int]], physics: Physics) -> None
 
 
 def exact_tables(designs: list[CompiledWorld], lanes: int) -> dict[str, np.ndarray]:
-    """Return the tables of packs for exact arithmetic: an entry for each world, which all lanes of its packs hold.
+    """Make the tables of packs for exact arithmetic; all lanes of a pack hold the same world.
 
     Points and springs stand in the order in which the released simulator makes them.
     """
@@ -267,7 +267,7 @@ def exact_tables(designs: list[CompiledWorld], lanes: int) -> dict[str, np.ndarr
 
 
 def _exact_table(design: CompiledWorld, lanes: int) -> dict[str, np.ndarray]:
-    """Return the tables of one pack whose lanes all hold one world."""
+    """Make the table of one pack whose lanes all hold one world."""
     out = world_arrays(design)
     points = len(out["fixed"])
 
@@ -298,7 +298,7 @@ def _exact_table(design: CompiledWorld, lanes: int) -> dict[str, np.ndarray]:
 
 
 def pack_drives(drives: np.ndarray, axis: int) -> np.ndarray:
-    """Return the two entries along ``axis`` in one int32: each plus 1, the first in the low 16 bits.
+    """Pack two actuator indices into one int32: each plus 1, the first in the low 16 bits.
 
     Entries are the actions that drive a spring, -1 for none.
     """
@@ -308,7 +308,7 @@ def pack_drives(drives: np.ndarray, axis: int) -> np.ndarray:
 
 
 def join(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Return tables of several lists of packs as one list, padded to the largest sizes.
+    """Concatenate lists of tables, padded to the largest size of each axis.
 
     The padding is 0, or -1 in tables where 0 is an index.
     """
@@ -331,7 +331,7 @@ def join(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 
 def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
-    """Return the arrays of a compiled world, with the names that :data:`warpvox.kernels.state.MODEL` has for them."""
+    """Return a compiled world as arrays, with the names of :data:`warpvox.kernels.state.MODEL`."""
     # Tables of the objects, one behind the other. Numbers of points, springs and actions count on.
     no_object = {
         "fixed": np.zeros(0, np.int32),
@@ -423,7 +423,7 @@ def world_arrays(design: CompiledWorld) -> dict[str, np.ndarray]:
 
 
 def _body_arrays(body: Body) -> dict[str, np.ndarray]:
-    """Return the tables of points, springs and surface voxels of one object; indices begin at 0."""
+    """Return the points, springs and surface voxels of one object as arrays; indices begin at 0."""
     # Springs, without those that are always at rest: they give no force and have no strain
     place = {}
     ends = []
@@ -459,7 +459,7 @@ def _body_arrays(body: Body) -> dict[str, np.ndarray]:
 
 
 def _static_cells(body: Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return column and row, surface bits, and bounds (left, right, bottom, top) of the cells of an object."""
+    """Return an object's cells (column, row), their surface bits and their bounds (left, right, bottom, top)."""
     cells = np.array(body.cells)[:, ::-1]
     bits = [body.surface.get(cell, 0) for cell in body.corners]
     points = np.array(body.points)
@@ -471,5 +471,5 @@ def _static_cells(body: Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _lattice_cells(design: CompiledWorld, source: WorldObject, cells: np.ndarray) -> np.ndarray:
-    """Return the index in the world's lattice of cells of an object, ``[n, 2]`` columns and rows."""
+    """Convert an object's cells ``[n, 2]`` (column, row) to indices in the world's lattice."""
     return (source.y + source.height - 1 - cells[:, 1]) * design.width + source.x + cells[:, 0]

@@ -1,4 +1,4 @@
-"""The order in which the released simulator meets contacts: a tree of boxes over the surface voxels of an object.
+"""Contact order of the released simulator: it descends a tree of bounding boxes over the surface voxels of an object.
 
 Forces on a point are sums, and sums round by their order. The released simulator finds pairs of surface voxels by
 descending two such trees at once; their shape follows from areas of boxes at the beginning, equal ones being told
@@ -18,14 +18,14 @@ import numpy as np
 from warpvox.errors import SimulationError
 
 DEEPEST = 40
-"""Levels of two trees together that the path of a descent holds (``PATH`` of ``kernels/exact/order.py``)."""
+"""Largest sum of the depths of two trees that fits a sort key (``PATH`` of ``kernels/exact/order.py``)."""
 MOST_OBJECTS = 1024  # whose pairs fit into the 20 bits above the path
 
 # Bucket counts of the library's hash tables, each the first of its prime list that at least doubles the last: enough
 # for the cells of the largest world.
 BUCKETS = (1, 13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753, 42043, 85229, 172933, 351061, 712697, 1447153)
 _SIDE = {(-1, 0): 1, (0, 1): 2, (1, 0): 4, (0, -1): 8}
-"""The bit of ``Body.linked`` for a neighbour in this direction."""
+"""Bit of ``Body.linked`` for the neighbour in each direction (row, column)."""
 
 
 class HashSet:
@@ -51,7 +51,7 @@ class HashSet:
         return number in self._buckets.get(number % self._modulus, ())
 
     def add(self, number: int) -> None:
-        """Add a number; a full table is replaced by a larger one."""
+        """Add a number; a full table is rehashed into a larger one."""
         if number in self._buckets.get(number % self._modulus, ()):
             return
         if self._count == self._modulus or not self._size:  # full; the first bucket is never used
@@ -65,7 +65,7 @@ class HashSet:
         self._buckets.setdefault(number % self._modulus, {})[number] = None
 
     def discard(self, number: int) -> None:
-        """Remove a number if it is there."""
+        """Remove a number if the set contains it."""
         place = number % self._modulus
         bucket = self._buckets.get(place)
         if bucket is not None and number in bucket:
@@ -77,7 +77,7 @@ class HashSet:
 
 @dataclass
 class _Tree:
-    """A binary tree of boxes: children come before their parents, the root is the last node.
+    """A binary tree of bounding boxes: children come before their parents, and the root is the last node.
 
     ``cells``: (row, column) of a leaf, None for others; ``children``: the two of an inner node, None for a leaf;
     ``boxes``: left, bottom, right, top at the beginning.
@@ -94,7 +94,7 @@ class _Tree:
         return len(self.cells) - 1
 
     def ranks(self) -> tuple[list[int], list[int]]:
-        """Return for every node the number of leaves before it, and the number before its second child.
+        """Count, for every node, the leaves before its first child and before its second child.
 
         Leaves are counted from first to second children.
         """
@@ -111,7 +111,7 @@ class _Tree:
         return begin, middle
 
     def depth(self) -> int:
-        """Return the number of levels below the root."""
+        """Count the levels below the root."""
         level = [0] * len(self.cells)
         for node in reversed(range(len(self.cells))):
             for child in self.children[node] or ():
@@ -120,7 +120,7 @@ class _Tree:
 
 
 def tree_of(body) -> _Tree:
-    """Build the box tree of a mesh (:class:`warpvox.compile.Body`)."""
+    """Build the box tree of a mesh (:class:`warpvox.compile.Body`) in the released simulator's order."""
     number = {cell: n for n, cell in enumerate(body.corners)}
     surface = HashSet()
     for cell in body.surface:
@@ -138,7 +138,7 @@ def tree_of(body) -> _Tree:
 
 
 def _neighbours(body, cell, node_of: dict) -> HashSet:
-    """Return the nodes of connected surface voxels beside a cell; without any, of those diagonal to it."""
+    """Return the tree nodes of the surface voxels connected to a cell, or diagonal ones if none is connected."""
     found = HashSet()
     cardinal = ((-1, 0), (1, 0), (0, -1), (0, 1))  # row and column: top, bottom, left, right
     diagonal = ((-1, -1), (-1, 1), (1, -1), (1, 1))
@@ -152,7 +152,7 @@ def _neighbours(body, cell, node_of: dict) -> HashSet:
 
 
 def _connected(body, cell, dy: int, dx: int) -> bool:
-    """Return whether a neighbour is connected to the cell; a diagonal one through a cell beside both."""
+    """Return whether the cell at offset (dy, dx) is connected to ``cell``, directly or through a cell beside both."""
     bits = body.linked
     if dy == 0 or dx == 0:
         return bool(bits[cell] & _SIDE[dy, dx])
@@ -163,7 +163,7 @@ def _connected(body, cell, dy: int, dx: int) -> bool:
 
 
 def _merge(tree: _Tree, near: list[HashSet]) -> None:
-    """Join the two nodes with the smallest common box, again and again, until one is left; neighbours go first.
+    """Merge the pair of nodes with the smallest common box until one node is left; neighbouring voxels merge first.
 
     Of equals the first node is joined, with the first of its neighbours. A diagonal neighbour need not know of it, so
     sets may hold nodes that have been joined.
@@ -175,7 +175,7 @@ def _merge(tree: _Tree, near: list[HashSet]) -> None:
     queue: list[tuple[float, int]] = []
 
     def smallest(node: int) -> tuple[float, int]:
-        """Return the area of the smallest box that ``node`` has in common with another open node, and that node."""
+        """Return the area of the smallest box around ``node`` and another unmerged node, and that other node."""
         left, bottom, right, top = boxes[node]
         least = math.inf
         chosen = node
@@ -229,7 +229,7 @@ def _merge(tree: _Tree, near: list[HashSet]) -> None:
 
 
 def order_arrays(design) -> dict[str, np.ndarray]:
-    """Return the Model's arrays of box trees for a :class:`warpvox.compile.CompiledWorld`: bodies, then terrain.
+    """Make the Model's arrays of box trees for a compiled world: movable objects, then terrain.
 
     Raises:
         SimulationError: the world has more objects, or objects of deeper trees, than a contact's place in the order
@@ -275,7 +275,7 @@ def order_arrays(design) -> dict[str, np.ndarray]:
 
 
 class _TreeTable(NamedTuple):
-    """The box tree of an object as arrays, whose indices begin at 0.
+    """The box tree of one object as arrays; indices begin at 0.
 
     Attributes:
         node: int32 ``[nodes, 4]`` as in the Model; of leaves the first entry is -1 and the object 0.
@@ -295,7 +295,7 @@ class _TreeTable(NamedTuple):
 
 
 def _tree_table(body) -> _TreeTable:
-    """Return the box tree of a mesh as arrays."""
+    """Build the box tree of a mesh, as arrays."""
     tree = tree_of(body)
     rank, middle = tree.ranks()
     root = len(tree.cells) - 1
@@ -318,7 +318,7 @@ def _tree_table(body) -> _TreeTable:
 
 
 def _check_places(design, depth: dict[str, int]) -> None:
-    """Raise SimulationError if a sort key has too few bits for the objects or the depth of their trees."""
+    """Raise SimulationError if the sort keys have too few bits for these objects or tree depths."""
     remedy = "arithmetic='fast' does not keep this order and has no such limit."
     if len(depth) > MOST_OBJECTS:
         raise SimulationError(
@@ -335,7 +335,7 @@ def _check_places(design, depth: dict[str, int]) -> None:
 
 
 def no_order() -> dict[str, np.ndarray]:
-    """Return the arrays of :func:`order_arrays` for simulations that do not keep the order: zeros of size 1."""
+    """Return empty box trees (size 1), for simulations that do not reproduce the contact order."""
     one = np.zeros(1, dtype=np.int32)
     return dict(objects=one[0], nodes=one[0], node=one.reshape(1, 1).repeat(4, 1), node_area=np.zeros(1),
                 leaf=one, cell_leaf=one)  # fmt: skip

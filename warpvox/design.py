@@ -40,15 +40,15 @@ SAMPLING_WEIGHTS = (0.6, 0.2, 0.2, 0.2, 0.2)
 """EvoGym's relative weights of empty, rigid, soft, horizontal and vertical actuator cells (sum 1.4)."""
 
 _LARGEST_BODY = 1 << 16
-"""Cells that a body may have, empty ones included (256 x 256)."""
+"""Maximum number of cells of a body, empty ones included (256 x 256)."""
 _LARGEST_FILE = 4_000_000
-"""Bytes that a file of a design, its arrays together, or the text of one may have."""
+"""Maximum size in bytes of a design file, its arrays or its text."""
 
 ZOO_FOLDER = Path(__file__).parent / "data"
-"""The zoo: a stored robot for every task, ``TASK.npz``."""
+"""Folder of the zoo, with a stored robot ``TASK.npz`` for every task."""
 
 DESIGN_SUFFIXES = (".json", ".npz", ".npy")
-"""Files that hold a design whatever else they hold, and that :func:`save_design` writes."""
+"""Suffixes of files that always hold a design, and that :func:`save_design` writes."""
 
 _EXPECTED = (
     f"a design is a file ({', '.join(DESIGN_SUFFIXES)}), a text with a row of cell types on each line as numpy.savetxt"
@@ -57,7 +57,7 @@ _EXPECTED = (
 
 
 def check_design(body: object) -> Design:
-    """Return ``body`` as a fresh int8 array ``[rows, columns]`` if it is a valid robot.
+    """Validate a robot body and return a fresh int8 array ``[rows, columns]``.
 
     Accepts an array or nested lists; floating-point entries are fine as long as they are integers.
 
@@ -92,7 +92,7 @@ def check_design(body: object) -> Design:
 def as_grid(
     cells: object, *, what: str = "body", error: type[Exception] = DesignError, limit: int = LARGEST_GRID
 ) -> np.ndarray:
-    """Return ``cells`` as a fresh int8 array ``[rows, columns]`` of known cell types, or raise ``error``.
+    """Convert ``cells`` to a fresh int8 array ``[rows, columns]`` of known cell types, or raise ``error``.
 
     This is the part of the check that robots share with every other object of a world.
 
@@ -142,7 +142,7 @@ def has_actuator(body: object) -> bool:
 
 
 def count_pieces(bodies: np.ndarray) -> np.ndarray:
-    """Return the number of edge-connected pieces of each of the bodies ``[..., rows, columns]``, int ``[...]``."""
+    """Count the edge-connected pieces of each of the bodies ``[..., rows, columns]``, int ``[...]``."""
     *batch, rows, columns = bodies.shape
     grid = np.zeros((math.prod(batch), rows + 1, columns), bool)  # an empty row keeps bodies apart
     grid[:, :-1] = bodies.reshape(-1, rows, columns) != Cell.EMPTY
@@ -152,7 +152,7 @@ def count_pieces(bodies: np.ndarray) -> np.ndarray:
 
 
 def _pieces(grid: np.ndarray) -> np.ndarray:
-    """Return for every cell of ``grid`` the first cell (row-major) of its piece, int ``[cells]``."""
+    """Label every cell of ``grid`` with the first cell (row-major) of its connected piece, int ``[cells]``."""
     first, second = full_connections(grid).T
     root = np.arange(grid.size)
     while True:  # cells point to a cell of their piece with a smaller index: join ends of connections, then shorten
@@ -166,7 +166,7 @@ def _pieces(grid: np.ndarray) -> np.ndarray:
 
 
 def repair_design(body: object) -> Design:
-    """Return a valid body made of ``body``, which stays as it is if it is valid.
+    """Turn any body into a valid design; a valid body is returned unchanged.
 
     Of the pieces with an actuator the largest is kept, the first one in row-major order among equals. If none has an
     actuator, the largest piece is kept, and its first cell becomes a horizontal actuator. A body without voxels becomes
@@ -191,7 +191,7 @@ def repair_design(body: object) -> Design:
 
 
 def are_valid(bodies: np.ndarray) -> np.ndarray:
-    """Return which of the bodies ``[n, rows, columns]`` are one piece and have an actuator, bool ``[n]``."""
+    """Test which of the bodies ``[n, rows, columns]`` are connected and have an actuator, bool ``[n]``."""
     driven = (bodies == Cell.H_ACT) | (bodies == Cell.V_ACT)
     actuated = driven.any((1, 2))
     actuated[actuated] = count_pieces(bodies[actuated]) == 1
@@ -199,7 +199,7 @@ def are_valid(bodies: np.ndarray) -> np.ndarray:
 
 
 def full_connections(grid: np.ndarray) -> np.ndarray:
-    """Return all pairs of edge-adjacent non-empty cells of ``grid`` ``[rows, columns]`` as int32 ``[k, 2]``.
+    """List all pairs of edge-adjacent non-empty cells of ``grid`` ``[rows, columns]`` as int32 ``[k, 2]``.
 
     Entries are flat (row-major) indices, smaller one first. Pairs come in row-major order of their first
     cell, its right-hand neighbour before its lower one.
@@ -219,7 +219,7 @@ def sample_design(
     seed: int | np.random.Generator | None = None,
     probabilities: Sequence[float] | None = None,
 ) -> Design:
-    """Draw a valid body by EvoGym's rule: independent cells, until the body is connected and has an actuator.
+    """Sample a valid body by EvoGym's rule: independent cells, until the body is connected and has an actuator.
 
     From about 13 x 13 cells on hardly any such body is connected. Where none is found, the last one drawn is repaired:
     its largest piece with an actuator is kept (see :func:`repair_design`).
@@ -262,7 +262,7 @@ def draw_bodies(
     shape: tuple[int, int],
     weights: Sequence[float] | np.ndarray = SAMPLING_WEIGHTS,
 ) -> np.ndarray:
-    """Draw bodies, valid or not, int8 ``[count, rows, columns]``: independent cells with relative weights."""
+    """Sample bodies, valid or not, int8 ``[count, rows, columns]``: independent cells with relative weights."""
     cumulative = np.cumsum(weights) / np.sum(weights)
     return np.searchsorted(cumulative[:-1], rng.random((count, *shape)), side="right").astype(np.int8)
 
@@ -286,7 +286,7 @@ def example_design(name: str) -> Design:
 
 
 def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Design:
-    """Return the valid body that ``spec`` stands for.
+    """Load a valid body from a name, file, folder, array, run or robot.
 
     ``spec`` is one of: the name of an example (``walker``); ``random`` or ``random:ROWSxCOLUMNS`` (drawn with
     ``seed``); ``zoo:TASK``, the body of a stored robot; the path of a file (.json, .npz, .npy, or a text as
@@ -329,7 +329,7 @@ def load_design(spec: object, seed: int | np.random.Generator | None = 0) -> Des
 
 
 def design_paths(folder: Path) -> list[Path]:
-    """Return the designs in a folder: files of :data:`DESIGN_SUFFIXES` and folders with ``body.npy``, by name.
+    """List the designs in a folder by name: files with :data:`DESIGN_SUFFIXES` and folders with ``body.npy``.
 
     Also those of its folder ``structure``, where EvoGym's searches keep the designs of a generation. A folder that has
     ``body.npy`` is a single design itself.
@@ -346,12 +346,12 @@ def design_paths(folder: Path) -> list[Path]:
 
 
 def zoo_tasks() -> list[str]:
-    """Return the ids of the tasks that the zoo has a robot for."""
+    """List the ids of the tasks with a robot in the zoo."""
     return sorted(path.stem for path in ZOO_FOLDER.glob("[!.]*.npz"))
 
 
 def zoo_file(name: str | os.PathLike[str], error: type[Exception]) -> Path:
-    """Return the file of the zoo's robot for a task, or ``name`` itself if it is an ``.npz`` file."""
+    """Return the path of the zoo's robot for a task, or ``name`` itself if it is an ``.npz`` file."""
     if not isinstance(name, str | os.PathLike):
         raise error(f"A robot of the zoo is named by its task, got {name!r:.80}.")
     text = bare_id(os.fspath(name))
@@ -364,7 +364,7 @@ def zoo_file(name: str | os.PathLike[str], error: type[Exception]) -> Path:
 
 
 def save_design(path: str | os.PathLike[str], body: object) -> Path:
-    """Check ``body`` and write it to ``path``, whole or not at all; return the path.
+    """Validate a body and write it to ``path`` atomically; return the path.
 
     ``.json`` holds ``{"body": [[...]]}``; ``.npz`` is EvoGym's structure file (``arr_0`` the body, ``arr_1``
     its connections ``[2, k]``); ``.npy`` the bare array.
@@ -389,13 +389,13 @@ def save_design(path: str | os.PathLike[str], body: object) -> Path:
 
 
 def _run_folder(path: Path) -> Path:
-    """Return the folder of a run that is named by itself or by a checkpoint in it."""
+    """Return the folder of a run, given the folder or a checkpoint in it."""
     path = path.expanduser()
     return path.parent if path.suffix == ".pt" else path
 
 
 def _read_path(path: Path) -> Design:
-    """Read the design of a file, a folder or a run."""
+    """Read a design from a file, a folder or a run."""
     # The body of a training, or the best one of a design search
     folder = _run_folder(path)
     if os.path.isfile(folder / CONFIG):  # False of any path, however long
@@ -446,7 +446,7 @@ def _read_path(path: Path) -> Design:
 
 
 def _read_folder(folder: Path) -> tuple[object, np.ndarray | None]:
-    """Read the cells, and their connections if there are any, of a folder with one design."""
+    """Read cells and connections (None: not stored) from a folder with one design."""
     if (folder / "body.npy").is_file():
         pairs = folder / "connections.npy"
         connections = read_npy(pairs, _LARGEST_FILE) if pairs.is_file() else None
@@ -462,7 +462,7 @@ def _read_folder(folder: Path) -> tuple[object, np.ndarray | None]:
 
 
 def _read_file(path: Path) -> tuple[object, np.ndarray | None]:
-    """Read the cells, and their connections if there are any, of a file."""
+    """Read cells and connections (None: not stored) from a file."""
     suffix = path.suffix.lower()
     if suffix not in DESIGN_SUFFIXES:
         # How the file begins says what it is.
@@ -489,7 +489,7 @@ def _read_file(path: Path) -> tuple[object, np.ndarray | None]:
 
 
 def _parse_grid(data: bytes) -> list[list[float]]:
-    """Return the rows of a text of numbers: set apart by blanks, commas or semicolons, or single digits side by side.
+    """Parse rows of cells from text: numbers separated by blanks, commas or semicolons, or single digits.
 
     What follows ``#`` on a line is a comment. Unreadable: another text, or none.
     """
@@ -511,7 +511,7 @@ def _parse_grid(data: bytes) -> list[list[float]]:
 
 
 def _parse_list(text: str, source: str) -> object:
-    """Return the cells in a JSON text: nested lists, an entry ``body``, or a world with one robot."""
+    """Parse cells from a JSON text: nested lists, an entry ``body``, or a world with one robot."""
     try:
         if len(text) > _LARGEST_FILE:
             raise Unreadable(f"it has {len(text):,} characters, and {_LARGEST_FILE:,} are the limit")
@@ -528,7 +528,7 @@ def _parse_list(text: str, source: str) -> object:
 
 
 def _robot_of(world: dict, source: str) -> np.ndarray:
-    """Return the robot's cells, cropped, from a world in EvoGym's format, which must hold exactly one robot."""
+    """Extract the only robot's cells, cropped, from a world in EvoGym's format."""
     try:
         objects = read_objects(world).values()
     except WorldError as error:
@@ -552,7 +552,7 @@ def _robot_of(world: dict, source: str) -> np.ndarray:
 
 
 def _check_weights(weights: Sequence[float]) -> np.ndarray:
-    """Return normalised weights [5] or raise DesignError."""
+    """Return the sampling weights normalised, float ``[5]``; DesignError if they are not valid."""
     try:
         array = np.asarray(weights, dtype=float)
     except Exception:  # conversion of an arbitrary object may raise anything

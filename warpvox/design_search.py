@@ -37,7 +37,7 @@ def codesign(
     listeners: Sequence[Listener] = (),
     **settings: Any,
 ) -> Found:
-    """Search for a body and its policy, and wait for it.
+    """Search for a body and a policy that controls it; blocks until the search ends.
 
     An interrupt (Ctrl-C, a notebook's stop button) saves the state and raises KeyboardInterrupt; the same call with
     ``folder`` goes on.
@@ -106,7 +106,7 @@ def codesign(
 
 
 def _without_names(given: dict[str, Any]) -> dict[str, Any]:
-    """Return settings with named sets such as ``search="auto"`` replaced by their values; values given come first."""
+    """Replace named presets such as ``search="auto"`` by their settings; settings given explicitly win."""
     texts = {key: given[key] for key in ("search", "fitness", "training") if isinstance(given.get(key), str)}
     sets = {key: name for key, name in texts.items() if name not in (*ALGORITHMS, *FITNESS)}
     if not sets:
@@ -121,5 +121,5 @@ def _without_names(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _name(thing: object) -> Code:
-    """Return the class of an object as the code that names it on the command line."""
+    """Return the class of an object as code, ``MODULE:NAME``, for the command line."""
     return Code(f"{type(thing).__module__}:{type(thing).__name__}")

@@ -1,4 +1,4 @@
-"""Exception tree and the helpers that make error sentences useful.
+"""Exceptions of warpvox, and helpers for error messages.
 
 Every error that a user can cause derives from :class:`WarpvoxError`, so that the command line can turn it
 into one clear line and exit code 2, while anything else stays a traceback (a defect of ours). Each class also
@@ -39,11 +39,11 @@ class ConfigError(WarpvoxError, ValueError):
 
 
 class UnknownArgumentError(ConfigError, TypeError):
-    """An argument that the function does not have: a TypeError in Python's words, by which other libraries know it."""
+    """An unknown keyword argument; also a TypeError, so that other libraries recognise it."""
 
 
 class StoredCodeError(ConfigError):
-    """A file names code, which is imported only if the user passes its key again.
+    """A file names the user's own code; it is imported only if the user passes its key again.
 
     Attributes:
         key: such as ``task``.
@@ -69,7 +69,7 @@ class RunError(WarpvoxError, ValueError):
 
 
 class ResumeError(RunError):
-    """A run that cannot go on as asked, but could from another checkpoint or with other settings.
+    """A run cannot continue as asked, but could from another checkpoint or with other settings.
 
     Attributes:
         resume: the folder or checkpoint to go on from.
@@ -83,7 +83,7 @@ class ResumeError(RunError):
 
 
 class DivergenceError(RunError):
-    """Training has produced numbers that are not finite; its settings, mostly the learning rate, do not suit it."""
+    """Training produced NaN or infinity; usually the learning rate is too high."""
 
 
 class RolloutError(WarpvoxError, ValueError):
@@ -99,7 +99,7 @@ class MemoryLimitError(DeviceError):
 
 
 class StorageError(WarpvoxError, OSError):
-    """A disk that is full, read-only or gone, or a folder that vanished while it was written to.
+    """A disk is full, read-only or gone, or a folder vanished while it was being written to.
 
     ``errno`` and ``strerror`` are those of the system's own error.
     """
@@ -115,15 +115,15 @@ class StorageError(WarpvoxError, OSError):
 
 
 class DisplayError(WarpvoxError, RuntimeError):
-    """A window was asked for where none can be shown."""
+    """A window was requested on a machine that cannot show one."""
 
 
 class SearchError(WarpvoxError, RuntimeError):
-    """A design search was used in the wrong order or with unusable values, or has run out of new designs."""
+    """A design search was called in the wrong order or with unusable values, or has no new designs left."""
 
 
 class SimulationError(WarpvoxError, RuntimeError):
-    """The simulator was asked for something that its present state does not allow."""
+    """The simulator cannot do what was asked in its present state."""
 
 
 def did_you_mean(name: object, options: Iterable[object]) -> str:
@@ -138,12 +138,12 @@ def did_you_mean(name: object, options: Iterable[object]) -> str:
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of the message of an ``error``, or its type if it has no message."""
+    """Return the first line of an exception's message, or the exception's type if it has none."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
 def listing(options: Iterable[object], limit: int = 12) -> str:
-    """Return options as ``"a, b, c"``, cut after ``limit`` entries (``"a, b, ... (30 more)"``).
+    """Join options as ``"a, b, c"``, cut after ``limit`` entries (``"a, b, ... (30 more)"``).
 
     An empty collection gives ``"(none)"``, so that a sentence built from it stays a sentence.
     """
@@ -153,5 +153,5 @@ def listing(options: Iterable[object], limit: int = 12) -> str:
 
 
 def counted(number: int, things: str) -> str:
-    """Return a number with a noun in the right form: ``3 designs`` or ``1 design``; its plural must end in s."""
+    """Format a number with a singular or plural noun: ``3 designs`` or ``1 design``."""
     return f"{number:,} {things.removesuffix('s') if number == 1 else things}"

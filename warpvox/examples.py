@@ -1,4 +1,4 @@
-"""Example bodies, as data. Rows from the top; 0 empty, 1 rigid, 2 soft, 3 horizontal and 4 vertical actuator.
+"""Example bodies as rows of digits from the top: 0 empty, 1 rigid, 2 soft, 3 horizontal and 4 vertical actuator.
 
 All are our own. Each is a starting point for one kind of task, not the best body for it.
 """
@@ -29,16 +29,16 @@ MADE_FOR: dict[str, tuple[str, ...]] = {
     "worm": ("CaveCrawler-v0",),
     "lifter": ("Lifter-v0",),
 }
-"""Tasks that an example is a starting point for; "mini" is for none in particular."""
+"""Tasks for which an example body is a good starting point, by the example's name; none for "mini"."""
 
 
 def bare_id(task: Any) -> Any:
-    """``task``; of an id as gymnasium has it, ``warpvox/Walker-v0``, the part that is the task's own."""
+    """Strip ``warpvox/`` from a gymnasium id such as ``warpvox/Walker-v0``; other values are returned unchanged."""
     is_id = isinstance(task, str) and re.fullmatch(r"warpvox/\w+-v\d+", task)
     return task.removeprefix("warpvox/") if is_id else task
 
 
 def design_for(task: Any, design: Any) -> Any:
-    """Return ``design``; for ``auto``, the name of the task's example, or ``walker`` if it has none."""
+    """Replace the design ``auto`` by the task's example body, or ``walker`` if it has none."""
     made = next((name for name, tasks in MADE_FOR.items() if task in tasks), "walker")
     return made if isinstance(design, str) and design == "auto" else design

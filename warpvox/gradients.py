@@ -1,4 +1,4 @@
-"""Gradients through the physics: control steps that torch differentiates by their actions and by the state before."""
+"""Gradients through the physics: control steps that torch differentiates with respect to actions and state."""
 
 from functools import partial
 from typing import Any
@@ -14,11 +14,11 @@ from warpvox.simulation import Simulation
 from warpvox.types import AXES
 
 PARTS = ("pos", "vel", "true_vel")
-"""Fields that a control step changes, in the order of a state."""
+"""Fields of a differentiable state, in order."""
 
 
 class Gradients:
-    """Control steps that torch differentiates: functions from a state and actions to the next state.
+    """Differentiable control steps: functions from a state and actions to the next state.
 
     The states are those of the simulation, bit for bit. The reverse pass computes the control step once more, so that
     of each step only its first state is kept. In the air derivatives are those of the physics; contact with terrain is
@@ -64,7 +64,7 @@ class Gradients:
 
     @staticmethod
     def check(sim: Simulation) -> None:
-        """Raise SimulationError unless the control steps of a simulation can be differentiated."""
+        """Raise SimulationError if the control steps of a simulation cannot be differentiated."""
         if (got := getattr(sim, "arithmetic", sim)) != "fast":
             raise SimulationError(f"Gradients need a simulation (env.sim) with arithmetic='fast', got {got!r:.80}.")
         if sim.layout != "lanes":
@@ -76,7 +76,7 @@ class Gradients:
         return torch.stack([state[name] for name in PARTS], dim=1)
 
     def step(self, state: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
-        """Do one control step from ``state``; return the state after it, which the simulation then has.
+        """Do one differentiable control step from ``state``, and return the next state.
 
         An environment that is frozen or whose step is undone (:attr:`Simulation.unstable`) keeps its state, and so
         does its derivative. Actions are clipped to the simulation's range; beyond it their derivative is 0.
@@ -100,7 +100,7 @@ class Gradients:
         return _Step.apply(self, state, torch.as_tensor(actions).to(self.sim.device))
 
     def com(self, state: torch.Tensor, name: str) -> torch.Tensor:
-        """Return an object's centre of mass in a state, ``[num_envs, 2]``; SimulationError: it never moves."""
+        """Return an object's centre of mass in a state, ``[num_envs, 2]``; SimulationError: the object is fixed."""
         return self._mean(state, name, 0)
 
     def velocity(self, state: torch.Tensor, name: str) -> torch.Tensor:
@@ -108,7 +108,7 @@ class Gradients:
         return self._mean(state, name, 1)
 
     def _mean(self, state: torch.Tensor, name: str, part: int) -> torch.Tensor:
-        """Return the mean of positions (``part`` 0) or velocities (1) of an object's points, ``[num_envs, 2]``."""
+        """Average the positions (``part`` 0) or velocities (1) of an object's points, ``[num_envs, 2]``."""
         mask = self.sim.rows_of(name)
         if not mask.any():
             raise SimulationError(f"The object {name!r} is made of fixed cells only: it never moves.")
@@ -118,7 +118,7 @@ class Gradients:
     # What autograd calls.
 
     def _forward(self, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Do one step from ``state`` with the actions taken; return the new state and which environments have moved."""
+        """Do one step from ``state`` with the stored actions; return the new state and a mask of moved environments."""
         still = self.sim.frozen
         self.sim.set_state(self.sim.state() | _parts(state))
         self.sim.advance()
@@ -127,7 +127,7 @@ class Gradients:
     def _backward(
         self, state: torch.Tensor, actions: torch.Tensor, by_end: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return derivatives by a state and by actions from derivatives by the state after the step."""
+        """Return gradients with respect to state and actions from the gradient with respect to the next state."""
         sim = self.sim
         before = sim.state()
         taken = sim.actions
@@ -173,7 +173,7 @@ class _Step(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, by_end: torch.Tensor) -> tuple[None, torch.Tensor, torch.Tensor]:
-        """Return derivatives by state and actions; those of environments that have not moved pass through."""
+        """Return gradients of state and actions; gradients of environments that did not move pass through."""
         state, actions, moved, worlds = ctx.saved_tensors
         if not torch.equal(worlds, ctx.gradients.sim.world_numbers):
             raise SimulationError(

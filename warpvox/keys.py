@@ -1,4 +1,4 @@
-"""Names and values of arguments and keys: other words for them, and fields of dataclasses that know what is valid."""
+"""Names and values of arguments and keys: synonyms, and dataclass fields with valid ranges."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _SYNONYMS = {
     "max_evaluations": ("max_designs",),
     "steps": ("num_steps",),
 }
-"""Other names of arguments and keys; each stands for the first of these that a function or command has."""
+"""Other names of arguments and keys, each with the real names in order of preference."""
 
 ELSEWHERE = {
     "body": "start",
@@ -56,10 +56,10 @@ ELSEWHERE = {
     "mp4": "export",
     "video": "export",
 }
-"""Names by which other libraries know an argument or key, which errors point to."""
+"""Names of arguments and keys in other libraries, with our name, for hints in error messages."""
 
 MISSING: Any = "???"
-"""A key without a value of its own: one of the group's YAML files must set it."""
+"""Placeholder for a key that one of the group's YAML files must set."""
 
 
 def key(
@@ -73,7 +73,7 @@ def key(
     form: str | None = None,
     nodes: Mapping[str, Any] | None = None,
 ) -> Any:
-    """Return a dataclass field with a description and valid values: ``low <= value <= high`` and ``value > above``.
+    """Declare a dataclass field with a description and valid values: ``low <= value <= high`` and ``value > above``.
 
     Args:
         form: how a list of fixed length is written, such as ``[width,height]``.
@@ -96,7 +96,7 @@ def other_names(name: str) -> Iterator[str]:
 
 
 def renamed(given: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
-    """Return arguments with synonyms replaced by the names in use. ConfigError: one is given twice."""
+    """Replace synonyms in arguments by the real names; ConfigError: an argument is given twice."""
     found = {}
     for name, value in given.items():
         others = () if name in names else _SYNONYMS.get(name, ())
@@ -110,7 +110,7 @@ def renamed(given: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
 def check_known(
     given: Mapping[str, Any], *functions: Callable[..., Any], without: Collection[str] = ()
 ) -> dict[str, Any]:
-    """Return arguments by the names that one of ``functions`` has for them, see :func:`renamed`.
+    """Rename and check keyword arguments for ``functions``, which together define the valid names.
 
     Args:
         functions: the one that was called, and those (or dataclasses) that get what it does not know; the last may
@@ -141,14 +141,14 @@ def check_known(
 
 @functools.lru_cache
 def _arguments(function: Callable[..., Any]) -> tuple[tuple[str, ...], bool]:
-    """Return the names of a function's arguments, and whether it takes others by name."""
+    """Return the names of a function's arguments, and whether it accepts any keyword."""
     found = inspect.signature(function).parameters.values()
     named = tuple(one.name for one in found if one.kind not in (one.VAR_KEYWORD, one.VAR_POSITIONAL))
     return named, any(one.kind is one.VAR_KEYWORD for one in found)
 
 
 def _hint(name: str, names: Collection[str]) -> str:
-    """Return `` `` and a sentence about an unknown argument: the nearest of ``names``, or settings that have it."""
+    """Build a hint about an unknown argument: the most similar name, or the settings class that has it."""
     if name == "resume" and "folder" in names:
         return " A search goes on when it is called again with folder='...', its folder."
     if ELSEWHERE.get(name) in names:
@@ -161,7 +161,7 @@ def _hint(name: str, names: Collection[str]) -> str:
 
 
 def _places(name: str, whole: Any) -> Iterator[str]:
-    """Yield how to give a setting of a part of the settings ``whole``, for instance ``ppo=wv.Ppo(steps=...)``."""
+    """Yield ways to pass a nested setting, for instance ``ppo=wv.Ppo(steps=...)``."""
     for item in dataclasses.fields(whole) if dataclasses.is_dataclass(whole) else ():
         usual = type(item.default_factory()) if callable(item.default_factory) else None
         if usual is None or not issubclass(usual, Settings):
@@ -178,7 +178,7 @@ def _places(name: str, whole: Any) -> Iterator[str]:
 
 
 def _kinds(kind: type) -> list[type]:
-    """Return all classes that extend ``kind``."""
+    """List all subclasses of ``kind``."""
     return [one for child in kind.__subclasses__() for one in (child, *_kinds(child))]
 
 
@@ -187,7 +187,7 @@ def _is_public(kind: type) -> bool:
 
 
 def in_words(function: _Function) -> _Function:
-    """A public function whose arguments have synonyms, and which refuses others by :func:`check_known`."""
+    """Decorate a public function so that it accepts synonyms and reports unknown arguments with a hint."""
 
     @functools.wraps(function)
     def call(*args: Any, **given: Any) -> Any:
@@ -197,14 +197,14 @@ def in_words(function: _Function) -> _Function:
 
 
 class _OfInit:
-    """The signature of a class as that of ``__init__``, not that of ``__call__``."""
+    """Descriptor that gives a class the signature of its ``__init__``."""
 
     def __get__(self, _: object, kind: type) -> inspect.Signature:
         return inspect.signature(functools.partial(kind.__init__, None))
 
 
 class _Checked(ABCMeta):  # so that evaluations of a user's own may be abstract
-    """The class of :class:`Settings`, which checks the names of arguments."""
+    """Metaclass of :class:`Settings` that checks the names of arguments."""
 
     def __call__(cls: type[_Kind], *args: Any, **given: Any) -> _Kind:
         if args and cast(Any, cls).prefix:
@@ -214,7 +214,7 @@ class _Checked(ABCMeta):  # so that evaluations of a user's own may be abstract
 
 
 class Settings(metaclass=_Checked):
-    """Base of dataclasses that check their arguments and values when an object is made.
+    """Base class of dataclasses that validate their arguments and values on construction.
 
     Raises:
         ConfigError: an unknown argument, or a value of the wrong type or out of range.
@@ -228,7 +228,7 @@ class Settings(metaclass=_Checked):
             cls.__repr__ = Settings.__repr__  # in place of the dataclass's own, which would show all
 
     def __repr__(self) -> str:
-        """The settings that are not the default."""
+        """Show only the settings that differ from the defaults."""
         shown = []
         for item in dataclasses.fields(cast(Any, self)):
             value = getattr(self, item.name)
@@ -239,7 +239,7 @@ class Settings(metaclass=_Checked):
 
     @classmethod
     def of(cls, values: Mapping[str, Any], origin: object = "The stored configuration") -> Self:
-        """Return the settings from a stored configuration; keys that are no fields are ignored.
+        """Build settings from a stored configuration, ignoring unknown keys.
 
         Raises:
             ConfigError: values that are not valid; ``origin``, such as the file that they are from, is named.
@@ -256,13 +256,13 @@ class Settings(metaclass=_Checked):
 
 
 def check_values(config: Any, prefix: str = "") -> None:
-    """Raise ConfigError unless all values of a dataclass are valid choices in range; nested parts are not checked."""
+    """Raise ConfigError unless all values of a dataclass are valid and in range; nested dataclasses are skipped."""
     for item in dataclasses.fields(config):
         _check_value(prefix + item.name, getattr(config, item.name), item.metadata)
 
 
 def _check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
-    """Raise ConfigError unless a value, or each entry of a list, is a valid choice in range; None is valid."""
+    """Raise ConfigError unless a value, or each entry of a list, is valid and in range; None is valid."""
     form = limits.get("form")
     if form and value is not None and len(value) != form.count(",") + 1:
         raise ConfigError(f"{name} must be {form}, got {value}.")
@@ -285,7 +285,7 @@ def _check_value(name: str, value: Any, limits: Mapping[str, Any]) -> None:
 
 
 def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> None:
-    """Convert the values of a dataclass to the types of its fields, except the fields ``without``.
+    """Convert the values of a dataclass to the types of its fields, except those named in ``without``.
 
     Numpy's numbers, tuples and mappings are converted.
 
@@ -304,12 +304,12 @@ def convert(config: Any, prefix: str = "", without: Collection[str] = ()) -> Non
 
 @functools.lru_cache
 def _hints(kind: type) -> dict[str, Any]:
-    """Return the types of the fields of a dataclass."""
+    """Resolve the types of a dataclass's fields."""
     return get_type_hints(kind)
 
 
 def flat(values: Mapping[str, Any], whole: Collection[str] = (), prefix: str = "") -> dict[str, Any]:
-    """Return nested values by dotted keys; the values of keys in ``whole`` are kept even if they are dictionaries."""
+    """Flatten nested dictionaries to dotted keys, except dictionaries under keys in ``whole``."""
     found = {}
     for name, value in values.items():
         key = prefix + name
@@ -318,7 +318,7 @@ def flat(values: Mapping[str, Any], whole: Collection[str] = (), prefix: str = "
 
 
 def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
-    """Return the settings ``usual`` with some of their ``values`` replaced; errors begin with ``name``."""
+    """Replace some values of the settings ``usual``; error messages begin with ``name``."""
     for wrong in values:
         if not isinstance(wrong, str):
             raise ConfigError(f"{name} takes settings by name, got {wrong!r:.80}.")
@@ -332,7 +332,7 @@ def changed(usual: Any, values: Mapping[str, Any], name: str) -> Any:
 
 
 def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
-    """Return ``value`` in the type of a field: numpy's numbers as Python's, tuples as lists.
+    """Convert ``value`` to the type of a field: numpy numbers to Python's, tuples to lists.
 
     ConfigError: it is of another type; ``name``: of the field, ``none``: how the user writes None.
     """
@@ -369,7 +369,7 @@ def converted(value: Any, kind: Any, name: str, none: str = "None") -> Any:
 
 
 def plain(value: Any, name: str) -> Any:
-    """Return ``value`` as lists, mappings, strings and numbers, converted from arrays, tuples, paths and the like.
+    """Convert arrays, tuples, paths and the like to lists, mappings, strings and numbers.
 
     An object with a body is replaced by the body.
 

@@ -1,4 +1,4 @@
-"""Colours: one meaning everywhere, in pictures, USD and the browser player; bodies as SVG."""
+"""Colours of cells, the same in pictures, USD and the browser player; bodies as SVG."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from warpvox.design import Design
 
 LEVELS = 17
-"""Shades of an actuator; odd, so that one of them is "at rest"."""
+"""Number of shades of an actuator; odd, so that the middle one means "at rest"."""
 _MIDDLE = LEVELS // 2
 
 
@@ -27,7 +27,7 @@ def palette() -> np.ndarray:
 
 
 def colour_index(cells: np.ndarray, stretch: np.ndarray) -> np.ndarray:
-    """Return the index in :func:`palette` of cells (types 1 to 5) that are stretched; shapes broadcast, int32."""
+    """Return each cell's row in :func:`palette` from its type (1 to 5) and stretch, int32."""
     wide = np.clip(stretch, ACTION_LOW, ACTION_HIGH) - 1
     level = _MIDDLE + wide * np.where(wide < 0, _MIDDLE / (1 - ACTION_LOW), _MIDDLE / (ACTION_HIGH - 1))
     actuated = np.isin(cells, ACTUATORS)
@@ -41,7 +41,7 @@ def cell_colour(cell: int) -> tuple[int, int, int]:
 
 
 def body_svg(body: Design, cell: int = 8) -> str:
-    """Return a body as an ``<svg>`` element with one path for each material; ``cell`` is the size of a cell in pixels.
+    """Draw a body as an ``<svg>`` element, ``cell`` pixels per cell.
 
     The paths have the classes ``c1`` to ``c4`` beside their colours and edges, so that a page can restyle them.
     """

@@ -35,23 +35,23 @@ from warpvox.io.writing import (
 from warpvox.system import is_device_name, processor_name
 
 ZOO = "zoo:"
-"""How the name of a stored robot begins where a run or a design is expected."""
+"""Prefix that names a stored robot of the zoo in place of a run or a design."""
 BEST = "model_best.pt"
 STATE = "state.pt"
-"""Everything that learning depends on, from before the first iteration on; only the newest is kept."""
+"""File with the complete training state, to resume from; only the newest is kept."""
 TRAINING = ("train",)
 CODESIGN = "codesign"
 label: ContextVar[str] = ContextVar("label", default="")
-"""Label of a run of a sweep: the values that others have otherwise, for the name of its folder."""
+"""Label of a run in a sweep, for its folder's name: the values that differ from other runs."""
 STAMP, STAMP_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 _NOT_IN_NAMES = re.compile(r"[^\w.+-]+")
 _LONGEST_NAME, LONGEST_BYTES = 100, 150
-"""Limits of what a name adds to that of a folder: date and values of a sweep need room, and 255 bytes are the end."""
+"""Maximum lengths, in characters and bytes, of a name within a folder's name (limit: 255 bytes)."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """The folder of a training; ``checkpoint`` is set if the user has named a single file.
+    """The folder of a training, or a stored robot; ``checkpoint`` is set if the user named a single file.
 
     ``robot``: instead of a folder, a stored robot (``zoo:Walker-v0``).
     """
@@ -69,12 +69,12 @@ class Run:
 
     @property
     def iterations(self) -> list[int]:
-        """Iterations that have a checkpoint, ascending."""
+        """Iterations with a checkpoint, ascending."""
         found = (re.fullmatch(r"model_(\d+)\.pt", file.name) for file in self.folder.iterdir())
         return sorted(int(match[1]) for match in found if match)
 
     def find_checkpoint(self, which: str) -> Path:
-        """Return the checkpoint's path for ``best`` (without an evaluation the last), ``last`` or an iteration.
+        """Return the path of a checkpoint: ``best`` (the last one without evaluations), ``last`` or an iteration.
 
         If the run was named by a checkpoint, that one.
         """
@@ -96,7 +96,7 @@ class Run:
 
 
 def without_services(stored: Mapping[str, Any]) -> dict[str, Any]:
-    """Return stored settings without those that connect to a service, which the user has to give again.
+    """Remove settings that connect to a service; the user has to give these again.
 
     A logger may send figures to the user's own account, and who connects to a Ray cluster can be made to run code.
     """
@@ -107,7 +107,7 @@ def without_services(stored: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def as_now(stored: Mapping[str, Any], place: object) -> dict[str, Any]:
-    """Return the stored settings of a training or design search, with keys of version 0.1.0 replaced by today's.
+    """Convert the stored settings of a training or design search to the keys of the present version.
 
     Raises:
         RunError: they ask for something that later versions do not have; ``place`` is where they are from.
@@ -143,7 +143,7 @@ def as_now(stored: Mapping[str, Any], place: object) -> dict[str, Any]:
 
 @contextmanager
 def new_folder(output_dir: str, command: str, task: str, name: str | None, config: str) -> Iterator[Path]:
-    """Make a run's folder with its ``config.yaml``; remove it if the block fails before any result."""
+    """Create a run's folder with its ``config.yaml``; delete it if the block fails before any result."""
     check_name(name)
     stamp = datetime.now().strftime(STAMP)
     if ":" in task:  # a task of the user's own, module:NAME, is known by its id
@@ -172,14 +172,14 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
 
 
 def check_output(config: Any) -> None:
-    """Raise an error unless a command can write its folder: its name is valid, and there is room for it."""
+    """Raise an error if a command cannot write its folder: the name is invalid, or the disk is full or read-only."""
     check_name(getattr(config, "name", None))
     if not any(getattr(config, key, None) for key in ("resume", "report")) and hasattr(config, "name"):
         check_writable(config.output_dir)
 
 
 def check_name(name: str | None) -> None:
-    """Raise ConfigError unless ``name`` can end the name of a folder."""
+    """Raise ConfigError unless ``name`` can be the end of a folder's name."""
     if name and (not name.strip(".") or is_device_name(name)):
         raise ConfigError(f"name cannot be '{name}', which stands for something else than a folder of its own.")
     if name and _NOT_IN_NAMES.search(name):
@@ -189,13 +189,13 @@ def check_name(name: str | None) -> None:
 
 
 def as_name(text: str) -> str:
-    """Return ``text``, from any source, as the name of a folder: letters, digits and . _ + - only."""
+    """Convert any ``text`` to a valid folder name: letters, digits and . _ + - only."""
     name = _NOT_IN_NAMES.sub("_", text).encode(errors="replace")[:_LONGEST_NAME].decode(errors="ignore")
     return name.strip(".")
 
 
 def _make_folder(parent: Path, stamp: str, ending: str = "") -> Path:
-    """Make a new folder and return it; runs that start in the same second get a number."""
+    """Create a new folder; runs that start in the same second are numbered."""
     check_encodable(parent)
     for number in range(1, 1000):
         folder = parent / (stamp + (f"-{number}" if number > 1 else "") + ending)
@@ -221,7 +221,7 @@ def run_folder(
     known: Collection[str] = (),
     check: Callable[[], object] = lambda: None,
 ) -> AbstractContextManager[Path]:
-    """Return a context manager for a run's folder: ``folder`` to resume it, or a new one; it writes ``config.yaml``.
+    """Open the folder of a run within a block: ``folder`` to resume, or a new one; writes ``config.yaml``.
 
     Args:
         place: of a new one; None: it lies in ``output_dir`` and is named by the time.
@@ -259,7 +259,7 @@ def _going_on(folder: Path, config: str, check: Callable[[], object] = lambda: N
 
 
 def keep_code(settings: Any, folder: Path) -> None:
-    """Copy the files of code that settings name into the folder of a run; they are for readers, never imported."""
+    """Copy the user's own code named in the settings into the run's folder, for readers; it is never imported."""
     for key, text in code_of(settings).items():
         place = text.rpartition(":")[0]
         if not place.endswith(".py"):
@@ -270,7 +270,7 @@ def keep_code(settings: Any, folder: Path) -> None:
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
-    """Return the valid entries of ``summary.json``; none if the file is missing or cannot be read."""
+    """Read the valid entries of ``summary.json``; empty if the file is missing or unreadable."""
     known = read_facts(folder / SUMMARY)
     fresh = known.get("fresh_seeds")
     judged = isinstance(fresh, dict) and all(is_number(fresh.get(name)) for name in ("mean", "low", "high", "episodes"))
@@ -280,7 +280,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def write_summary(folder: Path, content: dict[str, Any]) -> None:
-    """Write ``summary.json``: ``content``, with version, commit and processor."""
+    """Write ``summary.json``: ``content`` plus version, commit and processor."""
     # The processor, and the GPU that this process has used
     processors = [processor_name()]
     torch = sys.modules.get("torch")
@@ -294,7 +294,7 @@ def write_summary(folder: Path, content: dict[str, Any]) -> None:
 
 @functools.cache
 def _commit() -> str | None:
-    """Return the git commit, with ``-dirty`` if files were changed; None for an installed package or without git."""
+    """Return the git commit, with ``-dirty`` if files were changed; None without a git checkout."""
     root = Path(__file__).resolve().parents[1]
     if not (root / ".git").exists():
         return None
@@ -308,7 +308,7 @@ def _commit() -> str | None:
 
 
 def check_unchanged(before: Mapping[str, Any], config: Any, changeable: Sequence[str]) -> None:
-    """Raise ConfigError if a setting of a resumed run has changed that is not ``changeable``."""
+    """Raise ConfigError if a resumed run changes a setting that is not ``changeable``."""
     for key, old, new in _changes(before, config):
         if key not in changeable:
             raise ConfigError(
@@ -318,7 +318,7 @@ def check_unchanged(before: Mapping[str, Any], config: Any, changeable: Sequence
 
 
 def _changes(before: Mapping[str, Any], config: Any, prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Yield the dotted key, stored value and new value of every setting that has changed."""
+    """Yield dotted key, stored value and new value of every changed setting."""
     for item in dataclasses.fields(config):
         old = before.get(item.name)
         new = getattr(config, item.name)

@@ -17,7 +17,7 @@ Recorded = wp.Launch | Command
 
 
 class Sensing:
-    """The part of :class:`warpvox.Simulation` that senses; its methods return new tensors."""
+    """The sensors of :class:`warpvox.Simulation`; methods return new tensors."""
 
     num_envs: int
     device: str
@@ -34,7 +34,7 @@ class Sensing:
 
     @contextmanager
     def sensing_anew(self) -> Iterator[dict[tuple[Any, ...], tuple[Recorded, list[torch.Tensor]]]]:
-        """Use separate launches and buffers for sensing inside the block; yields them by what they sense."""
+        """Use separate kernel launches and buffers for sensing in the block; yield them by (kernel, arguments)."""
         kept = self._sensors
         self._sensors = {}
         self._centres_are_new = False
@@ -46,11 +46,11 @@ class Sensing:
 
     @property
     def sensing_buffers(self) -> list[torch.Tensor]:
-        """The tensors that sensing writes to."""
+        """The tensors that sensing kernels write to."""
         return [buffer for _, buffers in self._sensors.values() for buffer in buffers]
 
     def forget_sensed(self) -> None:
-        """Discard cached centres: for code that has moved points itself."""
+        """Discard cached centres of mass; call this after writing to points directly."""
         self._centres_are_new = False
 
     def object_positions(self, name: str) -> torch.Tensor:
@@ -62,11 +62,11 @@ class Sensing:
         return self._points(name, 1)
 
     def relative_positions(self, name: str) -> torch.Tensor:
-        """Return an object's points minus its centre of mass, [num_envs, 2, points]: x row, y row; padded with 0."""
+        """Return an object's points relative to its centre of mass, [num_envs, 2, points], padded with 0."""
         return self._points(name, 2).transpose(1, 2)
 
     def _sense(self, key: tuple, dim, shapes: list[tuple], *inputs):
-        """Run the kernel ``key[0]`` and return its buffers; its launch is recorded once for each ``key``."""
+        """Launch the sensing kernel ``key[0]`` and return its buffers; recorded once for each ``key``."""
         if key not in self._sensors:
             buffers = [torch.zeros(shape, dtype=torch.float64, device=self.device) for shape in shapes]
             kind = wp.vec2d if key[0] in ("centres", "extents") else None
@@ -77,7 +77,7 @@ class Sensing:
         return buffers
 
     def _points(self, name: str, what: int) -> torch.Tensor:
-        """Return positions (``what`` 0), velocities (1) or positions minus centre (2): [num_envs, points, 2]."""
+        """Return points of an object as ``what`` says: positions (0), velocities (1), relative positions (2)."""
         objects = self._objects
         inputs = [objects.index(name), what]
         shape = (self.num_envs, objects.num_points[name], 2)
@@ -94,7 +94,7 @@ class Sensing:
         return out
 
     def com(self, name: str) -> torch.Tensor:
-        """Return the centre of mass of an object that can move, float64 [num_envs, 2] (B.1)."""
+        """Return the centre of mass of a movable object, float64 [num_envs, 2] (B.1)."""
         return self._centres()[0][:, self._objects.moving(name)].clone()
 
     def velocity(self, name: str) -> torch.Tensor:
@@ -102,7 +102,7 @@ class Sensing:
         return self._centres()[1][:, self._objects.moving(name)].clone()
 
     def _centres(self) -> list[torch.Tensor]:
-        """Return centres of mass and their velocities, [num_envs, objects, 2] each; sensed once a step."""
+        """Return centres of mass and their velocities, [num_envs, objects, 2] each, cached for one step."""
         shape = (self.num_envs, len(self.object_names), 2)
         if self._centres_are_new:
             return self._sensors["centres",][1]
@@ -110,19 +110,19 @@ class Sensing:
         return self._sense(("centres",), shape[:2], [shape, shape])
 
     def orientation(self, name: str) -> torch.Tensor:
-        """Return the orientation, float64 [num_envs] in [0, 2 pi), counter-clockwise since time 0 (B.1)."""
+        """Return the rotation of an object since time 0, counter-clockwise, float64 [num_envs] in [0, 2 pi) (B.1)."""
         return self._of_object("orientations", name)
 
     def extent(self, name: str) -> torch.Tensor:
-        """Return width and height of the box about all points of an object that can move: float64 [num_envs, 2]."""
+        """Return width and height of a movable object's bounding box, float64 [num_envs, 2]."""
         return self._of_object("extents", name, 2)
 
     def hull_area(self, name: str) -> torch.Tensor:
-        """Return the area of the convex hull of an object that can move, float64 [num_envs] (B.6.1)."""
+        """Return the area of a movable object's convex hull, float64 [num_envs] (B.6.1)."""
         return self._of_object("hulls", name)
 
     def _of_object(self, kernel: str, name: str, *sizes: int) -> torch.Tensor:
-        """Run a sensing kernel for one object; return float64 [num_envs, *sizes]."""
+        """Run a sensing kernel for one object and return float64 [num_envs, *sizes]."""
         index = self._objects.moving(name)
         return self._sense((kernel, index), self.num_envs, [(self.num_envs, *sizes)], index)[0].clone()
 
@@ -135,11 +135,11 @@ class Sensing:
         return self._scan(name, reach, objects, -1)
 
     def ceiling_scan(self, name: str, reach: int, objects: Sequence[str] | None = None) -> torch.Tensor:
-        """Return the height of the terrain above an object's centre of mass, as :meth:`floor_scan` does below."""
+        """Return the height of the terrain above an object's centre of mass, float64 [num_envs, 2 reach + 1]."""
         return self._scan(name, reach, objects, 1)
 
     def _scan(self, name: str, reach: int, objects: Sequence[str] | None, up: int) -> torch.Tensor:
-        """Return the scan down (``up`` -1) or up (1) from an object's centre of mass, [num_envs, 2 reach + 1]."""
+        """Scan the terrain below (``up`` -1) or above (1) an object's centre of mass, [num_envs, 2 reach + 1]."""
         listed = tuple(objects) if objects is not None else None
         if listed not in self._scans:
             self._scans[listed] = self._objects.scan_tables(listed)

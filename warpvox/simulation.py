@@ -1,4 +1,4 @@
-"""Simulation: many worlds stepped at once."""
+"""Simulation of many worlds in parallel."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ if hasattr(os, "register_at_fork"):  # a child has no threads but the one that f
 
 
 class Simulation(Sensing):
-    """Worlds that are stepped together, one environment each.
+    """Many worlds, one per environment, stepped in parallel.
 
     Args:
         worlds: one :class:`World` per environment; they are copied.
@@ -156,7 +156,7 @@ class Simulation(Sensing):
         self.advance()
 
     def take(self, actions: object, mask: torch.Tensor | None = None) -> None:
-        """Check the actions and store them for :meth:`advance`: the first half of :meth:`step`.
+        """Check the actions and store them for :meth:`advance`; the first half of :meth:`step`.
 
         Where ``mask`` (bool ``[num_envs]``) is False, those taken before remain; None: all are taken.
         """
@@ -171,11 +171,11 @@ class Simulation(Sensing):
 
     @property
     def actions(self) -> torch.Tensor:
-        """The actions that were taken last, as they were given: ``[num_envs, num_actions]``, a copy."""
+        """Actions last passed to :meth:`step`, unclipped: ``[num_envs, num_actions]``, a copy."""
         return self.action_buffer.clone()
 
     def advance(self) -> None:
-        """Step the physics with the actions that :meth:`take` has stored: the second half of :meth:`step`.
+        """Step the physics with the actions stored by :meth:`take`; the second half of :meth:`step`.
 
         On CUDA it goes to torch's current stream, and a graph may capture it.
         """
@@ -185,14 +185,14 @@ class Simulation(Sensing):
         self.run(self._launches)
 
     def place_actions(self) -> None:
-        """Clip the actions taken and copy them into the kernels' arrays; :meth:`advance` does so first."""
+        """Clip the stored actions and copy them to the kernels' arrays, as :meth:`advance` does."""
         if self._take is None:
             self._take = step_stage.record_actions(self._state, self._action_array, *self.action_range)
         if self.num_actions:
             self._take.launch()
 
     def run(self, launches: Sequence[Recorded]) -> None:
-        """Run commands that change points, each on its share of the packs, in parallel if there are several."""
+        """Launch recorded kernels that move points, each on its share of the packs, in parallel threads."""
         jobs = [self._pool.submit(launch.launch) for launch in launches[1:]]
         launches[0].launch()
         for job in jobs:
@@ -200,11 +200,11 @@ class Simulation(Sensing):
         self._centres_are_new = False
 
     def begin_threads(self) -> None:
-        """Start the threads that :meth:`run` uses; a forked process does so by itself."""
+        """Start the worker threads of :meth:`run`; a forked process starts its own."""
         self._pool = ThreadPoolExecutor(self.threads)
 
     def record_shares(self, record: Callable[[int, int], Recorded]) -> list[Recorded]:
-        """Split the packs into shares; return a command for each, ``record(first pack, number of packs)``.
+        """Split the packs into one share per thread, and record a command for each share.
 
         On the CPU a launch runs on one core and lets go of the GIL: each thread gets a share of the packs.
         """
@@ -219,7 +219,7 @@ class Simulation(Sensing):
         self._centres_are_new = False
 
     def shift(self, cells: torch.Tensor, mask: torch.Tensor | None = None) -> None:
-        """Move all ``loose`` objects to their initial place plus ``cells``, at rest.
+        """Move all ``loose`` objects to their initial position plus ``cells``, at rest.
 
         Meant for the beginning of an episode. Overlaps with other objects are not checked.
 
@@ -250,22 +250,22 @@ class Simulation(Sensing):
         self.invalidate()
 
     def invalidate(self) -> None:
-        """Discard contact candidates and centres, computed from the points; call it after writing to points."""
+        """Discard contact candidates and cached centres of mass; call this after writing to points."""
         self._views["drift"].fill_(STALE)
         self._centres_are_new = False
 
     @property
     def buffers(self) -> Buffers:
-        """The arrays of the kernels, with the place of each environment: for code that launches kernels itself."""
+        """Arrays of the kernels, and each environment's pack and lane, for code that launches kernels."""
         return self._state
 
     def array(self, name: str) -> torch.Tensor:
-        """Return an array of :mod:`warpvox.kernels.state`, no copy; call :meth:`invalidate` after writing to it."""
+        """Return an array of :mod:`warpvox.kernels.state` without copying; after writing, call :meth:`invalidate`."""
         check_choice("The name of an array", name, self._state.arrays, SimulationError)
         return wp.to_torch(self._state.arrays[name])
 
     def set_frozen(self, mask: torch.Tensor) -> None:
-        """Freeze environments where ``mask`` is True, unfreeze the others; a frozen one keeps state and time.
+        """Freeze environments where ``mask`` is True and unfreeze the others; frozen ones keep state and time.
 
         Args:
             mask: bool ``[num_envs]``.
@@ -276,31 +276,31 @@ class Simulation(Sensing):
         return check_mask(mask, self.design_index, SimulationError)
 
     def _chosen(self, mask: torch.Tensor | None) -> torch.Tensor:
-        """Return ``mask``, checked, or all True for None."""
+        """Return ``mask`` after checking it, or a mask of all environments for None."""
         return torch.ones_like(self.design_index, dtype=torch.bool) if mask is None else self._check_mask(mask)
 
     def _of_environments(self, name: str) -> torch.Tensor:
-        """Return an array ``[pack, lane]`` by environment, ``[num_envs]``."""
+        """Gather a kernel array ``[pack, lane]`` by environment, ``[num_envs]``."""
         return self._views[name].view(-1).index_select(0, self.slot)
 
     @property
     def frozen(self) -> torch.Tensor:
-        """Which environments keep their state in steps: bool [num_envs]."""
+        """Mask of environments that steps skip, bool [num_envs]."""
         return self._of_environments("frozen") == 1
 
     @property
     def time(self) -> torch.Tensor:
-        """Number of complete control steps since the reset, int64 [num_envs]."""
+        """Number of completed control steps since the reset, int64 [num_envs]."""
         return self._of_environments("time").long()
 
     @property
     def unstable(self) -> torch.Tensor:
-        """Where the last step was stopped and undone, by self-folding or divergence: bool [num_envs]."""
+        """Mask of environments whose last step was undone after self-folding or divergence, bool [num_envs]."""
         return (self._of_environments("status") & STOPPED) != 0
 
     @property
     def diverged(self) -> torch.Tensor:
-        """Where the last step was stopped because it diverged, bool [num_envs]; these are unstable, too.
+        """Mask of environments whose last step diverged (a subset of :attr:`unstable`), bool [num_envs].
 
         A step diverges with values that are not finite, speeds above 1e4 (units of inner time) or coordinates beyond
         1e6; see :mod:`warpvox.kernels.state`. The step is undone; if it began with non-finite values, which only
@@ -310,12 +310,12 @@ class Simulation(Sensing):
 
     @property
     def overflow(self) -> torch.Tensor:
-        """Where the last step met more contact candidates than there is room for and left some out: bool [num_envs]."""
+        """Mask of environments whose last step ignored contacts for lack of room, bool [num_envs]."""
         return (self._of_environments("status") & OVERFLOW) != 0
 
     @property
     def worlds(self) -> list[World]:
-        """The distinct worlds; ``design_index`` has the index of each environment's world."""
+        """Distinct worlds; ``design_index`` maps environments to them."""
         return [entry.world for entry in self._batch.entries]
 
     @property
@@ -325,13 +325,13 @@ class Simulation(Sensing):
 
     @property
     def action_mask(self) -> torch.Tensor:
-        """Which actions a distinct world has, bool [num_designs, num_actions]."""
+        """Mask of the real actions in each distinct world, bool [num_designs, num_actions]."""
         counts = [sum(count for _, count in entry.actuators) for entry in self._batch.entries]
         return torch.arange(self.num_actions, device=self.device) < torch.tensor(counts, device=self.device)[:, None]
 
     @property
     def action_columns(self) -> list[dict[str, slice]]:
-        """Columns of each robot's actions, ``{name: slice}``, for every distinct world."""
+        """Columns of each robot's actions in every distinct world, ``{name: slice}``."""
         columns: dict[Actuators, dict[str, slice]] = {}  # designs of one size have one entry
         for sizes in {entry.actuators for entry in self._batch.entries}:
             columns[sizes] = {}
@@ -342,7 +342,7 @@ class Simulation(Sensing):
         return [columns[entry.actuators] for entry in self._batch.entries]
 
     def robot_actions(self, name: str) -> torch.Tensor:
-        """Return a robot's actions in the last step, clipped, its own first: [num_envs, num_actions].
+        """Return a robot's clipped actions of the last step, [num_envs, num_actions], padded at the end.
 
         Behind its own, and before the first step of an episode, entries are 1: at rest.
         """
@@ -355,22 +355,22 @@ class Simulation(Sensing):
         return own.masked_fill(~known, 1.0)
 
     def _places_of_actions(self, name: str) -> torch.Tensor:
-        """Return begin and end of a robot's columns in the actions, long [num_envs, 2]."""
+        """Return first and last-plus-one column of a robot's actions, long [num_envs, 2]."""
         self._objects.index(name)
         places = [columns.get(name, slice(0, 0)) for columns in self.action_columns]
         return torch.tensor([(at.start, at.stop) for at in places], device=self.device)[self.design_index]
 
     def num_points(self, name: str) -> int:
-        """Return the number of an object's points, the most over the designs."""
+        """Return the number of points of an object, the maximum over all designs."""
         self._objects.index(name)
         return self._objects.num_points[name]
 
     def point_mask(self, name: str) -> torch.Tensor:
-        """Return which points an object has in each design, bool [num_designs, points]."""
+        """Return a mask of an object's real points in each design, bool [num_designs, points]."""
         return self._objects.point_mask(name)
 
     def voxel_corners(self, name: str, design: int = 0) -> np.ndarray:
-        """Return each voxel's points at top left, top right, bottom right and bottom left: int32 [voxels, 4]."""
+        """Return point indices of each voxel's corners, clockwise from top left: int32 [voxels, 4]."""
         self._objects.index(name)
         source = self.worlds[design].objects.get(name)
         if source is None:
@@ -379,14 +379,14 @@ class Simulation(Sensing):
         return np.array(list(mesh(source, self.physics).corners.values()), dtype=np.int32)
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Return everything that changes, with a row for every environment, for :meth:`set_state`.
+        """Return the full state, one row per environment, for :meth:`set_state`.
 
         Positions and velocities list the points as observations do, x and y alternately, padded with 0.
         """
         return self._read(slice(None))
 
     def _read(self, envs: torch.Tensor | slice) -> dict[str, torch.Tensor]:
-        """Return :meth:`state` of some environments."""
+        """Return the :meth:`state` of some environments."""
         pack, lane = (index[envs] for index in self._env)
         state = {}
         for name in STATE_FIELDS:
@@ -400,20 +400,20 @@ class Simulation(Sensing):
 
     @property
     def rows(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Row in the kernels' arrays of each column of positions in :meth:`state`, and whether the column is real.
+        """Row in the kernels' arrays of each column of :meth:`state` positions, and a mask of real columns.
 
         Long and bool ``[num_envs, columns]``; a column is the x or the y of a point, or padding.
         """
         return self._rows, self._has_row
 
     def rows_of(self, name: str) -> torch.Tensor:
-        """Return bool ``[num_envs, columns]``: which columns of the positions in :meth:`state` belong to an object."""
+        """Return a mask of an object's columns among the positions in :meth:`state`, bool ``[num_envs, columns]``."""
         points = self._objects.point_range[:, self._objects.index(name), :, None]
         point = torch.arange(self._rows.shape[1], device=self.device) // 2
         return (point >= points[:, 0]) & (point < points[:, 1])
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:
-        """Restore a :meth:`state` of the same worlds, or one made of rows of environments with the same worlds.
+        """Restore a :meth:`state` of the same worlds, possibly assembled from rows of other states.
 
         Rows may be longer or shorter than this simulation's by what is only padding: the most points of a world
         depend on which worlds there are.
@@ -443,7 +443,7 @@ class Simulation(Sensing):
         self._write(state, torch.arange(self.num_envs, device=self.device))
 
     def _write(self, state: dict[str, torch.Tensor], envs: torch.Tensor) -> None:
-        """Write ``state``, with a row for each of ``envs``, into these environments."""
+        """Write the rows of ``state`` into the environments ``envs``."""
         pack, lane = (index[envs] for index in self._env)
         rows = self._rows[envs]
         real = self._has_row[envs]
@@ -460,7 +460,7 @@ class Simulation(Sensing):
         self.invalidate()
 
     def set_worlds(self, worlds: Sequence[World], mask: torch.Tensor) -> None:
-        """Give environments worlds that differ in the bodies of robots only, and reset them.
+        """Replace the worlds of environments by worlds with other robot bodies, and reset these environments.
 
         No array moves and no kernel is compiled. ``worlds``, ``designs`` and ``design_index`` are updated.
 
@@ -499,7 +499,7 @@ class Simulation(Sensing):
         self._write(before, others)
 
     def _follow_worlds(self) -> None:
-        """Update everything that depends on the environments' worlds, after these have changed."""
+        """Update caches and index tensors after environments got other worlds."""
         self.designs.forget()
         self.design_index.copy_(torch.as_tensor(self._batch.index))
         numbers = np.array([int.from_bytes(entry.key[:8], "little", signed=True) for entry in self._batch.entries])
@@ -522,7 +522,7 @@ STATE_FIELDS = ("pos", "vel", "true_vel", "frozen", "status", "time")
 def checked_actions(
     actions: object, shape: tuple[int, int], device: str | None = None, counts: torch.Tensor | None = None
 ) -> torch.Tensor:
-    """Return ``actions`` as a tensor ``[num_envs, num_actions]``, on ``device`` if one is given.
+    """Validate ``actions`` and return a tensor ``[num_envs, num_actions]``, on ``device`` if given.
 
     Raises:
         ActionError: they are no plain numbers of this ``shape``; on the CPU also values that are not finite, where they

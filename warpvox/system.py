@@ -1,4 +1,4 @@
-"""Everything that depends on the operating system: signals, locks, pipes, flushing, memory, processors.
+"""Operating system: signals, locks, pipes, flushing to disk, memory, processors.
 
 Tests run on Linux. Elsewhere commands are meant to run without what only Linux has: locks need ``fcntl``,
 and the free memory is not known. No other module of warpvox asks which system it runs on.
@@ -24,20 +24,20 @@ except ImportError:
 WINDOWS = sys.platform == "win32"
 
 GONE = {errno.EPIPE, errno.ECONNRESET, errno.ESHUTDOWN, *([errno.EINVAL] if WINDOWS else [])}
-"""Errors of a pipe or socket whose reader has gone."""
+"""Error numbers of a pipe or socket that was closed at the other end."""
 
 SAFE_PATH = "PYTHONSAFEPATH"
-"""Variable of the environment by which interpreters from Python 3.11 on leave the current folder out of their path."""
+"""Environment variable that keeps Python 3.11 and later from importing from the current folder."""
 _starting = threading.RLock()
-"""Held while the current folder and the environment are those for a start."""
+"""Lock held while environment and current folder are changed for starting an interpreter."""
 
 
 HANGUP: int | None = getattr(signal, "SIGHUP", None)
-"""Sent when the terminal's window or connection is closed; None on Windows, which has no such signal."""
+"""Signal number for a closed terminal; None on Windows."""
 
 
 def stop_signals() -> tuple[int, ...]:
-    """Return the signals that ask a process to end, Ctrl-C excepted.
+    """Return the signals that ask a process to end, except Ctrl-C.
 
     SIGTERM, and SIGHUP where there is one, unless this process ignores it (``nohup``).
     """
@@ -49,7 +49,7 @@ def stop_signals() -> tuple[int, ...]:
 
 @contextmanager
 def safe_start(move: bool = True) -> Iterator[None]:
-    """Keep interpreters that start within the block from importing from the current folder, unless this one does.
+    """Keep interpreters started within the block from importing from the current folder.
 
     ``python -c`` and ``python -m``, by which libraries start theirs, look into the current folder first, and Ray has
     its workers do so. Python 3.11 and later can be told not to by :data:`SAFE_PATH`. For Python 3.10 and for Ray the
@@ -81,7 +81,7 @@ def safe_start(move: bool = True) -> Iterator[None]:
 
 @contextmanager
 def path_lock(path: Path, wait: bool = False) -> Iterator[None]:
-    """Hold the lock of a file or folder within the block; the system releases it when the process ends.
+    """Hold a lock on a file or folder within the block; the system releases it if the process dies.
 
     Where a lock cannot be had at all (a network disk without locks, Windows) the block runs without.
 
@@ -104,7 +104,7 @@ def path_lock(path: Path, wait: bool = False) -> Iterator[None]:
 
 
 def flush_to_disk(path: Path) -> None:
-    """Make the disk store what was written to a file, or the names in a folder. OSError: the disk has failed."""
+    """Flush a written file, or a folder's entries, to the disk; OSError: the disk failed."""
     if WINDOWS and path.is_dir():
         return  # NTFS keeps a journal of names; folders cannot be opened
     handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
@@ -118,18 +118,18 @@ def flush_to_disk(path: Path) -> None:
 
 
 def unquoted(argument: str) -> str:
-    """Return an argument of the command line without the single quotes around it, which cmd.exe leaves there."""
+    """Strip single quotes around a command-line argument, which cmd.exe does not remove."""
     return argument[1:-1] if WINDOWS and len(argument) > 1 and argument[0] == argument[-1] == "'" else argument
 
 
 def usable_cores() -> int:
-    """Return the number of cores that this process may use, by its affinity and its control groups (containers)."""
+    """Return the number of cores that this process may use, limited by affinity and control groups (containers)."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min([cores, *_quotas()])
 
 
 def _quotas(root: Path = Path("/")) -> Iterator[int]:
-    """Yield the cores that each limited control group allows, rounded up."""
+    """Yield the number of cores that each limited control group allows, rounded up."""
     for names, folder in _control_groups(root, "cpu", ["cpu.max"], ["cpu.cfs_quota_us", "cpu.cfs_period_us"]):
         with suppress(OSError):
             quota, period = " ".join((folder / name).read_text() for name in names).split()
@@ -138,14 +138,14 @@ def _quotas(root: Path = Path("/")) -> Iterator[int]:
 
 
 def is_device_name(name: str) -> bool:
-    """Return whether Windows takes a file's name for a device, whatever its suffix: files are to open there, too."""
+    """Return whether Windows takes a file's name for a device (CON, NUL, ...), whatever its suffix."""
     # Names that Windows keeps
     kept = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(10))}
     return name.partition(".")[0].rstrip(" ").upper() in kept
 
 
 def processor_name() -> str:
-    """Return the name that the processor gives itself."""
+    """Return the processor's model name."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):
@@ -154,12 +154,12 @@ def processor_name() -> str:
 
 
 def has_display(*variables: str) -> bool:
-    """Return whether windows can be shown: on Windows, on macOS, or if one of ``variables`` names a display."""
+    """Return whether the machine can show windows: Windows, macOS, or a display named in ``variables``."""
     return sys.platform in ("win32", "darwin", "cygwin") or any(os.environ.get(name) for name in variables)
 
 
 def available_memory() -> int | None:
-    """Return the bytes that this process can still allocate without swapping; None if the system does not say.
+    """Return the memory that this process can still allocate without swapping, in bytes; None if unknown.
 
     On Linux the least of what the machine has available, what is left below the limits of its control groups
     (containers, jobs of clusters) and below its limit of addresses (``ulimit -v``).
@@ -169,7 +169,7 @@ def available_memory() -> int | None:
 
 
 def _linux_memory(root: Path = Path("/")) -> int | None:
-    """Return the bytes of memory that the machine has available, or None."""
+    """Return the machine's available memory in bytes, or None."""
     with suppress(OSError):
         found = re.search(r"^MemAvailable:\s+(\d+) kB", (root / "proc/meminfo").read_text(), re.MULTILINE)
         if found:
@@ -180,7 +180,7 @@ def _linux_memory(root: Path = Path("/")) -> int | None:
 
 
 def _left_of_groups(root: Path = Path("/")) -> int | None:
-    """Return the bytes left below the memory limits of the control groups; None without limits."""
+    """Return the unused memory below the limits of all control groups, in bytes; None without limits."""
     files = ["memory.max", "memory.current", "inactive_file"]
     older = ["memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"]
     found = (_left_of_group(folder, *names) for names, folder in _control_groups(root, "memory", files, older))
@@ -188,7 +188,7 @@ def _left_of_groups(root: Path = Path("/")) -> int | None:
 
 
 def _control_groups(root: Path, controller: str, new: list[str], old: list[str]) -> Iterator[tuple[list[str], Path]]:
-    """Yield each control group's folder with the names of its files: ``new`` (version 2) or ``old`` (version 1)."""
+    """Yield each control group's folder and the names of its files: ``new`` (version 2) or ``old`` (version 1)."""
     try:
         lines = (root / "proc/self/cgroup").read_text().splitlines()
     except OSError:
@@ -210,7 +210,7 @@ def _control_groups(root: Path, controller: str, new: list[str], old: list[str])
 
 
 def _left_of_group(folder: Path, limit: str, used: str, cache: str) -> list[int]:
-    """Return the bytes left below the limit of a control group, in a list; an empty list without a limit."""
+    """Return the unused memory below one control group's limit as a list of one number; empty without a limit."""
     try:
         most = (folder / limit).read_text().strip()
         now = (folder / used).read_text().strip()
@@ -224,7 +224,7 @@ def _left_of_group(folder: Path, limit: str, used: str, cache: str) -> list[int]
 
 
 def _left_of_addresses() -> int | None:
-    """Return the bytes left below the process's limit of addresses (``ulimit -v``); None without one."""
+    """Return the unused address space below ``ulimit -v``, in bytes; None without a limit."""
     try:
         import resource
 

@@ -14,15 +14,15 @@ VOXEL = 0.1
 FRAME_SECONDS = 1 / 50
 """Nominal seconds of a control step (paper section A.2: 50 Hz)."""
 SIGHT = 5
-"""Voxels that robots see up and down."""
+"""Number of voxels that robots see upwards and downwards."""
 RULES = ("evogym", "paper")
-"""``evogym``: the benchmark as released (2.0.0). ``paper``: as section B of the paper prints it."""
+"""Rule sets: ``evogym`` as in the released benchmark (2.0.0), ``paper`` as printed in section B of the paper."""
 OBSERVATIONS = ("task", "timed", "voxel", "timed_voxel")
-"""Kinds of observations: as the task has them or by cell, without the time or with it."""
+"""Kinds of observations: ``task`` as in the benchmark, ``voxel`` per cell; ``timed`` adds the time."""
 
 
 class _Axes(dict[str, int]):
-    """The columns of x and y in positions."""
+    """Index of x and y in vectors."""
 
     def __missing__(self, axis: str) -> int:
         check_choice("axis", axis, self, TaskError)
@@ -30,15 +30,15 @@ class _Axes(dict[str, int]):
 
 
 AXES = _Axes(x=0, y=1)
-"""Component of a vector by its name; TaskError: another name."""
+"""Index of a vector's component by axis name; TaskError: unknown axis."""
 ACTION_LOW, ACTION_HIGH = 0.6, 1.6
 """Bounds of an action: the target length of an actuator's sides in units of their rest length."""
 ACTION_CENTER, ACTION_SCALE = 1.1, 0.5
-"""The middle of this range, which a policy's output of 0 means, and half of it: outputs of -1 and 1 are its ends."""
+"""Action for a policy output of 0, and action range per unit of output (outputs from -1 to 1)."""
 
 
 class Cell(IntEnum):
-    """Types of cells of bodies and worlds (paper section A.1)."""
+    """Cell types of bodies and worlds (paper section A.1)."""
 
     EMPTY = 0
     RIGID = 1
@@ -50,7 +50,7 @@ class Cell(IntEnum):
 
 @dataclass(frozen=True)
 class Material:
-    """The name, look and stiffness of a cell type.
+    """Name, colours and stiffness of a cell type.
 
     Attributes:
         cell: its number in bodies and worlds.
@@ -78,13 +78,13 @@ MATERIALS = {
     ),
     Cell.FIXED: Material(Cell.FIXED, "fixed", "F", "rigid", ((74, 80, 92),) * 3),
 }
-"""The materials by cell; the colours at rest are those of EvoGym's viewer, as users know them."""
+"""Material of each cell type; colours at rest are those of EvoGym's viewer."""
 ACTUATORS = (Cell.H_ACT, Cell.V_ACT)
-"""Cells whose springs change their length."""
+"""Cell types whose springs change their length."""
 ROBOT_CELLS = (Cell.EMPTY, Cell.RIGID, Cell.SOFT, Cell.H_ACT, Cell.V_ACT)
-"""Cells that the body of a robot may have."""
+"""Cell types allowed in a robot's body."""
 EMPTY_LETTER = "."
-"""The letter of an empty cell in drawings of text."""
+"""Letter for an empty cell in text drawings."""
 
 
 @dataclass(frozen=True)
@@ -144,29 +144,29 @@ class Physics(Settings):
 
     @property
     def label(self) -> str:
-        """The preset's name followed by the constants that differ from it: ``evogym, gravity=80.0``."""
+        """Name of the preset, followed by changed constants: ``evogym, gravity=80.0``."""
         base = _PRESETS.get(self.name, _PRESETS["evogym"])
         values = [(field.name, getattr(self, field.name)) for field in fields(self) if field.name != "name"]
         return ", ".join([self.name, *(f"{name}={value}" for name, value in values if value != getattr(base, name))])
 
     @property
     def weight(self) -> float:
-        """Force of gravity on a point."""
+        """Gravitational force on a point."""
         return self.gravity * self.point_mass
 
     @property
     def inverse_mass(self) -> float:
-        """Acceleration of a point per force."""
+        """Inverse mass of a point: acceleration per force."""
         return 1.0 / self.point_mass
 
     @staticmethod
     def presets() -> tuple[str, ...]:
-        """Return the names of the presets."""
+        """List the names of the presets."""
         return tuple(_PRESETS)
 
     @staticmethod
     def preset(name: str, **changes: object) -> Physics:
-        """Return a preset by name, with constants changed by keyword.
+        """Return a preset by name, with some constants changed by keyword.
 
         Raises:
             ConfigError: unknown preset or constant, or a value out of range.
@@ -175,7 +175,7 @@ class Physics(Settings):
         return replace(_PRESETS[name], **changes) if changes else _PRESETS[name]
 
     def stiffness(self, cell: int) -> tuple[float, float]:
-        """Return the stiffness of a cell's sides and of its diagonals; an empty cell counts as rigid."""
+        """Return the stiffness of a cell type's sides and diagonals; an empty cell counts as rigid."""
         material = MATERIALS.get(Cell(cell), MATERIALS[Cell.RIGID])
         return getattr(self, f"{material.stiffness}_main"), getattr(self, f"{material.stiffness}_structural")
 

@@ -27,12 +27,12 @@ from warpvox.palette import body_svg
 from warpvox.types import ACTUATORS, EMPTY_LETTER, MATERIALS, Cell
 
 LARGEST_FILE = 16_000_000
-"""Bytes that a world file, or the text of one, may have."""
+"""Maximum size of a world file or its text, in bytes."""
 
 
 @dataclass(frozen=True, eq=False)
 class WorldObject:
-    """One named group of cells. Immutable; make another with :func:`dataclasses.replace` or :meth:`moved`.
+    """A named group of cells, immutable; make variants by :func:`dataclasses.replace` or :meth:`moved`.
 
     Attributes:
         name: unique in its world.
@@ -52,7 +52,7 @@ class WorldObject:
     def from_array(
         cls, name: str, structure: object, x: int = 0, y: int = 0, connections: object = None
     ) -> WorldObject:
-        """Make an object from cells ``[rows, columns]`` (row 0 on top) with the lower left corner at (x, y).
+        """Create an object from cells ``[rows, columns]`` (row 0 on top), lower left corner at (x, y).
 
         ``connections`` is ``[2, k]`` as in EvoGym: pairs of flat indices into ``structure``. None connects
         all neighbours.
@@ -78,17 +78,17 @@ class WorldObject:
 
     @property
     def width(self) -> int:
-        """Columns of the bounding box, empties included."""
+        """Number of columns of the bounding box."""
         return self.grid.shape[1]
 
     @property
     def height(self) -> int:
-        """Rows of the bounding box, empties included."""
+        """Number of rows of the bounding box."""
         return self.grid.shape[0]
 
     @functools.cached_property
     def num_actuators(self) -> int:
-        """Number of cells that are actuators."""
+        """Number of actuator cells."""
         return int(np.count_nonzero(np.isin(self.grid, ACTUATORS)))
 
     @property
@@ -98,16 +98,16 @@ class WorldObject:
 
     @functools.cached_property
     def is_static(self) -> bool:
-        """Whether the object consists of fixed cells, so that it never moves."""
+        """Whether all cells are fixed, so that the object never moves."""
         return bool(np.isin(self.grid, (int(Cell.EMPTY), int(Cell.FIXED))).all())
 
     def moved(self, x: int, y: int) -> WorldObject:
-        """Return this object with its lower left corner at (x, y)."""
+        """Return a copy of this object with the lower left corner at (x, y)."""
         x, y = _check_position(self.name, x, y)
         return replace(self, x=x, y=y)
 
     def key(self) -> bytes:
-        """Return bytes that are equal exactly for equal objects."""
+        """Return bytes that identify the object: equal for equal objects only."""
         return self._key
 
     @functools.cached_property
@@ -126,7 +126,7 @@ class WorldObject:
 
 
 class World:
-    """Objects on a grid of ``width`` x ``height`` cells that grows when an object sticks out of it.
+    """Objects on a grid of ``width`` x ``height`` cells; the grid grows to fit added objects.
 
     Overlap rule (EvoGym's): the bounding box of a new object, empties included, must not cover a cell that
     another object fills. Every method that changes the world either succeeds or leaves it as it was.
@@ -149,7 +149,7 @@ class World:
         return self._put(obj)
 
     def add_from_array(self, name: str, structure: object, x: int, y: int, connections: object = None) -> WorldObject:
-        """Add cells ``[rows, columns]`` (row 0 on top) with the lower left corner at cell (x, y).
+        """Add an object from cells ``[rows, columns]`` (row 0 on top), lower left corner at cell (x, y).
 
         ``connections``: EvoGym's ``[2, k]`` array of flat index pairs, or None to connect all neighbours.
 
@@ -167,7 +167,7 @@ class World:
         return self.objects.pop(self._find(name).name)
 
     def move_object(self, name: str, x: int, y: int) -> WorldObject:
-        """Move the object ``name`` so that its lower left corner is cell (x, y); return the moved object.
+        """Move the object ``name`` so that the lower left corner is cell (x, y); return the moved object.
 
         Raises:
             WorldError: unknown object, negative position or an overlap; the object then stays where it was.
@@ -175,7 +175,7 @@ class World:
         return self._put(self._find(name).moved(x, y))
 
     def add_from_json(self, source: str | os.PathLike[str] | Mapping[str, object]) -> None:
-        """Add all objects of a world file (path, text of the file or parsed dictionary) to this world.
+        """Add all objects of a world file to this world; accepts path, text or parsed dictionary.
 
         The grid becomes as large as the file says if its objects lie within, else as large as the objects need: EvoGym
         looks at ``grid_width`` alone, and some files have a ``grid_height`` that is too low, or none.
@@ -219,7 +219,7 @@ class World:
         return world
 
     def to_json(self, path: str | os.PathLike[str] | None = None) -> str:
-        """Return the world as text in EvoGym's format; also write it to ``path`` if one is given.
+        """Return the world as JSON text in EvoGym's format; also write it to ``path`` if given.
 
         The format knows filled cells only. Where a bounding box has an empty border, an entry ``box``
         ``[x, y, width, height]`` is added, which this library reads back and EvoGym ignores.
@@ -242,13 +242,13 @@ class World:
         return text
 
     def copy(self) -> World:
-        """Return an independent world with the same objects (which are immutable and shared)."""
+        """Return an independent copy of the world; the immutable objects are shared."""
         other = World(self.width, self.height)
         other.objects = dict(self.objects)
         return other
 
     def key(self) -> bytes:
-        """Return a 32-byte digest, equal for equal worlds; the order of the objects does not matter."""
+        """Return a 32-byte digest, equal for equal worlds whatever the order of their objects."""
         digest = hashlib.sha256(f"{self.width} {self.height} {len(self.objects)}".encode())
         for name in sorted(self.objects):
             material = self.objects[name].key()
@@ -256,7 +256,7 @@ class World:
         return digest.digest()
 
     def grid(self) -> np.ndarray:
-        """Return all objects drawn into one int8 array ``[height, width]``, row 0 on top."""
+        """Draw all objects into one int8 array ``[height, width]``, row 0 on top."""
         cells = np.zeros((self.height, self.width), np.int8)
         for obj in self.objects.values():
             top = self.height - obj.y - obj.height
@@ -265,7 +265,7 @@ class World:
         return cells
 
     def pretty(self) -> str:
-        """Return a drawing in letters: R rigid, S soft, H and V actuators, F fixed, a dot for empty."""
+        """Draw the world in letters: R rigid, S soft, H and V actuators, F fixed, a dot for empty."""
         letters = [EMPTY_LETTER, *(material.letter for material in MATERIALS.values())]
         return "\n".join("".join(letters[cell] for cell in row) for row in self.grid())
 
@@ -284,7 +284,7 @@ class World:
         return f"World({self.width}x{self.height}: {objects or 'no objects'})"
 
     def _repr_html_(self) -> str:
-        """Return a drawing as HTML, for notebooks."""
+        """Draw the world as HTML, for notebooks."""
         return body_svg(self.grid())
 
     def __str__(self) -> str:
@@ -298,7 +298,7 @@ class World:
         return self.objects[name]
 
     def _put(self, obj: WorldObject) -> WorldObject:
-        """Put ``obj`` into the world; raise WorldError if it overlaps others or the world becomes too large."""
+        """Insert ``obj`` into the world; WorldError: overlap with others, or the world becomes too large."""
         width = max(self.width, obj.x + obj.width)
         height = max(self.height, obj.y + obj.height)
         check_size(width, height, f" with '{obj.name}'")
@@ -333,7 +333,7 @@ class World:
 
 
 def check_size(width: int, height: int, why: str = "") -> None:
-    """Raise WorldError if a world of this size, in cells, would be too large."""
+    """Raise WorldError if a world of this size, in cells, is too large."""
     if width * height > LARGEST_GRID:
         raise WorldError(
             f"The world{why} would have {width} x {height} cells, and {LARGEST_GRID:,} are the limit: choose a smaller"
@@ -350,7 +350,7 @@ def _check_position(name: str, x: object, y: object) -> tuple[int, int]:
 
 
 def _check_pairs(name: str, grid: np.ndarray, connections: object) -> np.ndarray:
-    """Return EvoGym's ``[2, k]`` connections as unique int32 ``[k, 2]`` pairs a < b, or raise WorldError."""
+    """Convert EvoGym's ``[2, k]`` connections to unique int32 ``[k, 2]`` pairs a < b, or raise WorldError."""
     try:
         raw = np.asarray(connections)
     except ValueError:
@@ -377,7 +377,7 @@ def _check_pairs(name: str, grid: np.ndarray, connections: object) -> np.ndarray
 
 
 def _load_json(source: object) -> tuple[Mapping[str, Any], str]:
-    """Return the dictionary of a world file (path, text or dictionary), and the subject for error messages.
+    """Load the dictionary of a world file (path, text or dictionary), and its name for error messages.
 
     Raises:
         WorldError: there is no such file, or it holds no JSON object.
@@ -409,7 +409,7 @@ def _load_json(source: object) -> tuple[Mapping[str, Any], str]:
 
 
 def _object_to_json(obj: WorldObject, world_width: int) -> dict[str, object]:
-    """Return an object as EvoGym's world files have it."""
+    """Convert an object to an entry of EvoGym's world files."""
     rows, columns = np.nonzero(obj.grid)
     flat = np.flatnonzero(obj.grid).tolist()
     index = {

@@ -1,1 +1,1 @@
-"""Trained policies: checkpoint files, controllers and exports to other formats."""
+"""Trained policies: checkpoint files, controllers, and exports to other formats."""

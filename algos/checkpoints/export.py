@@ -1,4 +1,4 @@
-"""Export of policies to ONNX and TorchScript; each file is compared with the policy before it is kept.
+"""Export of policies to ONNX and TorchScript, verified against the original policy.
 
 Both also contain :func:`warpvox.algos.checkpoints.policy.policy_bytes`, from which :func:`read_exported` rebuilds the
 policy: reading such a file never runs the program in it.
@@ -29,21 +29,21 @@ from warpvox.io.reading import Unreadable, read_bytes
 from warpvox.io.writing import atomic_path, check_suffix
 
 CARD = "warpvox.pt"
-"""Name of the entry that holds the policy as a checkpoint; in ONNX, which stores text only, it is in base64."""
+"""Name of the file's entry that contains the policy as a checkpoint, in base64 in ONNX files."""
 OLD_CARD = "warpvox.json"
-"""Name of the entry in files of warpvox 0.1."""
+"""Name of the policy's entry in files of warpvox 0.1."""
 LARGEST = 1 << 28
-"""Maximum length of the policy in a file, in bytes."""
+"""Maximum size of the policy in an exported file, in bytes."""
 ROWS = (1, 64)
-"""Sizes of the two batches of random observations that a file is compared on."""
+"""Sizes of the two random batches of observations used to verify an exported file."""
 TOLERANCE = 1e-5
-"""Largest allowed difference of actions, whose range is 1.0 wide: runtimes sum products in different orders."""
+"""Largest allowed difference of actions (range 1.0), as runtimes sum products in different orders."""
 
 Runner = Callable[[np.ndarray], np.ndarray]
 
 
 def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
-    """Write a policy as TorchScript; return in words how it was checked.
+    """Export a policy as TorchScript; return, as text, how the file was verified.
 
     ``torch.jit.load(path)(obs)``, or ``torch::jit::load`` in C++, takes ``[..., num_obs]``; of a policy for voxels
     ``[batch, num_obs]``.
@@ -67,14 +67,14 @@ def write_script(policy: Policy, path: str | os.PathLike[str]) -> str:
 
 
 def _copied(policy: Policy) -> Policy:
-    """Return a copy of the policy on the CPU. RunError: it is recurrent, which is not exported."""
+    """Copy the policy to the CPU; RunError: recurrent policies cannot be exported."""
     if policy.spec.rnn is not None:
         raise RunError("A recurrent policy is not exported: warpvox.load_policy() gives it as a torch module.")
     return copy.deepcopy(policy).cpu()
 
 
 def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
-    """Write a policy as one ONNX file; return in words how it was checked.
+    """Export a policy as one ONNX file; return, as text, how the file was verified.
 
     Input ``obs`` float32 ``[batch, num_obs]``, output ``actions`` float32 ``[batch, num_actions]``. Compared by
     ONNX Runtime where it is installed, else by the reference evaluator of the package onnx.
@@ -109,11 +109,11 @@ def write_onnx(policy: Policy, path: str | os.PathLike[str]) -> str:
 
 
 POLICY_WRITERS = {"onnx": ("policy.onnx", write_onnx), "jit": ("policy.pt", write_script)}
-"""File name and writing function of each format."""
+"""File name and export function of each format."""
 
 
 def read_exported(path: Path, network: str | None = None) -> Policy | None:
-    """Return the policy in a file of :func:`write_onnx` or :func:`write_script`; None: another kind of file.
+    """Read the policy from a file of :func:`write_onnx` or :func:`write_script`; None: another kind of file.
 
     ``network``: as for :func:`warpvox.algos.checkpoints.policy.read_policy`.
     """
@@ -125,7 +125,7 @@ def read_exported(path: Path, network: str | None = None) -> Policy | None:
 
 
 def _card_of_onnx(path: Path) -> bytes:
-    """Return the policy's bytes in an ONNX file; RunError: it cannot be read or has none."""
+    """Extract the policy's bytes from an ONNX file; RunError: unreadable or without a policy."""
     if find_spec("onnx") is None:
         raise RunError(f"To read {path} the package onnx is needed: pip install 'warpvox[export]'.")
     import onnx
@@ -143,7 +143,7 @@ def _card_of_onnx(path: Path) -> bytes:
 
 
 def _card_of_script(path: Path) -> bytes | None:
-    """Return the policy's bytes in a TorchScript file; None: it has none."""
+    """Extract the policy's bytes from a TorchScript file; None: no policy in the file."""
     if not zipfile.is_zipfile(path):
         return None
     try:
@@ -160,7 +160,7 @@ def _card_of_script(path: Path) -> bytes | None:
 
 
 def _refuse_other_writers(path: Path, names: Container[str]) -> None:
-    """Raise RunError if a file is another library's, or was exported by warpvox 0.1.0."""
+    """Raise RunError if a file was exported by another library or by warpvox 0.1.0."""
     if "_stable_baselines3_version" in names:
         raise RunError(
             f"{path} is a file of Stable-Baselines3. Load it by model = PPO.load(...) and evaluate a function of"
@@ -173,7 +173,7 @@ def _refuse_other_writers(path: Path, names: Container[str]) -> None:
 
 
 def _onnx_runner(path: Path) -> tuple[str, Runner]:
-    """Return the name of the library that runs ONNX files here, and a function that runs this one."""
+    """Load an ONNX file into a runtime; return the runtime's name and a function from observations to actions."""
     run: Callable[..., Any]
     if find_spec("onnxruntime") is not None:
         import onnxruntime
@@ -189,7 +189,7 @@ def _onnx_runner(path: Path) -> tuple[str, Runner]:
 
 
 def _compare(policy: Policy, run: Runner, written: Path, path: object) -> str:
-    """Raise RunError unless a written file acts like the policy and holds it; return the largest difference in words.
+    """Compare a written file with the policy; RunError: they differ. Return the largest difference as text.
 
     ``run`` calls the program in the temporary file ``written``, which will be renamed to ``path``.
     """
@@ -213,7 +213,7 @@ def _compare(policy: Policy, run: Runner, written: Path, path: object) -> str:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Within the block, silence torch's warnings about optional packages and future changes."""
+    """Silence torch's warnings about optional packages and future changes within the block."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)

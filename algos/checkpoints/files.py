@@ -1,4 +1,4 @@
-"""Checkpoint files: they hold a policy and all that is needed to rebuild it, and are written atomically."""
+"""Checkpoint files: a policy with everything needed to rebuild it, written atomically."""
 
 import io
 import zipfile
@@ -27,18 +27,18 @@ from warpvox.runs import BEST
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW
 
 MAX_BYTES = 1 << 32
-"""Maximum length of a checkpoint; the state of 65,536 environments takes a tenth of it."""
+"""Maximum size of a checkpoint in bytes; the state of 65,536 environments takes a tenth."""
 MAX_ENTRIES = 1 << 16
 """Maximum number of entries in a checkpoint."""
 MAX_PICKLE_BYTES = 1 << 26
-"""Maximum length of a checkpoint's content without its tensors."""
+"""Maximum size of a checkpoint's content without its tensors, in bytes."""
 RNN = {"rnn_type": "lstm", "rnn_hidden_dim": 256, "rnn_num_layers": 1}
 """Settings of rsl-rl's ``RNNModel`` with their defaults."""
 
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """Description of a policy, from which it is rebuilt before its weights are loaded.
+    """Description of a policy's network, sufficient to rebuild it before loading weights.
 
     ``action_scale``, ``action_center``: of actions, center + scale * output.
     ``action_step``: actions in float64 are multiples of it; 0: they are float32.
@@ -65,12 +65,12 @@ class PolicySpec:
 
     @property
     def is_mlp(self) -> bool:
-        """True if the policy has fully connected layers only."""
+        """True if the policy consists of fully connected layers only."""
         return self.voxels is None and self.gait is None and self.rnn is None
 
     @property
     def has_feedback(self) -> bool:
-        """True if actions depend on more than the body and the time."""
+        """True if actions depend on observations other than the time."""
         return self.gait is None
 
 
@@ -80,7 +80,7 @@ def actions_of(outputs: torch.Tensor, scale: float) -> torch.Tensor:
 
 
 def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
-    """Write ``content`` (tensors, numbers, texts, lists and dictionaries) to ``path``, atomically."""
+    """Write ``content`` (tensors, numbers, texts, lists and dictionaries) to ``path`` atomically."""
     # Write to memory first: torch's own writer gives unclear errors for a full disk.
     whole = io.BytesIO()
     torch.save(content, whole)
@@ -88,7 +88,7 @@ def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
 
 
 def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
-    """Read what :func:`save_checkpoint` wrote; uses no more memory than the file is long.
+    """Read a file of :func:`save_checkpoint`, using no more memory than the file's size.
 
     torch loads tensors and plain values alone (``weights_only``). What they mean is checked by :func:`check_like`.
     """
@@ -99,7 +99,7 @@ def read_tensors(path: Path, device: str = "cpu") -> dict[str, Any]:
 
 
 def tensors_in(file: BinaryIO, path: Path, device: str = "cpu") -> dict[str, Any]:
-    """Read tensors as :func:`read_tensors` does; ``path`` names the file, of which ``file`` may be a part."""
+    """Read tensors from an open ``file`` as :func:`read_tensors` does; ``path`` names the file in errors."""
     try:
         with zipfile.ZipFile(file) as archive:
             _check_entries(file.seek(0, io.SEEK_END), archive.infolist())
@@ -119,7 +119,7 @@ def tensors_in(file: BinaryIO, path: Path, device: str = "cpu") -> dict[str, Any
 
 
 def _check_entries(size: int, entries: Sequence[zipfile.ZipInfo]) -> None:
-    """Raise ValueError if a file of ``size`` bytes is too long, or would unpack to more than it has."""
+    """Raise ValueError if a file of ``size`` bytes is too long, or would unpack to more bytes."""
     if size > MAX_BYTES or sum(entry.file_size for entry in entries) > size:
         raise ValueError(f"it is longer than {MAX_BYTES >> 30} GiB, or unpacks to more than its {size:,} bytes")
     if len(entries) > MAX_ENTRIES:
@@ -132,7 +132,7 @@ def _check_entries(size: int, entries: Sequence[zipfile.ZipInfo]) -> None:
 
 @contextmanager
 def damaged(path: Path | None, hint: str = "") -> Iterator[None]:
-    """Within the block, convert errors about the content of the checkpoint ``path`` to a RunError that names it.
+    """Convert errors within the block to a RunError that calls the checkpoint ``path`` damaged.
 
     Without a ``path`` nothing comes from a file, and errors stay as they are.
     """
@@ -148,19 +148,19 @@ def damaged(path: Path | None, hint: str = "") -> Iterator[None]:
 
 
 def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
-    """Read the checkpoint of a policy; RunError: no such file, or one that is damaged or of another kind."""
+    """Read a policy's checkpoint; RunError: no such file, damaged, or of another kind."""
     return checked_checkpoint(read_tensors(path, device), path)
 
 
 def checked_checkpoint(content: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return ``content`` of the file ``path``; RunError: it holds no policy."""
+    """Verify that the ``content`` of a file is a policy's checkpoint, and return it; RunError: it is not."""
     if "policy" not in content or "actor_state_dict" not in content:
         raise RunError(f"{path} is not a checkpoint of warpvox: it holds no policy.")
     return content
 
 
 def with_code(spec: PolicySpec, network: str | None) -> PolicySpec:
-    """Return ``spec`` with the user's ``network`` in place of the code that a file names; RunError: none was named."""
+    """Replace code named in ``spec`` by the user's ``network``; RunError: the user named none."""
     if not isinstance(spec.voxels, dict) or not is_code(spec.voxels.get("network")):
         return spec
     if not isinstance(network, Code):
@@ -170,7 +170,7 @@ def with_code(spec: PolicySpec, network: str | None) -> PolicySpec:
 
 
 def check_sizes(spec: PolicySpec) -> None:
-    """Raise ValueError or TypeError if a network as ``spec`` describes it is impossible."""
+    """Raise ValueError or TypeError if ``spec`` describes an impossible network."""
     for name in ("action_scale", "action_center", "action_step", "obs_eps"):
         value = getattr(spec, name)
         if type(value) not in (int, float) or not abs(value) < WIDEST:
@@ -218,7 +218,7 @@ def check_spec(spec: PolicySpec, weights: object) -> None:
 
 
 def checked_weights(weights: object) -> dict[str, torch.Tensor]:
-    """Return ``weights`` if they are plain finite tensors by name; ValueError says why they are not."""
+    """Return ``weights`` if they are plain finite tensors by name; ValueError: they are not."""
     is_plain = lambda one: isinstance(one, torch.Tensor) and not one.is_meta and not one.is_quantized  # noqa: E731
     if not isinstance(weights, dict) or not all(map(is_plain, weights.values())):
         raise ValueError("the weights are no tensors")
@@ -230,7 +230,7 @@ def checked_weights(weights: object) -> dict[str, torch.Tensor]:
 
 
 def build_actor(spec: PolicySpec, device: str = "cpu") -> MLPModel | GaitModel:
-    """Build the network that ``spec`` describes; the weights are to be replaced."""
+    """Build the network described by ``spec``, with weights still to be loaded."""
     with own_torch(), Generators(0), torch.device(device):
         if spec.gait is not None:
             return GaitModel(spec.num_actions, **spec.gait)
@@ -245,20 +245,20 @@ def build_actor(spec: PolicySpec, device: str = "cpu") -> MLPModel | GaitModel:
 
 
 def spec_of(values: Mapping[str, Any]) -> PolicySpec:
-    """Return the specification stored in a checkpoint. TypeError: it is not one, or has other entries."""
+    """Return the specification stored in a checkpoint; TypeError: missing, or with other entries."""
     if not isinstance(values, Mapping):
         raise TypeError(f"it is described by {values!r:.40}")
     return PolicySpec(**values)
 
 
 def spec_for(ppo: Ppo, num_obs: int, num_actions: int, **kind: Any) -> PolicySpec:
-    """Return the specification of a policy trained with the settings ``ppo``; ``kind``: further entries."""
+    """Return the specification of a policy trained with the settings ``ppo``."""
     sizes = num_obs, num_actions, list(ppo.hidden), ppo.activation
     return PolicySpec(*sizes, ppo.normalize_obs, ppo.action_scale, **kind)
 
 
 def check_fits(ours: PolicySpec, pretrained: PolicySpec) -> None:
-    """Raise RunError unless a pretrained policy has the sizes of ``ours``, made for the present environments."""
+    """Raise RunError unless a pretrained policy has the sizes of ``ours``, for the present environments."""
     names = ["action_scale", "normalize_obs"]
     names += ["num_obs", "num_actions", "hidden", "activation", "rnn"] if ours.voxels is None else []
     sizes = [(name, getattr(ours, name), getattr(pretrained, name)) for name in names]
@@ -272,7 +272,7 @@ def check_fits(ours: PolicySpec, pretrained: PolicySpec) -> None:
 
 
 def spec_dict(spec: PolicySpec) -> dict[str, Any]:
-    """Return a specification as a checkpoint stores it."""
+    """Convert a specification to a dictionary for a checkpoint."""
     values = {name: value for name, value in asdict(spec).items() if value is not None}
     if spec.voxels is not None:  # code is stored by its name, as plain text
         values["voxels"] |= {"network": str(spec.voxels["network"])}

@@ -1,4 +1,4 @@
-"""Trained policies as plain torch modules, and their form in files."""
+"""Trained policies as plain torch modules, and as files."""
 
 import copy
 import io
@@ -32,13 +32,13 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW
 
 
 class Layers(nn.Module):
-    """Fully connected layers behind normalised observations, which TorchScript can compile.
+    """Fully connected layers behind normalised observations, compilable by TorchScript.
 
     Its state has the names of rsl-rl's ``MLPModel``, but no exploration.
     """
 
     def __init__(self, spec: PolicySpec) -> None:
-        """Make the layers that ``spec`` describes, with weights to be replaced."""
+        """Create the layers described by ``spec``, with weights still to be loaded."""
         super().__init__()
         self.obs_normalizer = nn.Identity()
         if spec.normalize_obs:
@@ -46,14 +46,14 @@ class Layers(nn.Module):
         self.mlp = nn.Sequential(*MLP(spec.num_obs, spec.num_actions, list(spec.hidden), spec.activation))
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
-        """Return outputs ``[..., num_actions]`` for observations ``[..., num_obs]``."""
+        """Compute outputs ``[..., num_actions]`` from observations ``[..., num_obs]``."""
         dtype = self.mlp[0].weight.dtype
         rows = obs.to(dtype)  # pyright: ignore[reportCallIssue, reportArgumentType]
         scaled = self.obs_normalizer(rows).reshape(obs.shape)  # the normaliser turns a single observation into a row
         return self.mlp(scaled)
 
     def random_obs(self, rows: int, generator: torch.Generator) -> torch.Tensor:
-        """Draw observations ``[rows, num_obs]`` that vary more than those of training."""
+        """Draw observations ``[rows, num_obs]`` with a wider spread than in training."""
         first = cast(nn.Linear, self.mlp[0])
         obs = 3 * torch.randn((rows, first.in_features), generator=generator)
         normalizer = self.obs_normalizer
@@ -63,17 +63,17 @@ class Layers(nn.Module):
 
 
 class Actor(nn.Module):
-    """Model of a checkpoint that is not an MLP: a network for voxels, an open-loop gait or recurrent layers."""
+    """Network of a policy that is no MLP: a voxel network, an open-loop gait or recurrent layers."""
 
     def __init__(self, spec: PolicySpec) -> None:
-        """Make the model that ``spec`` describes, with weights to be replaced."""
+        """Create the network described by ``spec``, with weights still to be loaded."""
         super().__init__()
         self.num_obs = spec.num_obs
         self.num_actions = spec.num_actions
         self.model: Any = build_actor(spec)
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
-        """Return outputs ``[..., num_actions]`` for observations ``[..., num_obs]``."""
+        """Compute outputs ``[..., num_actions]`` from observations ``[..., num_obs]``."""
         dtype = next(chain(self.parameters(), self.buffers())).dtype
         rows = obs.to(dtype).reshape(-1, obs.shape[-1])
         return self.model({OBS_GROUP: rows}).reshape((*obs.shape[:-1], self.num_actions))
@@ -86,7 +86,7 @@ class Actor(nn.Module):
 
 
 class Policy(nn.Module):
-    """A trained policy without exploration: maps observations to actions that an environment takes.
+    """A trained policy without exploration: maps observations to an environment's actions.
 
     Normalises the observations as in training, and gives target lengths of the actuators in [0.6, 1.6]. A plain module
     for ``torch.jit.script``, ``torch.jit.trace`` and ``torch.onnx``; its parameters ask for no gradients until
@@ -137,7 +137,7 @@ class Policy(nn.Module):
         return f"Policy({task}{self.num_obs} observations, {self.num_actions} actions)"
 
     def __call__(self, obs: torch.Tensor | np.ndarray, *more: Any) -> Any:
-        """Return actions: by :meth:`forward` for a tensor, by :meth:`act` for an array.
+        """Compute actions: by :meth:`forward` for a tensor, by :meth:`act` for an array.
 
         Raises:
             ConfigError: observations of another width.
@@ -160,12 +160,12 @@ class Policy(nn.Module):
 
     @property
     def actor(self) -> Any:
-        """Module whose state is that of a checkpoint's actor."""
+        """Network with the state of a checkpoint's actor."""
         return self.network if isinstance(self.network, Layers) else self.network.model
 
     @property
     def design(self) -> Design | dict[str, Design] | None:
-        """Body that the policy was trained for, or bodies by robot names; None: no single one is known.
+        """Body that the policy was trained for, or bodies by robot name; None: many bodies or unknown.
 
         It never raises, as TorchScript reads all properties.
         """
@@ -177,7 +177,7 @@ class Policy(nn.Module):
         return load_design(body)
 
     def in_float64(self) -> "Policy":
-        """Return a copy whose network runs in float64, with recurrent layers at the start of episodes."""
+        """Copy the policy with its network in float64 and recurrent layers reset."""
         if self.spec.rnn is None:
             return copy.deepcopy(self).double()
         memory = self.actor.get_hidden_state()
@@ -187,22 +187,22 @@ class Policy(nn.Module):
         return copied
 
     def reset(self, done: torch.Tensor | None = None) -> None:
-        """Clear the memory of recurrent layers, where ``done`` (bool ``[n]``) is true or everywhere."""
+        """Clear the memory of recurrent layers, everywhere or where ``done`` (bool ``[n]``) is True."""
         if self.spec.rnn is not None:
             self.actor.reset(done)
 
     def act(self, obs: np.ndarray) -> np.ndarray:
-        """Return actions as a NumPy array for NumPy observations, as Gymnasium's environments use them."""
+        """Compute actions as a NumPy array from NumPy observations, as for Gymnasium's environments."""
         with torch.no_grad():
             device = next(chain(self.parameters(), self.buffers())).device
             return self(torch.as_tensor(np.asarray(obs), device=device)).cpu().numpy()
 
     def fits(self, num_obs: int) -> bool:
-        """Return whether the policy takes ``num_obs`` observations; a gait for the time alone takes any number."""
+        """Return whether the policy accepts ``num_obs`` observations; a gait of the time alone accepts any number."""
         return self.num_obs == num_obs or (self.spec.gait is not None and self.num_obs == 1)
 
     def check_sizes(self, num_obs: int, num_actions: int) -> None:
-        """Raise RunError unless the policy fits environments of these sizes."""
+        """Raise RunError unless the policy fits environments with these sizes."""
         if not self.fits(num_obs) or self.num_actions != num_actions:
             raise RunError(
                 f"The policy has {self.num_obs} observations and {self.num_actions} actions; the task and design have"
@@ -213,7 +213,7 @@ class Policy(nn.Module):
 def read_policy(
     path: Path, device: str = "cpu", network: str | None = None, metadata: Mapping[str, Any] | None = None
 ) -> Policy:
-    """Read the policy in a checkpoint, or in a file with the content of :func:`policy_bytes`.
+    """Read the policy in a checkpoint, or in a file made of :func:`policy_bytes`.
 
     Args:
         network: ``FILE.py:Class`` or ``module:Class`` of a network that is not warpvox's own; a checkpoint that needs
@@ -229,7 +229,7 @@ def read_policy(
 def policy_of(
     content: Mapping[str, Any], source: object, network: str | None = None, metadata: Mapping[str, Any] | None = None
 ) -> Policy:
-    """Return the policy in the content of a checkpoint; ``source`` names the file in errors."""
+    """Build the policy from a checkpoint's content; ``source`` names the file in errors."""
     try:
         spec = spec_of(content["policy"])
         known = content.get("metadata", {}) if metadata is None else metadata
@@ -247,7 +247,7 @@ def policy_of(
 
 
 def policy_bytes(policy: Policy) -> bytes:
-    """Return a policy as the content of a file that :func:`read_policy` reads."""
+    """Serialise a policy for :func:`read_policy`."""
     whole = io.BytesIO()
     state = {name: value.detach().cpu() for name, value in policy.actor.state_dict().items()}
     content = {"policy": spec_dict(policy.spec), "actor_state_dict": state, "metadata": policy.metadata}

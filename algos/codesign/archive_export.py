@@ -1,4 +1,4 @@
-"""Exports of an archive: tables for analysis, and bodies in EvoGym's formats."""
+"""Exports of an archive: tables for analysis, and bodies in EvoGym's file formats."""
 
 import json
 from pathlib import Path
@@ -15,11 +15,11 @@ COLUMNS = {
     "diverged": "bool", "reused": "int64", "policy": "string", "seconds": "float64", "curve_steps": ["int64"],
     "curve_values": ["float64"],
 }  # fmt: skip
-"""Columns of the tables, with Arrow's types; bodies are JSON text, lists are JSON text in CSV and lists in Parquet."""
+"""Columns of the tables with Arrow types; bodies are JSON text, and lists are too in CSV."""
 
 
 def write_csv(archive: Archive, path: Path) -> Path:
-    """Write the candidates as CSV with the columns :data:`COLUMNS`; empty cells where there is no value.
+    """Write the candidates as CSV with the columns :data:`COLUMNS`; unknown values are empty cells.
 
     RunError: another suffix than .csv.
     """
@@ -62,7 +62,7 @@ def write_parquet(archive: Archive, path: Path) -> Path:
 
 
 def _write_designs(archive: Archive, folder: Path, suffix: str) -> Path:
-    """Write every evaluated body to a file of its own, in the same folders as EvoGym's searches.
+    """Write every evaluated body to its own file, in the folders of EvoGym's searches.
 
     ``generation_<n>/structure/<id>.npz`` (or ``.json``) and, per generation, ``output.txt`` with a line
     ``<id> <fitness>`` for each design, best first.
@@ -81,7 +81,7 @@ def _write_designs(archive: Archive, folder: Path, suffix: str) -> Path:
 
 
 def _row(record: Record) -> dict[str, Any]:
-    """Return the columns :data:`COLUMNS` of one record."""
+    """Convert a record to a row of the table."""
     item = record.candidate
     known = vars(record) | vars(item) | {"body": body_text(item.body), "parents": list(item.parents)}
     known |= dict(zip(("rows", "columns"), item.body.shape, strict=True))
@@ -96,4 +96,4 @@ FORMATS = {
     "npz": lambda archive, folder: _write_designs(archive, folder / "structures", ".npz"),
     "json": lambda archive, folder: _write_designs(archive, folder / "structures", ".json"),
 }
-"""Functions that write an archive into a folder, by format; each returns the path of the file."""
+"""Export functions by format: each writes an archive into a folder and returns the file's path."""

@@ -1,4 +1,4 @@
-"""The last stage of a search that compares designs without training each: the best ones are trained."""
+"""Final stage of a search without training: the best designs are trained."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ from warpvox.algos.candidate import FINALIST, Candidate, DesignEvaluator, Outcom
 
 
 class Finalists:
-    """Search that runs another one and then proposes its best designs again, as a last generation.
+    """Search that wraps another one and proposes its best designs again as a last generation.
 
     These finalists are new candidates with the same body as their parent and the origin :data:`FINALIST`. The inner
     search is not told their fitness.
@@ -25,14 +25,14 @@ class Finalists:
         self._asked: list[Candidate] = []
 
     def ask(self) -> list[Candidate]:
-        """Return the inner search's next generation, then once the finalists, then an empty list."""
+        """Return the inner search's next generation, then the finalists once, then an empty list."""
         if self._asked and self._asked[0].origin == FINALIST:
             return []
         self._asked = self.search.ask() or self._finalists()
         return self._asked
 
     def _finalists(self) -> list[Candidate]:
-        """Return candidates with the best different bodies, for the last generation."""
+        """Create candidates for the last generation from the best distinct bodies."""
         best: dict[bytes, Candidate] = {}
         for candidate, _ in sorted(self._known, key=lambda pair: (-pair[1], pair[0].id)):
             best.setdefault(candidate.body.tobytes(), candidate)
@@ -43,13 +43,13 @@ class Finalists:
         return finalists
 
     def tell(self, fitness: Sequence[float]) -> None:
-        """Tell the fitness of the last candidates to the inner search; that of finalists is ignored."""
+        """Pass fitness to the inner search, except that of the finalists."""
         if self._asked[0].origin != FINALIST:
             self.search.tell(fitness)
             self._known += zip(self._asked, fitness, strict=True)
 
     def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
-        """Restore the state after ``history``; the inner search replays all generations but the finalists."""
+        """Restore the state after ``history``; the inner search replays all but the finalists."""
         searched = [pair for pair in history if pair[0][0].origin != FINALIST]
         self.search.replay(searched)
         self._known = [pair for generation in searched for pair in zip(*generation, strict=True)]
@@ -58,7 +58,7 @@ class Finalists:
 
 @dataclasses.dataclass(frozen=True)
 class TwoStages:
-    """Evaluates candidates by gaits, and finalists by more gaits and a training each.
+    """Evaluator by gaits that gives finalists more gaits and a training each.
 
     A finalist gets the better of both results. Gaits start from those of the parents, trainings with new networks.
     """
@@ -68,7 +68,7 @@ class TwoStages:
     training: DesignEvaluator
 
     def evaluate(self, candidates: Sequence[Candidate], parents: Parents, report: Report = None) -> list[Outcome]:
-        """Evaluate ``candidates``, which are all finalists or none, and return their outcomes."""
+        """Evaluate ``candidates``, either all finalists or none, and return their outcomes."""
         if candidates[0].origin != FINALIST:
             return self.gaits.evaluate(candidates, parents, report)
 

@@ -1,4 +1,4 @@
-"""Simulation of many gaits of several designs at once."""
+"""Simulation of many open-loop gaits of several designs at once."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -18,7 +18,7 @@ from warpvox.types import ACTION_SCALE, Cell
 
 
 def continued(state: Any, sources: torch.Tensor, episodes: int) -> Any:
-    """Return ``state`` rearranged: gait ``k`` of design ``d`` continues from the episodes of gait ``sources[d, k]``."""
+    """Rearrange ``state`` so that gait ``k`` of design ``d`` continues from the episodes of gait ``sources[d, k]``."""
     device = sources.device
     gaits = sources + sources.shape[1] * torch.arange(len(sources), device=device)[:, None]
     rows = gaits[:, :, None] * episodes + torch.arange(episodes, device=device)
@@ -34,7 +34,7 @@ def play(
     last: int | None = None,
     noise: Draws | None = None,
 ) -> torch.Tensor:
-    """Step the environments through the control steps ``first`` to ``last`` of ``gaits``; return the mean returns.
+    """Step the environments through control steps ``first`` to ``last`` of ``gaits``; return the mean returns.
 
     Args:
         noise: random numbers of noise on the actions, for ``episodes`` copies, equal for all gaits; None: no noise.
@@ -62,7 +62,7 @@ def actions_of_gaits(
     first: int = 0,
     last: int | None = None,
 ) -> Iterator[torch.Tensor]:
-    """Yield the actions ``[num_envs, num_actions]`` of each control step, as stored policies compute them.
+    """Yield the actions ``[num_envs, num_actions]`` of gaits at each control step.
 
     Environments are those of a design, gait by gait, one after another.
 

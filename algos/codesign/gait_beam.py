@@ -1,4 +1,4 @@
-"""Beam search for gaits: the motions of an episode are chosen stage by stage."""
+"""Beam search for open-loop gaits, which chooses the motions of an episode stage by stage."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from warpvox.algos.disturbance import Draws
 from warpvox.envs.vec_env import VoxelVecEnv
 
 _Begun = tuple[tuple[int, Motion], ...]
-"""Motions with the control steps in which they begin."""
+"""Motions with the control steps at which they begin."""
 
 
 def beam_search(
@@ -25,7 +25,7 @@ def beam_search(
     episodes: int,
     noise: Draws | None,
 ) -> tuple[list[tuple[float, Gait]], np.ndarray]:
-    """Search gaits for several designs side by side, stage by stage through one episode; return the best of each.
+    """Find the best gait of each design by a beam search through the stages of an episode.
 
     The beginnings of episodes found so far are each continued for a stage by several motions, from copies of the state
     of the simulation, and the best of what follows are the next beginnings. This takes as many control steps as
@@ -69,7 +69,7 @@ def beam_search(
 
 @dataclass(frozen=True)
 class _Beginning:
-    """The first part of an episode.
+    """Candidate of the beam: the motions of the first part of an episode.
 
     ``place``: index of the gait that played it; ``begun``: its motions; ``is_known``: they are those of the best known
     gait, which is continued whatever its value.
@@ -81,7 +81,7 @@ class _Beginning:
 
 
 class _Search:
-    """State of the beam search of one design.
+    """Beam search for one design's gait.
 
     Attributes:
         beginnings: parts of episodes to continue; empty when all episodes have ended.
@@ -90,7 +90,7 @@ class _Search:
     """
 
     def __init__(self, body: np.ndarray, count: int, known: Sequence[Gait], rng: np.random.Generator) -> None:
-        """Start the search for gaits of ``body`` with ``count`` gaits at a time and the ``known`` ones, best first."""
+        """Start the search for gaits of ``body`` with ``count`` gaits per stage; ``known`` gaits are best first."""
         self.body = body
         self.count = count
         self.rng = rng
@@ -105,7 +105,7 @@ class _Search:
         self._gaits: list[Gait] = []
 
     def continued(self, first: int, last: int) -> list[Gait]:
-        """Return the gaits to try from control step ``first`` up to but excluding ``last``; sets ``sources``."""
+        """Return the gaits to simulate from control step ``first`` up to ``last``; sets ``sources``."""
         if not self.beginnings:  # all episodes have ended: the environments stay as they are
             self.sources = list(range(self.count))
             return self._gaits
@@ -131,7 +131,7 @@ class _Search:
         return self._gaits
 
     def choose(self, values: Sequence[float], ended: Sequence[bool]) -> None:
-        """Keep the best continuations as ``beginnings``, and update ``best`` by those that have ended."""
+        """Keep the best continuations as ``beginnings``, and update ``best`` from ended episodes."""
         if not self.beginnings:
             return
         for tried in self._tried:
@@ -152,7 +152,7 @@ class _Search:
         self.beginnings = chosen
 
     def _continuation(self, begun: _Begun, number: int, first: int, last: int) -> _Begun:
-        """Choose the ``number``-th continuation of a beginning: the same motion, a mutant, a known or a random one."""
+        """Choose the ``number``-th continuation: the same motion, a mutant, a known or a random motion."""
         rng = self.rng
         body = self.body
         if begun and number == 0:
@@ -175,7 +175,7 @@ class _Search:
         return ((first, motion),)
 
     def _known_motions(self, first: int, last: int) -> _Begun:
-        """Return the motions of the best known gait between control steps ``first`` and ``last``."""
+        """Return the best known gait's motions between control steps ``first`` and ``last``."""
         present = max(place for place, (begin, _) in enumerate(self.plan) if begin <= first)
         later = tuple((begin, motion) for begin, motion in self.plan[present + 1 :] if begin < last)
         return ((first, self.plan[present][1]), *later)

@@ -1,4 +1,4 @@
-"""Evaluation of designs by open-loop gaits, which children inherit from their parents."""
+"""Evaluation of designs by open-loop gaits that children inherit from their parents."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from warpvox.types import ACTION_SCALE, Cell
 
 
 class GaitSearch(Protocol):
-    """Settings of the search for gaits: see the fields of the evaluation ``gaits``."""
+    """Settings of the search for gaits (fields of the evaluation ``gaits``)."""
 
     gaits: int
     rounds: int
@@ -37,7 +37,7 @@ class GaitSearch(Protocol):
 
 @dataclass(frozen=True)
 class GaitEvaluator:
-    """Evaluates designs by trying open-loop gaits: the best return is the fitness, the best gait the policy.
+    """Evaluator by open-loop gaits: the best return is the fitness, the best gait the policy.
 
     The first ones are those of its parents with mutants of the best parent's; random ones, if it has none. In each
     further round mutants of the best so far are tried. Passes of a :func:`beam_search` may come before the rounds. It
@@ -68,7 +68,7 @@ class GaitEvaluator:
             return self._search(candidates, parents, report)
 
     def _search(self, candidates: Sequence[Candidate], parents: Parents, report: Report) -> list[Outcome]:
-        """Run the beam searches and rounds for all candidates side by side, and return their outcomes."""
+        """Run beam searches and evolution rounds for all candidates together; return their outcomes."""
         settings = self.settings
         bodies = [candidate.body for candidate in candidates]
         # 0x6A17 keeps the random numbers of gaits apart from those of environments and searches.
@@ -134,13 +134,13 @@ class GaitEvaluator:
         return outcomes
 
     def _environments(self, candidates: Sequence[Candidate], count: int) -> VoxelVecEnv:
-        """Make the environments of ``count`` gaits for each candidate, ``episodes`` for each gait."""
+        """Create environments for ``count`` gaits per candidate and ``episodes`` per gait."""
         bodies = [candidate.body for candidate in candidates]
         seeds = [candidate_seed(self.seed, candidate.id) for candidate in candidates]
         return self.factory.make(bodies, count * self.episodes, seeds, auto_reset=False, shared=True)
 
     def _inherited_gaits(self, candidate: Candidate, parents: Parents, steps: int) -> list[Gait]:
-        """Return the gaits that a candidate starts with: its known gait, or its parents', best parent first."""
+        """Return a candidate's own known gait, or the gaits of its parents, best parent first."""
         if candidate.origin == START:
             known = self.known.get(candidate.body.tobytes())
             return [] if known is None else [with_stages(known, self.settings.stages, steps)]
@@ -154,7 +154,7 @@ class GaitEvaluator:
     def _first_gaits(
         self, rng: np.random.Generator, inherited: Sequence[Gait], candidate: Candidate, steps: int
     ) -> list[Gait]:
-        """Return the gaits of a design's first round: inherited ones, new ones, and mutants."""
+        """Return the gaits of a design's first round: inherited, random and mutated ones."""
         body = candidate.body
         stages = self.settings.stages
         count = self.settings.gaits
@@ -175,7 +175,7 @@ class GaitEvaluator:
     def _play(
         self, env: VoxelVecEnv, bodies: Sequence[Design], gaits: Sequence[Sequence[Gait]], noise: Draws | None
     ) -> tuple[list[tuple[float, Gait]], np.ndarray]:
-        """Play gaits; return each design's best one with its mean return, and the control steps ``[designs]``."""
+        """Simulate gaits; return each design's best gait, its mean return and the control steps ``[designs]``."""
         # All gaits of a design have the same episodes.
         env.reset(seed=[self.seed] * len(bodies))
         first_gait = torch.zeros(len(bodies), self.settings.gaits, dtype=torch.int64, device=env.device)
@@ -190,7 +190,7 @@ class GaitEvaluator:
 
 
 def _as_policy(gait: Gait, body: Design, columns: Iterable[slice]) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Return a gait as the state of a policy and its specification; ``columns``: of the terms of the observation."""
+    """Convert a gait to a policy's state and specification; ``columns``: of the observation's terms."""
     driven = np.flatnonzero(body >= Cell.H_ACT)
     num_obs = sum(part.stop - part.start for part in columns) + 1  # with the time
     stages, rows, width = gait.phase.shape

@@ -1,4 +1,4 @@
-"""Open-loop gaits and their variation in a design search: random gaits, mutants, single motions."""
+"""Open-loop gaits, and their random sampling and mutation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,14 +9,14 @@ from warpvox.design import Design
 from warpvox.types import Cell
 
 _PERIODS = (5.0, 40.0)
-"""Shortest and longest period of a travelling wave, in control steps."""
+"""Shortest and longest period of a random travelling wave, in control steps."""
 SHORTEST, LONGEST = 3.0, 400.0
-"""Limits of mutated periods, in control steps."""
+"""Limits of mutated periods in control steps."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gait:
-    """Motion without feedback, for any body in a grid: in each stage a sinusoid for each cell.
+    """An open-loop gait for bodies in a grid: in each stage, a sinusoid for each cell.
 
     In control step t, of stage s, the action of an actuator in cell c is
     ``1.1 + 0.5 * clip(rest[s, c] + amplitude[s, c] * sin(2 pi t / period[s] + phase[s, c]), -1, 1)``.
@@ -36,17 +36,17 @@ class Gait:
     rest: np.ndarray
 
     def __post_init__(self) -> None:
-        """Round all values to float32, and store them as float64."""
+        """Round all values to float32, stored as float64."""
         for name, values in vars(self).items():
             object.__setattr__(self, name, values.astype(np.float32).astype(np.float64))
 
 
 Motion = tuple[float, np.ndarray, np.ndarray, np.ndarray]
-"""Motion of one stage: period, amplitude, phase and rest."""
+"""Motion of one stage: period, amplitude, phase and rest position."""
 
 
 def motions_of(gait: Gait) -> tuple[tuple[int, Motion], ...]:
-    """Return the motions of a gait, each with the control step in which it begins."""
+    """Split a gait into its motions, each with the control step at which it begins."""
     found = []
     for stage, begin in enumerate(map(int, gait.begin)):
         is_last = stage == len(gait.begin) - 1
@@ -58,14 +58,14 @@ def motions_of(gait: Gait) -> tuple[tuple[int, Motion], ...]:
 
 
 def gait_of(motions: Sequence[tuple[int, Motion]]) -> Gait:
-    """Make a gait from its motions; the inverse of :func:`motions_of`."""
+    """Join motions to a gait; the inverse of :func:`motions_of`."""
     begins = [begin for begin, _ in motions]
     periods, amplitudes, phases, rests = zip(*(motion for _, motion in motions), strict=True)
     return Gait(np.array(begins), np.array(periods), np.array(amplitudes), np.array(phases), np.array(rests))
 
 
 def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -> Gait:
-    """Draw a random gait: a wave or a pose in each stage, or one motion for the whole episode.
+    """Sample a random gait: a wave or a pose in each stage, or one motion for the whole episode.
 
     Stages are short at the beginning of the episode as often as at its end, which alone counts in some tasks.
     """
@@ -82,7 +82,7 @@ def draw_gait(rng: np.random.Generator, body: Design, steps: int, stages: int) -
 
 
 def with_stages(gait: Gait, stages: int, steps: int) -> Gait:
-    """Return a gait with the same motion in ``stages`` stages, made by halving the longest stage repeatedly."""
+    """Split the stages of a gait in halves, the longest first, up to ``stages`` stages of equal motion."""
     begin = [int(time) for time in gait.begin]
     source = list(range(len(gait.begin)))  # the stage whose motion each of the new ones has
     while len(begin) < stages:
@@ -95,7 +95,7 @@ def with_stages(gait: Gait, stages: int, steps: int) -> Gait:
 
 
 def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
-    """Draw a random wave or pose."""
+    """Sample a random wave or pose."""
     vertical = body == Cell.V_ACT
 
     # A pose: each actuator at its longest or shortest; as often all of a kind alike as each at random
@@ -121,7 +121,7 @@ def draw_motion(rng: np.random.Generator, body: Design) -> Motion:
 
 
 def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
-    """Return a mutant of ``gait`` with one to three changes, each to one stage or to all."""
+    """Mutate ``gait`` by one to three changes, each to one stage or to all."""
     stages = len(gait.begin)
     # Three mutants of ten get another motion in one stage, which leaves earlier stages as they were.
     if stages > 1 and rng.random() < 0.3:
@@ -137,7 +137,7 @@ def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) 
 
 
 def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design, begin: int) -> Motion:
-    """Return a mutant of ``motion`` with one to three changes; it begins at control step ``begin``."""
+    """Mutate ``motion`` by one to three changes; ``begin`` is its first control step."""
     gait = gait_of([(begin, motion)])
     everywhere = np.ones(1, bool)
     for _ in range(rng.integers(1, 4)):
@@ -146,7 +146,7 @@ def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design, begin:
 
 
 def _replace_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: int) -> Gait:
-    """Return ``gait`` with another motion, random or from another stage, in one stage or all from there on."""
+    """Replace the motion of one stage, or of all later stages too, by a random one or another stage's."""
     # Stage to change, and its new motion
     stages = len(gait.begin)
     first, source = rng.integers(stages, size=2)
@@ -168,7 +168,7 @@ def _replace_motion(rng: np.random.Generator, gait: Gait, body: Design, steps: i
 
 
 def _draw_change(rng: np.random.Generator, gait: Gait, body: Design, steps: int, chosen: np.ndarray) -> dict:
-    """Draw one change of ``gait`` and return the changed fields; ``chosen``: stages that change, bool ``[stages]``."""
+    """Draw one random change of ``gait`` and return the changed fields; ``chosen``: mask of stages to change."""
     # Small and large mutations are equally likely.
     size = _log_uniform(rng, (0.02, 1.0))
     cells = chosen[:, None, None] * (rng.random(body.shape) < rng.choice([0.08, 0.3, 1.0]))
@@ -202,12 +202,12 @@ def _draw_change(rng: np.random.Generator, gait: Gait, body: Design, steps: int,
 
 
 def _cell_positions(body: Design) -> tuple[np.ndarray, np.ndarray]:
-    """Return x (to the right) and y (up) of each cell, relative to the mean position of the body's voxels."""
+    """Return x (right) and y (up) of each cell relative to the mean position of the body's voxels."""
     rows, columns = np.nonzero(body)
     row, column = np.mgrid[: body.shape[0], : body.shape[1]]
     return column - columns.mean(), rows.mean() - row
 
 
 def _log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
-    """Draw a number between ``limits`` whose logarithm is uniformly distributed."""
+    """Draw a number between ``limits`` from a log-uniform distribution."""
     return float(np.exp(rng.uniform(*np.log(limits))))

@@ -1,4 +1,4 @@
-"""Weight inheritance between different bodies: inputs and outputs are matched by their grid position."""
+"""Weight inheritance between different bodies: inputs and outputs are matched by grid position."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from warpvox.types import Cell
 
 @dataclass(frozen=True)
 class BodyLayout:
-    """Meaning of each entry of a design's observations and actions.
+    """Names of all observations and actions of a design, by grid position.
 
     ``columns`` name an axis and a corner of the body's grid, or an entry of a term that is not about points;
     ``actuators`` give the row, column and type of a cell. Equal names mean the same thing in different bodies.
@@ -28,7 +28,7 @@ class BodyLayout:
 
     @staticmethod
     def of(env: VoxelVecEnv, design: int) -> BodyLayout:
-        """Return the layout of the design with index ``design`` in ``env``."""
+        """Return the layout of design number ``design`` in ``env``."""
         body = env.designs[design]
         first_env = design * env.num_envs // env.num_designs
         mesh = env.sim.designs[int(env.sim.design_index[first_env])].body(ROBOT)
@@ -68,7 +68,7 @@ class BodyLayout:
 def copy_weights(
     actor: MLPModel, critic: MLPModel, child: BodyLayout, parent: BodyLayout, policy: dict[str, torch.Tensor]
 ) -> None:
-    """Initialise a child's networks with its parent's policy.
+    """Initialise a child's networks from its parent's policy.
 
     Weights of shared inputs and outputs, hidden layers and running moments come from the parent. New inputs of the
     child have weights of 0; new outputs keep their initial weights and deviation. The value function keeps its initial
@@ -108,7 +108,7 @@ def copy_weights(
 
 
 def _matches(child: tuple[tuple, ...], parent: tuple[tuple, ...]) -> tuple[list[int], list[int]]:
-    """Return the indices of names that both have: in the child, and in the parent."""
+    """Find names that both lists contain; return their indices in the child's list and in the parent's."""
     where = {name: k for k, name in enumerate(parent)}
     mine = [k for k, name in enumerate(child) if name in where]
     theirs = [where[child[k]] for k in mine]
@@ -116,7 +116,7 @@ def _matches(child: tuple[tuple, ...], parent: tuple[tuple, ...]) -> tuple[list[
 
 
 def _copy(own: torch.Tensor, old: torch.Tensor | None, rows: tuple | None, columns: tuple | None, name: str) -> None:
-    """Copy the matched rows and columns of ``old`` into ``own``; None: the sizes must agree and all are copied."""
+    """Copy the matched rows and columns of ``old`` into ``own``; None: copy all, with equal sizes."""
     free = [axis for axis, pairs in enumerate((rows, columns)) if pairs is None and axis < own.ndim]
     if old is None or old.ndim != own.ndim or any(old.shape[axis] != own.shape[axis] for axis in free):
         found = "nothing" if old is None else list(old.shape)

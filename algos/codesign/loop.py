@@ -1,4 +1,4 @@
-"""The co-design loop: a search proposes designs, an executor evaluates them, the archive stores the results.
+"""The co-design loop: the search proposes designs, the executor evaluates them, the archive stores results.
 
 A search depends on its settings, its seed and the fitness it was told, and a training on the seed of its candidate. So
 an experiment resumes from its archive alone: the search is replayed, and candidates without a result are evaluated.
@@ -34,7 +34,7 @@ from warpvox.errors import DivergenceError, RunError, SearchError
 
 @dataclass
 class Loop:
-    """Asks the search for designs, evaluates them and stores the results, until the search ends or is interrupted.
+    """Runs a design search: asks for designs, evaluates them and stores the results, until it ends or is interrupted.
 
     Attributes:
         search: must not have been asked yet.
@@ -59,7 +59,7 @@ class Loop:
     generation: int = field(default=0, init=False)
 
     def run(self) -> None:
-        """Run generations until the search has spent its evaluations.
+        """Run generations until the search has spent its budget.
 
         The first interrupt waits until the evaluation next reports; the batch under way is evaluated again, to the
         same bits, when the search goes on.
@@ -110,7 +110,7 @@ class Loop:
                     interrupt.raise_interrupt()
 
     def _replay(self) -> None:
-        """Restore the state of the search and ``generation`` from the finished generations in the archive."""
+        """Restore the search and ``generation`` from the finished generations in the archive."""
         history = []
         for row in self.archive.generations():
             if row["evaluated"] == row["designs"]:
@@ -128,7 +128,7 @@ class Loop:
         self.generation = len(history)
 
     def _store_proposals(self, candidates: Sequence[Candidate]) -> None:
-        """Store new ``candidates``, or raise RunError if a resumed search proposes others than it has stored."""
+        """Store new ``candidates``; RunError if a resumed search proposes others than before."""
         stored = self.archive.records(self.generation)
         if stored:
             proposed = [_identity(candidate) for candidate in candidates]
@@ -148,7 +148,7 @@ class Loop:
     def _unfinished_batches(
         self, candidates: Sequence[Candidate], originals: Mapping[int, int], finished: Container[int]
     ) -> list[Batch]:
-        """Return the batches in which at least one candidate has no result yet.
+        """Return the batches with at least one candidate still to evaluate.
 
         All candidates are cut into batches before finished batches are dropped, so that a resumed generation trains the
         same designs together.
@@ -161,7 +161,7 @@ class Loop:
         return unfinished
 
     def _evaluate(self, work: Sequence[Batch], interrupt: Interrupt) -> Iterator[tuple[Batch, list[Outcome]]]:
-        """Evaluate the batches in ``work``; yield each with its outcomes when it is finished."""
+        """Evaluate the batches in ``work``; yield each with its outcomes once finished."""
 
         def report(index: int, event: dict[str, Any]) -> None:
             for listener in self.listeners:
@@ -174,7 +174,7 @@ class Loop:
             yield batch, checked_outcomes(outcomes, len(batch.candidates))
 
     def _store(self, batch: Batch, outcomes: Sequence[Outcome], seconds: float) -> None:
-        """Store the outcomes of a batch and their policies; ``seconds``: wall time that the batch has taken."""
+        """Store a batch's outcomes and policies; ``seconds``: wall-clock time of its evaluation."""
         results = []
         for candidate, outcome in zip(batch.candidates, outcomes, strict=True):
             file = sha256 = None
@@ -186,13 +186,13 @@ class Loop:
         self._notify_finished([result.id for result in results])
 
     def _notify_finished(self, numbers: Sequence[int]) -> None:
-        """Pass the records of the candidates with these ids to the listeners."""
+        """Pass the records of the candidates with these ids to all listeners."""
         records = [self.archive.record(number) for number in numbers]
         for listener in self.listeners:
             listener.finished(records)
 
     def _rank_diverged(self) -> None:
-        """Give diverged candidates the worst fitness so far. DivergenceError: all of the generation diverged."""
+        """Give diverged candidates the worst fitness so far; DivergenceError if the whole generation diverged."""
         records = self.archive.records(self.generation)
         if all(record.diverged for record in records) and (len(records) > 1 or not self.archive.best()):
             raise DivergenceError(
@@ -203,7 +203,7 @@ class Loop:
         self.archive.rank_diverged(self.generation)
 
     def _originals(self, candidates: Sequence[Candidate]) -> dict[int, int]:
-        """Return, for each candidate whose body was proposed before, the id of the first with that body."""
+        """Map each candidate with an earlier proposed body to the id of the first candidate with this body."""
         if not self.reuse:
             return {}
         first_ids: dict[str, int] = {}
@@ -220,7 +220,7 @@ class Loop:
         return originals
 
     def _copy(self, number: int, original: int) -> Finished:
-        """Return a result for candidate ``number``: that of ``original``, which has the same body."""
+        """Build a result for candidate ``number`` from ``original``, a candidate with the same body."""
         record = self.archive.record(original)
         # 0 steps, because none were simulated: all steps must sum to the cost of the experiment
         fitness = -math.inf if record.diverged else cast(float, record.fitness)
@@ -228,7 +228,7 @@ class Loop:
         return Finished(number, outcome, record.policy, record.policy_sha256, reused=original)
 
     def _parents(self, work: Sequence[Batch]) -> Parents:
-        """Return the parents of all candidates in ``work`` whose policies are stored; empty without inheritance."""
+        """Load the parents of the candidates in ``work`` with their policies; empty without inheritance."""
         if not self.inherit or self.policies is None:
             return {}
         numbers = {number for batch in work for candidate in batch.candidates for number in candidate.parents}
@@ -243,12 +243,12 @@ class Loop:
 
 
 def _identity(candidate: Candidate) -> tuple[int, str, tuple[int, ...], str]:
-    """Return the parts of a candidate that must be equal when a resumed search proposes it again."""
+    """Return the parts of a candidate that a resumed search must reproduce."""
     return candidate.id, body_text(candidate.body), tuple(candidate.parents), candidate.origin
 
 
 Report = Callable[[int, dict[str, Any]], None]
-"""Called with the index of a batch and the progress of its evaluation."""
+"""Callback with the index of a batch and the progress of its evaluation."""
 
 
 @dataclass(frozen=True)
@@ -259,10 +259,10 @@ class Batch:
 
 
 class Executor(Protocol):
-    """Evaluates batches of candidates. The results must not depend on where and in what order."""
+    """Protocol of executors: evaluate batches of candidates, with results independent of place and order."""
 
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
-        """Yield the index of each batch in ``work`` with its outcomes, as they finish.
+        """Evaluate the batches in ``work``; yield each one's index and outcomes as they finish.
 
         Args:
             parents: as for :class:`warpvox.algos.candidate.DesignEvaluator`.
@@ -270,11 +270,11 @@ class Executor(Protocol):
         ...
 
     def close(self) -> None:
-        """Release the workers."""
+        """Stop the workers."""
 
 
 class LocalExecutor(Executor):
-    """Evaluates batches one after another in this process.
+    """Executor that evaluates batches one after another in this process.
 
     Args:
         alone: make other threads of this process that train or evaluate wait meanwhile.
@@ -292,7 +292,7 @@ class LocalExecutor(Executor):
 
 
 def batches(candidates: Sequence[Candidate], size: int | None) -> list[Batch]:
-    """Cut ``candidates`` into batches of ``size`` that are trained together; None: a single batch.
+    """Split ``candidates`` into batches of ``size`` that are trained together; None: a single batch.
 
     The cut depends on nothing but the candidates, so that a resumed experiment, or one on other machines, trains the
     same designs together.

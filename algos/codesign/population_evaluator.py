@@ -1,4 +1,4 @@
-"""Evaluation of designs by training a policy for each, all in one batch."""
+"""Evaluation of designs by training one policy each, all in one batch."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from warpvox.envs.vec_env import VoxelVecEnv
 
 @dataclass(frozen=True)
 class PopulationEvaluator:
-    """Trains a policy for each candidate, all in one batch; fitness is the best deterministic evaluation.
+    """Evaluator that trains one policy per candidate in one batch; fitness is the best evaluation.
 
     With ``settings.rungs`` the worst candidates are stopped early (successive halving). A candidate whose learning
     diverges is stopped too, with the fitness it had reached (-inf: none).
@@ -31,7 +31,7 @@ class PopulationEvaluator:
     seed: int = 0
 
     def evaluate(self, candidates: Sequence[Candidate], parents: Parents, report: Report = None) -> list[Outcome]:
-        """Train the candidates and return their outcomes; an error for lack of memory says what to reduce."""
+        """Train the candidates and return their outcomes; out-of-memory errors say what to reduce."""
         count = len(candidates)
         half = -(-count // 2)
         fewer = f"batch={half} trains {half} designs at once instead of {count}; " if count > 1 else ""
@@ -43,7 +43,7 @@ class PopulationEvaluator:
             return self._train(candidates, parents, report)
 
     def _train(self, candidates: Sequence[Candidate], parents: Parents, report: Report) -> list[Outcome]:
-        """Train, evaluate and halve until ``settings.iterations`` or until no candidate is active."""
+        """Train and evaluate the candidates, dropping the worst at each rung of successive halving."""
         settings = self.settings
         outcomes = [Outcome(-math.inf) for _ in candidates]
         active = list(range(len(candidates)))  # candidates that are trained, in the order of the batch
@@ -54,7 +54,7 @@ class PopulationEvaluator:
                 inherit_policy(self.factory, parent, env, design, networks)
 
         def keep(places: list[int]) -> None:
-            """Stop the others; ``places``: of those in the batch that go on."""
+            """Stop all candidates except those at ``places`` in the batch."""
             nonlocal active
             if len(places) == len(active):
                 return
@@ -113,12 +113,12 @@ class PopulationEvaluator:
 
 
 def best_parent(candidate: Candidate, parents: Parents) -> Parent | None:
-    """Return the fittest parent of ``candidate`` that ``parents`` contains; None: none; the first of equals."""
+    """Return the fittest parent of ``candidate`` in ``parents``, the first one in ties, or None."""
     known = [parents[number] for number in candidate.parents if number in parents]
     return max(known, key=lambda parent: parent.fitness, default=None)
 
 
 def inherit_policy(factory: EnvFactory, parent: Parent, env: VoxelVecEnv, design: int, networks: Any) -> None:
-    """Initialise ``networks.actor`` and ``networks.critic`` of a design in ``env`` with the parent's policy."""
+    """Initialise the networks of a design in ``env`` from its parent's policy."""
     old = BodyLayout.of(factory.make([parent.body], 1, [0], auto_reset=False), 0)
     copy_weights(networks.actor, networks.critic, BodyLayout.of(env, design), old, parent.policy)

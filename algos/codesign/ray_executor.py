@@ -1,4 +1,4 @@
-"""Evaluation of designs in many processes and on many machines by Ray; batches of lost workers are repeated."""
+"""Executor on many processes and machines by Ray; batches of lost workers are repeated."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from warpvox.errors import ConfigError, RunError, WarpvoxError, first_line
 from warpvox.system import safe_start
 
 POLL_SECONDS = 0.5
-"""Seconds between two requests for progress."""
+"""Seconds between requests for progress."""
 MAX_ATTEMPTS = 3
-"""Number of workers that a batch may end before it is given up."""
+"""Number of lost workers after which a batch is given up."""
 WORKER_TIMEOUT = 600.0
-"""Seconds to wait for a worker while there is none."""
+"""Seconds to wait while no worker is running."""
 
 
 class _Worker:
-    """Ray actor that evaluates batches in one thread and reports progress in another, in the folder ``here``."""
+    """Ray actor that evaluates batches in one thread and reports progress from another."""
 
     def __init__(self, make: Callable[[], DesignEvaluator], here: Path) -> None:
-        """Change to the folder ``here`` if it exists; ``make`` builds the evaluator at the first evaluation."""
+        """Change to the folder ``here`` if it exists; ``make`` creates the evaluator on first use."""
         # Relative paths mean what they mean in the program; other machines may lack its folder.
         with suppress(OSError):
             os.chdir(here)
@@ -40,23 +40,23 @@ class _Worker:
         self._events: deque[dict[str, Any]] = deque(maxlen=100)
 
     def ready(self) -> int:
-        """Return the process id; Ray answers the call once the process is running."""
+        """Return the process id, as proof that the process runs."""
         return os.getpid()
 
     def evaluate(self, candidates: Sequence[Candidate], parents: Parents) -> list[Outcome]:
-        """Build the evaluator at the first call, and return the outcomes of ``candidates``."""
+        """Evaluate ``candidates`` and return their outcomes."""
         self._events.clear()  # drop unread events of the batch before
         # Build it in this thread: some settings of torch belong to the thread that sets them.
         self._evaluator = self._evaluator or self._make()
         return self._evaluator.evaluate(candidates, parents, self._events.append)
 
     def events(self) -> list[dict[str, Any]]:
-        """Return the progress events since the last call, and forget them."""
+        """Return and clear the progress events since the last call."""
         return [self._events.popleft() for _ in range(len(self._events))]
 
 
 class RayExecutor:
-    """Distributes batches over workers, each a process with its own evaluator.
+    """Executor that distributes batches over Ray workers, each a process with its own evaluator.
 
     Results do not depend on the workers: a batch is evaluated whole, by its candidates' seeds.
 
@@ -92,7 +92,7 @@ class RayExecutor:
         return _Handle(actor, actor.ready.options(concurrency_group="watch").remote())
 
     def run(self, work: Sequence[Batch], parents: Parents, report: Report) -> Iterator[tuple[int, list[Outcome]]]:
-        """Yield the index of each batch in ``work`` with its outcomes, as workers finish.
+        """Evaluate the batches in ``work`` on the workers; yield each one's index and outcomes as they finish.
 
         Raises:
             RunError: no worker was available for too long, or a batch has ended too many workers.
@@ -129,7 +129,7 @@ class RayExecutor:
                     yield place, outcomes
 
     def _assign(self, work: Sequence[Batch], parents: Parents, waiting: deque[int]) -> None:
-        """Give waiting batches to workers that have started and are idle; replace workers that failed to start."""
+        """Assign waiting batches to idle workers, and replace workers that failed to start."""
         for number, worker in enumerate(self._workers):
             if not waiting:
                 return
@@ -147,7 +147,7 @@ class RayExecutor:
             worker.task = method.remote(list(batch.candidates), own)
 
     def _collect(self, worker: _Handle) -> list[Outcome] | None:
-        """Return the outcomes of a worker's finished task; if the worker was lost, replace it and return None."""
+        """Return the outcomes of a finished worker; replace a lost worker and return None."""
         errors = self._ray.exceptions
         task = worker.task
         worker.place = worker.task = worker.news = None
@@ -162,7 +162,7 @@ class RayExecutor:
             return None
 
     def _events(self, worker: _Handle) -> list[dict[str, Any]]:
-        """Return the progress events of a busy worker; empty if there are none or it does not answer."""
+        """Return a busy worker's new progress events; empty if it does not answer."""
         if worker.news is None:
             worker.news = worker.actor.events.options(concurrency_group="watch").remote()
         if not self._is_done(worker.news):
@@ -179,12 +179,12 @@ class RayExecutor:
         return bool(self._ray.wait([reference], timeout=0)[0])
 
     def close(self) -> None:
-        """Stop the workers, and Ray itself if it was started here."""
+        """Stop the workers, and Ray itself if started by this process."""
         self._ray.shutdown()
 
 
 class _Handle:
-    """A worker as the main process sees it.
+    """A worker and its present batch, in the main process.
 
     ``actor``: Ray's handle; ``up``: future of its start; ``place``: index of the batch that it evaluates (None: idle);
     ``task`` and ``news``: futures of the evaluation and of the next progress events.
@@ -199,7 +199,7 @@ class _Handle:
 
 
 def connect(address: str | None, workers: int | None, cpus: int, gpus: float | None) -> tuple[Any, int, float]:
-    """Connect to a Ray cluster or start Ray here; return the module, the number of workers, and the GPUs of each.
+    """Connect to a Ray cluster or start Ray here; return the module, number of workers and GPUs per worker.
 
     Args:
         workers, address, cpus, gpus: as for :class:`RayExecutor`, which also says what is raised.

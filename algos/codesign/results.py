@@ -1,4 +1,4 @@
-"""The results of a design search: report, pictures and summary in its folder, and the object that it returns."""
+"""Results of a design search: report, pictures and summary in its folder, and the returned object."""
 
 import dataclasses
 import time
@@ -38,14 +38,14 @@ from warpvox.view.render import Film
 from warpvox.view.rollout import record
 
 FRESH = 64
-"""Number of episodes with fresh seeds that a winner is evaluated in, where episodes differ."""
+"""Number of episodes with unused seeds for the final evaluation of the winner of a random task."""
 
 
 class Results(Listener):
-    """Keeps ``generations/<n>.png``, ``report.html`` and ``summary.json`` of a running search up to date."""
+    """Listener that keeps a search's pictures, ``report.html`` and ``summary.json`` up to date."""
 
     def __init__(self, folder: Path, archive: Archive, settings: Codesign) -> None:
-        """Continue the time and the results of a ``summary.json`` in ``folder``, if there is one."""
+        """Open the results in ``folder``, continuing from an existing ``summary.json``."""
         self.folder = folder
         self.archive = archive
         self.settings = settings
@@ -54,13 +54,13 @@ class Results(Listener):
         self._began = time.monotonic() - summary.get("elapsed_seconds", 0.0)  # continue the time of a resumed search
 
     def told(self, generation: int, fresh: bool) -> None:
-        """Draw the best designs; for a newly finished generation also write report and summary."""
+        """Draw the best designs, and write report and summary after a new generation."""
         self.draw(generation, keep=not fresh)
         if fresh:
             self.write("running")
 
     def draw(self, generation: int, keep: bool = True) -> Path:
-        """Draw the best designs up to ``generation`` as PNG and return its path; ``keep``: leave an existing file."""
+        """Draw the best designs up to ``generation`` as PNG; return its path. ``keep``: do not overwrite."""
         path = self.folder / "generations" / f"{generation:03}.png"
         best = self.archive.best(self.settings.top, generation)
         if not best or (keep and path.is_file()):
@@ -70,7 +70,7 @@ class Results(Listener):
         return save_png(draw_bodies([record.candidate.body for record in best], captions, title), path)
 
     def write(self, status: str) -> dict[str, Any]:
-        """Write report and summary; return the summary."""
+        """Write report and summary; return the summary as a dictionary."""
         rows = self.archive.generations()
         best = next(iter(self.archive.best()), None)
         steps = sum(row["steps"] or 0 for row in rows)
@@ -97,7 +97,7 @@ class Results(Listener):
         return summary
 
     def _screening(self) -> dict[str, Any]:
-        """Return summary entries about the designs that were compared without training each."""
+        """Return summary entries for searches that compare designs without training each."""
         screened = [record for record in self.archive.records() if record.candidate.origin != FINALIST]
         known = [record.fitness for record in screened if record.fitness is not None]
         return {
@@ -124,7 +124,7 @@ class Results(Listener):
         write_text(self.folder / REPORT, report_page(self.archive, facts, self.folder))
 
     def film(self, settings: Any) -> None:
-        """Write a short animation of each of the best designs beside its policy, unless it exists.
+        """Write a short animation of each of the best designs beside its policy, unless there is one.
 
         Designs without a policy, or whose policy is gone or damaged, are left out. ``settings`` have the code that the
         user has named.
@@ -144,7 +144,7 @@ class Results(Listener):
 
 
 def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
-    """Evaluate the best design in episodes with a seed that its search has not used; return the mean return.
+    """Evaluate the best design in episodes with an unused seed; return the mean return.
 
     Each design is judged by few episodes, always the same, and the best of many is chosen by them: that return is too
     good for what else the task, or the noise of ``protocol=noise``, may draw.
@@ -166,12 +166,12 @@ def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
 
 
 def fresh_text(facts: Mapping[str, Any]) -> str:
-    """Return the winner's mean return over fresh seeds as text, from the summary's ``fresh_seeds``."""
+    """Format the winner's mean return over unused seeds, from the summary's ``fresh_seeds``."""
     return f"{fresh_interval(facts)} in {facts['episodes']} episodes"
 
 
 def evaluated_text(summary: Mapping[str, Any]) -> str:
-    """Return the number of evaluated designs as text; finalists are counted separately."""
+    """Format the number of evaluated designs, with finalists counted separately."""
     finalists = summary.get("finalists", 0)
     text = counted(summary["evaluations"] - finalists, "designs")
     return f"{text} and {counted(finalists, 'finalists')}" if finalists else text
@@ -179,7 +179,7 @@ def evaluated_text(summary: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Found:
-    """The result of a design search that has ended.
+    """Result of a finished design search.
 
     Attributes:
         folder: archive, policies and report of the search, as ``warpvox play run=FOLDER`` takes it.
@@ -195,7 +195,7 @@ class Found:
 
     @cached_property
     def designs(self) -> list[Record]:
-        """All designs with a result, best first: body, fitness, learning curve, ancestors.
+        """Evaluated designs, best first: body, fitness, learning curve, ancestors.
 
         Equal bodies come once, but for a finalist and the design that it comes from.
         """
@@ -231,7 +231,7 @@ class Found:
 
     @property
     def curve(self) -> dict[str, np.ndarray]:
-        """Progress of the search: ``evaluations`` and ``steps`` (int64), ``best`` return (float64); ``[n]`` each.
+        """Progress of the search, ``[n]`` each: ``evaluations`` and ``steps`` (int64), ``best`` return (float64).
 
         The best return never falls, and ends at that of :attr:`best`. Finalists are evaluations, too; where the other
         designs were only compared by a common policy, the curve begins with the finalists, once there are some.
@@ -250,7 +250,7 @@ class Found:
         return f"Found({self.settings.task}, {evaluated_text(self.summary)}, {best}, {where})"
 
     def _repr_html_(self) -> str:
-        """Return the best bodies with their returns, and the curve, as HTML, for notebooks."""
+        """Show the best bodies with their returns, and the curve, as HTML for notebooks."""
         with Archive.read(self.folder / ARCHIVE) as archive:
             best = archive.best(5)
         cells = "".join(

@@ -1,4 +1,4 @@
-"""Stored robots made from searches and trainings, and the robots that a search starts from (``start``)."""
+"""Stored robots made from searches and trainings, and the robots that start a search."""
 
 import shutil
 from collections.abc import Sequence
@@ -17,11 +17,11 @@ from warpvox.errors import ConfigError, RunError
 from warpvox.runs import ZOO
 
 _COPIES = Path("training") / "start"
-"""Subfolder of a search with copies of its first robots: a resumed search does not depend on other files."""
+"""Subfolder with copies of the robots that a search started from, so that resuming needs no other files."""
 
 
 def read_start(settings: Codesign, folder: Path | None = None) -> list[Robot]:
-    """Load the robots that the first generation contains, from ``settings.start`` or their copies in ``folder``.
+    """Load the robots of the first generation from ``settings.start``, or their copies in ``folder``.
 
     Args:
         folder: of the search, which has copies; None: there are none yet.
@@ -50,14 +50,14 @@ def read_start(settings: Codesign, folder: Path | None = None) -> list[Robot]:
 
 
 def keep_start(robots: Sequence[Robot], folder: Path) -> None:
-    """Copy the robots into the folder of a new search, replacing copies that an earlier attempt left there."""
+    """Copy the starting robots into the folder of a new search."""
     shutil.rmtree(folder / _COPIES, ignore_errors=True)
     for number, robot in enumerate(robots):
         save_robot(folder / _COPIES / f"{number}.npz", robot)
 
 
 def robots_of(source: str | Path, top: int = 1) -> list[Robot]:
-    """Return the best designs of a search, or the robot of a training, as stored robots, best first.
+    """Convert the best designs of a search, or the result of a training, to stored robots, best first.
 
     Args:
         source: folder of a design search, of a design in one (``designs/17``) or of a training, or a checkpoint in the
@@ -90,7 +90,7 @@ def robots_of(source: str | Path, top: int = 1) -> list[Robot]:
 
 
 def _robots_of_search(folder: Path, records: Sequence[Record]) -> list[Robot]:
-    """Return designs of the search in ``folder`` as stored robots."""
+    """Convert designs of the search in ``folder`` to stored robots."""
     run = find_codesign(str(folder), "")
     robots = []
     for record in records:
@@ -101,5 +101,5 @@ def _robots_of_search(folder: Path, records: Sequence[Record]) -> list[Robot]:
 
 
 def _robot(task: str, body: np.ndarray, checkpoint: Path) -> Robot:
-    """Return a fully connected robot with the policy of a checkpoint."""
+    """Create a stored robot from a body and the policy of a checkpoint."""
     return Robot(task, body, full_connections(body).T, read_policy(checkpoint))

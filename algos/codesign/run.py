@@ -1,4 +1,4 @@
-"""A design search from its settings: checks everything, then runs the loop with its archive in a folder."""
+"""Running of a design search from its settings: validation, folder, archive and loop."""
 
 import copy
 import dataclasses
@@ -48,7 +48,7 @@ from warpvox.types import Cell
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """A design search whose settings have been checked, ready to run.
+    """A design search with validated settings, ready to run.
 
     Attributes:
         settings: with names replaced by values: settings, constants and, for ``executor=local``, the device.
@@ -76,7 +76,7 @@ def plan_codesign(
     search: Search | None = None,
     evaluator: DesignEvaluator | None = None,
 ) -> Plan:
-    """Check all settings and return the plan of the search; nothing is written.
+    """Validate all settings and return the plan of the search, without writing any file.
 
     Args:
         place: as in :class:`Plan`.
@@ -122,12 +122,12 @@ def plan_codesign(
 
 
 def environments(settings: Codesign) -> int:
-    """Return the largest number of environments that are stepped together; 1 if it is not known."""
+    """Return the largest number of environments stepped together; 1 if unknown."""
     return max((batch.designs * batch.envs for batch in settings.fitness.workloads(settings)), default=1)
 
 
 def _ask_for_memory(settings: Codesign) -> None:
-    """Raise MemoryLimitError, naming what would fit, if designs that fill their grid need too much memory."""
+    """Raise MemoryLimitError if the largest designs need too much memory; the message says what would fit."""
     spec = get_task(settings.task).under(settings.rules)
     grid = None if settings.dtype == "float64" else tuple(settings.shape)
     sim = dataclasses.replace(sim_of(settings), grid=grid).resolved(environments(settings))
@@ -146,7 +146,7 @@ def _ask_for_memory(settings: Codesign) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class SearchRun:
-    """A running design search, as listeners see it.
+    """A running design search as seen by listeners.
 
     Attributes:
         folder: of the run.
@@ -173,7 +173,7 @@ def run_codesign(
     executor: Executor | None = None,
     finish: Callable[[Found], object] = lambda _: None,
 ) -> Found:
-    """Run the design search of ``plan``, new or resumed, and return its result.
+    """Run the design search of ``plan``, new or resumed, and return the result.
 
     Args:
         executor: where designs are evaluated; None: where the settings say.
@@ -256,7 +256,7 @@ def run_codesign(
 def _run_to_end(
     run: SearchRun, loop: Loop, results: Results, settings: Codesign, listeners: Sequence[Listener]
 ) -> dict[str, Any]:
-    """Run the loop, evaluate the winner, write the summary and return it; notify listeners however it ends."""
+    """Run the loop, evaluate the winner and write the summary; listeners are always notified of the end."""
     status = "failed"
     summary: dict[str, Any] = {}
     begun = []
@@ -283,7 +283,7 @@ def _run_to_end(
 
 
 def _check_same(previous: Mapping[str, Any], values: Mapping[str, Any], folder: Path) -> None:
-    """Raise RunError if ``values`` differ from ``previous``, the settings in ``folder``, but for CHANGEABLE keys."""
+    """Raise RunError if settings changed since the search in ``folder`` began, except for CHANGEABLE keys."""
     before = flat(previous)
     now = flat(values)
     for key in now | before:
@@ -294,7 +294,7 @@ def _check_same(previous: Mapping[str, Any], values: Mapping[str, Any], folder: 
 
 
 def _batch_size(settings: Codesign, workers: int, previous: Mapping[str, Any]) -> int | None:
-    """Return how many designs are evaluated together, see the key ``batch``; None: a whole generation.
+    """Return the number of designs evaluated together (key ``batch``); None: a whole generation.
 
     Args:
         workers: of Ray; 0: this process.
@@ -316,7 +316,7 @@ def _batch_size(settings: Codesign, workers: int, previous: Mapping[str, Any]) -
 
 
 def _config_of_design(settings: Codesign, task: str, candidate: Candidate, outcome: Outcome) -> str:
-    """Return the text of ``config.yaml`` beside a design's policy: of a training that can be played."""
+    """Return the ``config.yaml`` for a design's policy, as of a training, so that it can be played."""
     # Settings that a design's training shares with its search
     shared = (
         "rules", "seed", "device", "dtype", "arithmetic", "threads", "torch_threads", "output_dir", "protocol"
@@ -349,7 +349,7 @@ def _config_of_design(settings: Codesign, task: str, candidate: Candidate, outco
 
 
 def _make_executor(plan: Plan) -> Executor:
-    """Return the executor that the settings choose: this process, or workers of Ray."""
+    """Create the executor chosen in the settings: this process, or Ray workers."""
     settings = plan.settings
     if settings.executor == "local":
         # `alone` would deadlock code of the user's that waits for its own training threads.
@@ -364,7 +364,7 @@ def _make_executor(plan: Plan) -> Executor:
 
 
 def _make_evaluator(settings: Codesign, known: Any, evaluator: DesignEvaluator | None) -> DesignEvaluator:
-    """Return ``evaluator``, or build the one of the settings; called in the process that evaluates."""
+    """Return ``evaluator``, or create the evaluator of the settings."""
     start_warp()
     if evaluator is not None:
         return evaluator
@@ -373,7 +373,7 @@ def _make_evaluator(settings: Codesign, known: Any, evaluator: DesignEvaluator |
 
 
 def _make_evaluator_on_worker(settings: Codesign, known: Any, evaluator: DesignEvaluator | None) -> DesignEvaluator:
-    """Set torch's threads and seed in a worker process, and return the evaluator."""
+    """Set torch's threads and seed in a worker process, and create the evaluator."""
     torch.set_num_threads(settings.torch_threads)
     torch.manual_seed(settings.seed)
     return _make_evaluator(settings, known, evaluator)

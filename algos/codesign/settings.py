@@ -1,4 +1,4 @@
-"""The settings of a design search: task, search algorithm, fitness and executor."""
+"""Settings of a design search: task, algorithm, fitness and executor."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -33,7 +33,7 @@ CHANGEABLE = (
     "executor", "address", "workers", "device", "threads", "torch_threads", "top", "name", "memory_check", "logger",
     "export", "resume", "output_dir",
 )  # fmt: skip
-"""Settings that do not change what is found: they may differ when a search is resumed.
+"""Settings that may change when a search is resumed, as they do not affect its results.
 
 But for rounding on another device.
 """
@@ -42,12 +42,12 @@ But for rounding on another device.
 Kind = TypeVar("Kind", bound="Fitness")
 
 FITNESS: dict[str, type[Fitness]] = {}
-"""The kinds of fitness by name."""
+"""Kinds of fitness by name."""
 
 
 @dataclass(frozen=True)
 class Workload:
-    """Designs that are simulated together, for estimates of memory.
+    """Size of a batch of designs, for memory estimates.
 
     ``envs`` environments for each of ``designs`` designs; setting ``key`` to ``value`` gives ``envs``. ``ppo``: of the
     policy that learns; None: nothing learns.
@@ -62,9 +62,7 @@ class Workload:
 
 @dataclass
 class Fitness(Settings):
-    """Base class of ways to find the fitness of designs, also of your own.
-
-    ``build`` makes the evaluator, all other methods have defaults.
+    """Base class of kinds of fitness; ``build`` creates the evaluator, all other methods have defaults.
 
     Settings are fields made by :func:`warpvox.keys.key`. The argument ``search`` is always the settings of the search.
 
@@ -76,21 +74,21 @@ class Fitness(Settings):
 
     prefix = "fitness."
     finalists = 0
-    """Number of best designs that are evaluated once more at the end of a search (origin ``finalist``)."""
+    """Number of best designs evaluated once more at the end of a search (origin ``finalist``)."""
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """Return the evaluator; called in the process that evaluates, with what :meth:`begins_with` returned."""
+        """Create the evaluator, in the process that evaluates, from the data of :meth:`begins_with`."""
         raise NotImplementedError
 
     def check(self, search: Codesign) -> None:
-        """Check that the settings go together; nothing to check by default.
+        """Raise an error if settings contradict each other; by default, check nothing.
 
         Raises:
             ConfigError: which, and what would.
         """
 
     def resolved(self, search: Codesign, folder: Path | None) -> Fitness:
-        """Return a copy with names replaced by values; ``folder``: that of a resumed search.
+        """Return a copy with names replaced by values; ``folder``: of a resumed search.
 
         Raises:
             WarpvoxError: what is named does not exist, or does not fit the task and the bodies.
@@ -98,28 +96,28 @@ class Fitness(Settings):
         return self
 
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
-        """Return picklable data from before the search that ``build`` needs, such as gaits of ``start``."""
+        """Collect picklable data that :meth:`build` needs, such as the gaits of the starting robots."""
         return None
 
     def inherits(self, search: Codesign) -> bool:
-        """Return whether the evaluator gets the policies of the candidates' parents."""
+        """Return whether the evaluator needs the policies of the candidates' parents."""
         return False
 
     def cost(self, search: Codesign, task: TaskSpec) -> tuple[float, float] | None:
-        """Return estimates of the control steps of a design and of all finalists together; None: not known."""
+        """Estimate the control steps of one design and of all finalists together; None: unknown."""
         return None
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        """Return the largest batches that are simulated, for estimates of memory; empty: not known."""
+        """Return the largest simulated batches, for memory estimates; empty: unknown."""
         return []
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
-        """Return settings to play a design's policy with, where they differ from those of the search."""
+        """Return the settings for playing a design's policy that differ from the search's."""
         return {}
 
 
 def register_fitness(kind: type[Kind]) -> type[Kind]:
-    """Add a class to :data:`FITNESS` under its ``name``; a decorator."""
+    """Register a class in :data:`FITNESS` under its ``name`` (decorator)."""
     FITNESS[kind.name] = kind
     return kind
 
@@ -184,7 +182,7 @@ class Codesign(Settings):
     output_dir: str = key("outputs", "folder that runs are written to")
 
     def __post_init__(self) -> None:
-        """Convert names and mappings to settings, robots to their names, and check all values."""
+        """Convert short forms to settings, robots to their names, and validate all values."""
         if isinstance(self.search, str | Mapping):
             self.search = _chosen("search", "algorithm", self.search, ALGORITHMS)
         if isinstance(self.fitness, str | Mapping):
@@ -197,7 +195,7 @@ class Codesign(Settings):
         super().__post_init__()
 
     def factory(self, obs: str = "task") -> EnvFactory:
-        """Return a factory of environments with these settings; ``device`` may still be ``auto``."""
+        """Create an environment factory with these settings; ``device`` may still be ``auto``."""
         from warpvox.algos.env_factory import EnvFactory
 
         return EnvFactory(self.task, self.rules, obs, sim=sim_of(self), protocol=self.protocol)
@@ -213,7 +211,7 @@ class Codesign(Settings):
 
 
 def _start_name(robot: Any) -> str:
-    """Return the text that names ``robot`` in ``start``: ``zoo:`` and a file, a path, or the cells as JSON.
+    """Return the text that stores ``robot`` in ``start``: ``zoo:FILE``, a path, or the cells as JSON.
 
     ConfigError: a robot that is in no file, or nothing of the kind.
     """
@@ -237,7 +235,7 @@ def _start_name(robot: Any) -> str:
 
 
 def _chosen(group: str, name: str, values: str | Mapping[str, Any], kinds: Mapping[str, type]) -> Any:
-    """Return an instance of the class in ``kinds`` that ``values`` names, with the other values as settings."""
+    """Create settings of the class in ``kinds`` that ``values`` selects by name."""
     given = {name: values} if isinstance(values, str) else dict(values)
     check_choice(group, given.get(name), kinds)
     return kinds[given[name]](**given)

@@ -1,4 +1,4 @@
-"""The policies of a design search: each evaluated design gets a folder laid out like a training run."""
+"""Policies of a design search: one folder per evaluated design, laid out like a training run."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -24,11 +24,11 @@ from warpvox.io.writing import check_folder, write_text, writing
 from warpvox.runs import BEST
 
 _DESIGNS = "designs"
-"""Folder, in that of a search, with one folder for each design."""
+"""Subfolder of a search with one folder per design."""
 
 
 class StoredPolicies:
-    """Writes and reads ``designs/<id>/`` in a search's folder: ``model_best.pt`` and ``config.yaml`` to play it.
+    """Store of policies in ``designs/<id>/``: ``model_best.pt``, and ``config.yaml`` to play it.
 
     ``config`` returns the text of ``config.yaml`` for a candidate and its outcome.
     """
@@ -41,7 +41,7 @@ class StoredPolicies:
             (folder / _DESIGNS).mkdir(exist_ok=True)
 
     def save(self, candidate: Candidate, outcome: Outcome) -> tuple[str, str]:
-        """Write the policy of an outcome; return its path relative to the search's folder, and its SHA-256."""
+        """Write an outcome's policy; return the path relative to the search's folder, and the SHA-256."""
         check_folder(self.folder / _DESIGNS)
         policy = outcome.policy or {}
         place = Path(_DESIGNS) / str(candidate.id)
@@ -58,7 +58,7 @@ class StoredPolicies:
         return (place / BEST).as_posix(), policy_sha256(policy)
 
     def load(self, path: str) -> dict[str, Any]:
-        """Return the policy that :meth:`save` wrote to ``path``. RunError: the file is damaged."""
+        """Read a policy written by :meth:`save`; RunError: the file is damaged."""
         content = load_checkpoint(self.folder / path)
         with damaged(self.folder / path):
             spec = spec_of(content["policy"])
@@ -70,7 +70,7 @@ class StoredPolicies:
 
 
 def policy_sha256(policy: Mapping[str, torch.Tensor]) -> str:
-    """Return the SHA-256 of a policy's tensors: names, types, shapes and values, but not the file around them."""
+    """Return the SHA-256 of a policy's tensors (names, types, shapes, values), independent of the file."""
     total = hashlib.sha256()
     for name, value in policy.items():
         array = value.detach().cpu().contiguous().numpy()

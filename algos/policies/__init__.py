@@ -1,1 +1,1 @@
-"""Policies that control bodies of any shape, voxel by voxel, as models that rsl-rl's PPO trains."""
+"""Policies that control bodies of any shape voxel by voxel, as models for rsl-rl's PPO."""

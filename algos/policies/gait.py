@@ -1,4 +1,4 @@
-"""Open-loop gaits as policies: actions depend on the time alone, the last entry of observations with ``obs=timed``."""
+"""Open-loop gaits as policies: actions depend on the time only, the last observation with ``obs=timed``."""
 
 import math
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 
 
 class GaitModel(nn.Module):
-    """Plays the motion of a :class:`warpvox.algos.codesign.gaits.Gait` for one body, as an rsl-rl actor.
+    """rsl-rl actor that plays a :class:`warpvox.algos.codesign.gaits.Gait` on one body.
 
     Its state are the fields of the gait and ``cells``, long ``[actuators]``: their places in the grid, counted row by
     row, in the order of actions.
@@ -32,13 +32,13 @@ class GaitModel(nn.Module):
         self.register_buffer("cells", torch.zeros(actuators, dtype=torch.int64))
 
     def forward(self, obs: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        """Return outputs float64 ``[n, actuators]`` in [-1, 1] for observations ``[n, num_obs]``."""
+        """Compute outputs float64 ``[n, actuators]`` in [-1, 1] from observations ``[n, num_obs]``."""
         values = (value.flatten(1)[:, self.cells] for value in (self.amplitude, self.phase, self.rest))
         return gait_outputs(obs[OBS_GROUP][:, -1:].double(), self.begin, self.period, *values)
 
 
 def phase_at(time: torch.Tensor, period: torch.Tensor) -> torch.Tensor:
-    """Return the phase in radians, 0 to 2 pi, of an oscillation; ``time`` and ``period`` are control steps."""
+    """Compute the phase of an oscillation in radians, 0 to 2 pi; ``time`` and ``period`` in control steps."""
     # of the time within its period, which is exact, float32 keeps all digits, too
     return 2 * math.pi * torch.remainder(time, period) / period
 
@@ -51,7 +51,7 @@ def gait_outputs(
     phase: torch.Tensor,
     rest: torch.Tensor,
 ) -> torch.Tensor:
-    """Return the outputs of the actuators at ``time`` ``[..., 1]``: ``[..., actuators]`` in [-1, 1].
+    """Compute the outputs of all actuators at ``time`` ``[..., 1]``: ``[..., actuators]`` in [-1, 1].
 
     Of many times at once, ``[times, 1, 1]``, it is ``[times, n, actuators]``.
 

@@ -1,4 +1,4 @@
-"""The network of ``policy=grid``: weights shared between voxels, and a summary of the whole body; fast on a CPU."""
+"""Network of ``policy=grid``: shared weights for all voxels, and a summary of the whole body; fast on a CPU."""
 
 import torch
 from torch import nn
@@ -7,12 +7,12 @@ from warpvox.algos.policies.layout import FEATURES, MOVING, VoxelLayout
 
 
 def weight(inputs: int, outputs: int, gain: float) -> nn.Parameter:
-    """Return an orthogonal parameter ``[inputs, outputs]``."""
+    """Create an orthogonally initialised parameter ``[inputs, outputs]``."""
     return nn.Parameter(nn.init.orthogonal_(torch.empty(inputs, outputs), gain))
 
 
 class GridNetwork(nn.Module):
-    """Encodes all voxels by the same weights, and combines each with a summary of the body into its action.
+    """Network that encodes all voxels with shared weights and decodes actions with a summary of the body.
 
     ::
 
@@ -44,7 +44,7 @@ class GridNetwork(nn.Module):
             self.local = nn.Parameter(torch.randn(heads) * 0.02)
 
     def forward(self, cells: torch.Tensor, rest: torch.Tensor) -> torch.Tensor:
-        """Return one output for each cell ``[rows, cells]``, or a critic's value ``[rows]``."""
+        """Compute one output per cell ``[rows, cells]``, or a critic's value ``[rows]``."""
         count = cells.shape[1]
         flat = cells.reshape(-1, FEATURES)
         weights = torch.addmm(flat.new_ones(1), flat[:, MOVING:], self.fixed)

@@ -1,4 +1,4 @@
-"""Arrangement of observations with ``obs="voxel"`` and of actions in the inputs and outputs of a policy."""
+"""Mapping from observations with ``obs="voxel"`` to the inputs of voxel policies, and to actions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ INPUTS = {
     "type": slice(18, 22),
     "neighbours": slice(22, 26),
 }
-"""Indices of a voxel's features among the inputs of a policy; all are 0 for a cell without a voxel.
+"""Indices of voxel features in a policy's input; all features are 0 for a cell without a voxel.
 
 ``shift``: x and y of the voxel's centre less those at rest, the mean over the body's voxels taken off; ``shape``: for x
 and for y how far the corners are spread horizontally, vertically and crosswise; ``velocity``, ``shape_velocity``: of
@@ -34,18 +34,18 @@ one of (rigid, soft, horizontal actuator, vertical actuator) is 1; ``neighbours`
 (above, right, below, left).
 """
 MOVING = 16
-"""Number of a voxel's inputs, the first ones, that change during an episode."""
+"""Number of a voxel's inputs that change during an episode; these come first."""
 FEATURES = 26
-"""Number of inputs of a voxel."""
+"""Number of inputs per voxel."""
 CLOCK = (7.0, 14.0, 28.0)
-"""Default periods, in control steps, of the sines and cosines of the time in a policy's inputs."""
+"""Default periods of the time inputs (sines and cosines), in control steps."""
 _SPREADS = ((1, 1, 1, 1), (-1, 1, 1, -1), (1, 1, -1, -1), (1, -1, 1, -1))
-"""Signs of the corners (top left, top right, bottom right, bottom left) in centre and shape."""
+"""Signs of the corners (top left, top right, bottom right, bottom left) in a voxel's centre and shape."""
 
 
 @dataclass(frozen=True)
 class VoxelLayout:
-    """Sizes of the bodies, observations and actions that a voxel policy is made for.
+    """Sizes of bodies, observations and actions for a voxel policy.
 
     Attributes:
         rest: number of inputs besides those of voxels: entries of an observation after the grid, with the sines and
@@ -68,7 +68,7 @@ class VoxelLayout:
 
     @property
     def scaled(self) -> int:
-        """Number of entries in ``rest`` that are observed, without those of the clock."""
+        """Number of observed entries in ``rest``, without the clock."""
         return self.rest - 2 * len(self.periods) * self.timed
 
     @property
@@ -93,7 +93,7 @@ class VoxelLayout:
         return torch.cat([cells.flatten(1), rest, time.float()], dim=1)
 
     def dict(self) -> dict[str, Any]:
-        """Return the layout as stored in a checkpoint; without ``periods`` if they are the default."""
+        """Convert the layout to a dictionary for a checkpoint, without default ``periods``."""
         own = asdict(self) | {"periods": list(self.periods)}
         if self.periods == CLOCK:
             del own["periods"]
@@ -116,7 +116,7 @@ def layout_of(env: VoxelVecEnv, periods: tuple[float, ...] = CLOCK) -> VoxelLayo
 
 
 class VoxelInputs(nn.Module):
-    """Converts observations to a policy's inputs; those of a cell without a voxel are 0.
+    """Converts observations to a policy's inputs; inputs of a cell without a voxel are 0.
 
     Its tables are buffers, so that they lie where the policy is: a step brings nothing to the device.
     """
@@ -133,7 +133,7 @@ class VoxelInputs(nn.Module):
         self.register_buffer("periods", torch.tensor(layout.periods, dtype=torch.float64), persistent=False)
 
     def clock(self, time: torch.Tensor) -> torch.Tensor:
-        """Return sines, then cosines ``[rows, 2 * len(periods)]`` of the time ``[rows, 1]`` in control steps."""
+        """Compute sines, then cosines ``[rows, 2 * len(periods)]`` of the time ``[rows, 1]`` in control steps."""
         phase = phase_at(time, self.periods.to(time.dtype))
         return torch.cat([phase.sin(), phase.cos()], dim=1)
 
@@ -168,7 +168,7 @@ class VoxelInputs(nn.Module):
 
 
 def input_transform() -> torch.Tensor:
-    """Return the matrix ``[25, 26]`` from an observed cell's features to inputs; columns of ``place`` are 0."""
+    """Return the matrix ``[25, 26]`` from an observed cell's features to inputs, with zero columns for ``place``."""
     axes = [(0, 0), (1, 0), *((axis, spread) for axis in (0, 1) for spread in (1, 2, 3))]
     columns = [[_SPREADS[spread][k // 2] / 4 * (k % 2 == axis) for k in range(8)] for axis, spread in axes]
     corners = torch.tensor(columns).T
@@ -181,6 +181,6 @@ def input_transform() -> torch.Tensor:
 
 
 def rest_places(layout: VoxelLayout) -> torch.Tensor:
-    """Return x (right) and y (up) of the cells' centres ``[cells, 2]``, in voxels."""
+    """Return the x (right) and y (up) of the cells' centres ``[cells, 2]``, in voxels."""
     y, x = torch.meshgrid(-torch.arange(layout.rows), torch.arange(layout.columns), indexing="ij")
     return torch.stack([x.flatten(), y.flatten()], dim=1).float()

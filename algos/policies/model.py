@@ -12,15 +12,15 @@ from warpvox.algos.policies.network import Network, VoxelGaussian
 from warpvox.algos.policies.registry import make_network
 
 FARTHEST = 8.0
-"""Limit of scaled inputs, in standard deviations."""
+"""Clipping limit of scaled inputs, in standard deviations."""
 BLOCK = 1024
-"""Rows that the moments are updated by at once: these fit into the cache of a CPU."""
+"""Rows per block when updating the moments; a block fits into a CPU's cache."""
 LEAST = 1e-4
-"""Added to standard deviations: 1/1000 of a voxel's side, for velocities per second."""
+"""Minimum of standard deviations: 1/1000 of a voxel's side, or that per second for velocities."""
 
 
 class VoxelNormalizer(nn.Module):
-    """Converts observations to inputs scaled by running mean and deviation over the voxels of all bodies.
+    """Converts observations to inputs, scaled by running moments over the voxels of all bodies.
 
     A feature of all voxels is scaled alike, wherever in the grid it lies, so that a voxel looks the same in all bodies.
     What moves is scaled; place, type, neighbours and the clock stay as they are.
@@ -39,7 +39,7 @@ class VoxelNormalizer(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
-        """Return a network's inputs for observations ``[rows, num_obs]``, followed by order and kinds of actions."""
+        """Compute a network's inputs from observations ``[rows, num_obs]``, then actuator order and kinds."""
         features, present, actions, kinds = self.inputs(obs)
         deviation = self.var.sqrt() + LEAST
         moving = features[..., :MOVING].sub_(self.mean[:MOVING]).div_(deviation[:MOVING])
@@ -49,13 +49,13 @@ class VoxelNormalizer(nn.Module):
         return torch.cat([features.flatten(1), *rest, actions.to(obs.dtype), kinds], dim=1)
 
     def _rest(self, obs: torch.Tensor) -> torch.Tensor:
-        """Return the entries of the observations between the grid and the time."""
+        """Return the observations between the grid and the time."""
         last = obs.shape[1] - int(self.layout.timed)
         return obs[:, last - self.layout.scaled : last]
 
     @torch.no_grad()
     def update(self, obs: torch.Tensor) -> None:
-        """Update the moments by observations ``[rows, num_obs]`` of all processes of a training."""
+        """Update the moments from observations ``[rows, num_obs]`` of all processes."""
         sums = sum((self._sums(rows) for rows in obs.split(BLOCK)), torch.zeros(()))
         if torch.distributed.is_initialized():
             torch.distributed.all_reduce(sums)
@@ -70,7 +70,7 @@ class VoxelNormalizer(nn.Module):
         self.var += rate * (var - self.var + moved * (mean - self.mean))
 
     def _sums(self, obs: torch.Tensor) -> torch.Tensor:
-        """Return sums and sums of squares of scaled entries, number of voxels and number of rows; float64."""
+        """Return sums and sums of squares of scaled entries, number of voxels and number of rows, float64."""
         features, present, _, _ = self.inputs(obs)
         moving = features[..., :MOVING]
         rest = self._rest(obs)
@@ -79,7 +79,7 @@ class VoxelNormalizer(nn.Module):
 
 
 class VoxelModel(Network):
-    """Actor or critic for observations with ``obs="voxel"``, which rsl-rl's PPO trains.
+    """Actor or critic for ``obs="voxel"``, as a model for rsl-rl's PPO.
 
     Args:
         obs, obs_groups, obs_set, output_dim, obs_normalization, distribution_cfg: as of rsl-rl's models; a model with a
@@ -125,7 +125,7 @@ class VoxelModel(Network):
         return features.contiguous().view(-1, self.layout.cells, FEATURES), rest, actions
 
     def run(self, latent: torch.Tensor) -> torch.Tensor:
-        """Return the means of the actions ``[rows, actions]``, or values ``[rows, 1]``, for inputs."""
+        """Compute action means ``[rows, actions]``, or values ``[rows, 1]``, from inputs."""
         cells, rest, actions = self.unpack(latent)
         values = self.network(cells, rest)
         if self.distribution is None:

@@ -21,8 +21,9 @@ KINDS = 2
 
 
 def observations(model: Any, obs: TensorDict) -> torch.Tensor:
-    """Concatenate the observation groups that a model uses: ``[..., entries]``."""
-    return torch.cat([obs[name] for name in model.obs_groups], dim=-1)
+    """Return the observation groups of a model side by side, ``[..., entries]``; a single one is not copied."""
+    groups = [obs[name] for name in model.obs_groups]
+    return groups[0] if len(groups) == 1 else torch.cat(groups, dim=-1)
 
 
 class Network(MLPModel):

@@ -1,4 +1,4 @@
-"""Networks of policies by name, which the key ``policy`` takes."""
+"""Networks of policies by name (key ``policy``)."""
 
 import inspect
 from collections.abc import Mapping
@@ -31,18 +31,18 @@ def check_policy(name: object) -> None:
 
 
 def layout_for(name: str, env: VoxelVecEnv) -> VoxelLayout:
-    """Return the layout of environments for a network; its attribute ``periods``, if any, is used for the clock."""
+    """Return the layout of environments for a network, with the clock's ``periods`` from the network's class."""
     check_policy(name)
     return layout_of(env, getattr(NETWORKS.get(name) or load_code(name), "periods", CLOCK))
 
 
 def voxels_of(name: str, env: VoxelVecEnv, settings: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Return ``network``, ``settings`` and ``layout`` of a policy, the arguments of :class:`VoxelModel`."""
+    """Build the arguments ``network``, ``settings`` and ``layout`` of :class:`VoxelModel` for a policy."""
     return {"network": name, "settings": dict(settings or {}), "layout": layout_for(name, env).dict()}
 
 
 def check_network(env: VoxelVecEnv, name: str, settings: Any, key: str = "network") -> VoxelLayout:
-    """Try a network with its ``settings`` (those of ``key``), and return its layout."""
+    """Validate a network and its ``settings`` by creating one; return its layout."""
     if settings is not None and not isinstance(settings, Mapping):
         raise ConfigError(f"{key} must be settings by name, such as {{width:32}}; got {settings!r:.80}.")
     layout = layout_for(name, env)
@@ -61,7 +61,7 @@ def check_network(env: VoxelVecEnv, name: str, settings: Any, key: str = "networ
 
 
 def make_network(name: str, layout: VoxelLayout, critic: bool, settings: Mapping[str, Any] | None = None) -> nn.Module:
-    """Make the network of an actor or a critic.
+    """Create the network of an actor or a critic.
 
     Args:
         name: of :data:`POLICIES`, or ``module:Class`` or ``file.py:Class``: a ``torch.nn.Module`` made by

@@ -1,4 +1,4 @@
-"""The network of ``policy=transformer``: attention between the voxels of a body."""
+"""Network of ``policy=transformer``: attention between the voxels of a body."""
 
 import torch
 from torch import nn
@@ -9,7 +9,7 @@ from warpvox.errors import ConfigError
 
 
 class TransformerNetwork(nn.Module):
-    """Transformer with a token for each voxel; the rest of the observation is added after attention.
+    """Transformer with one token per voxel; other observations are added after attention.
 
     Attention falls with the distance of two voxels' centres, as fast as each head learns. Cells without a voxel are
     not attended to. A critic takes the mean over the voxels.
@@ -33,7 +33,7 @@ class TransformerNetwork(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def forward(self, cells: torch.Tensor, rest: torch.Tensor) -> torch.Tensor:
-        """Return one output for each cell ``[rows, cells]``, or a critic's value ``[rows]``."""
+        """Compute one output per cell ``[rows, cells]``, or a critic's value ``[rows]``."""
         present = cells[..., INPUTS["type"]].sum(-1) > 0
         places = cells[..., INPUTS["place"]]
         distance = (places[:, :, None] - places[:, None]).square().sum(-1).add(1e-6).sqrt()[:, None]
@@ -49,7 +49,7 @@ class TransformerNetwork(nn.Module):
 
 
 class AttentionBlock(nn.Module):
-    """Attention and a small network, each with normalised inputs and a residual connection."""
+    """Self-attention and a small network, each with normalised inputs and a residual connection."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -63,7 +63,7 @@ class AttentionBlock(nn.Module):
         self.outer = nn.Linear(2 * width, width)
 
     def forward(self, tokens: torch.Tensor, distance: torch.Tensor, present: torch.Tensor) -> torch.Tensor:
-        """Return new tokens ``[rows, cells, width]`` from tokens, ``distance`` and the mask ``present``."""
+        """Update tokens ``[rows, cells, width]`` by attention over ``present`` cells, biased by ``distance``."""
         rows, count, width = tokens.shape
         # a finite bias: a body without voxels, as in a probe of zeros, must not give NaN
         bias = -functional.softplus(self.slope)[:, None, None] * distance

@@ -1,1 +1,1 @@
-"""Training of many policies in one batch, one for each design."""
+"""Training of many policies in one batch, one per design."""

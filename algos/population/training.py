@@ -1,4 +1,4 @@
-"""Training of several designs in one batch: environments, networks and the training loop."""
+"""Training of several designs in one batch: environments, networks and training loop."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from warpvox.algos.disturbance import as_judged
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.generators import Generators
+from warpvox.algos.ppo.fused import FusedPPO
 from warpvox.algos.ppo.iteration import Iteration
 from warpvox.algos.ppo.networks import PopulationActor, PopulationModel
 from warpvox.algos.ppo.population import PopulationPPO, Streams
@@ -30,7 +31,7 @@ from warpvox.envs.adapters.rsl_rl import OBS_GROUP
 
 @dataclass
 class Networks:
-    """New networks of one design, and the state of the CPU's random generator after making them."""
+    """New networks of one design, with the CPU's random state after their creation."""
 
     actor: MLPModel
     critic: MLPModel
@@ -38,7 +39,7 @@ class Networks:
 
 
 def fresh_networks(ppo: Ppo, num_obs: int, num_actions: int, seed: int) -> Networks:
-    """Make the networks that rsl-rl would start a training with this ``seed`` from."""
+    """Create the networks that rsl-rl would create in a training with this ``seed``."""
     config = rsl_rl_config(ppo, 1)
     obs = TensorDict({OBS_GROUP: torch.zeros(1, num_obs)}, batch_size=[1])
 
@@ -51,7 +52,7 @@ def fresh_networks(ppo: Ppo, num_obs: int, num_actions: int, seed: int) -> Netwo
 
 
 class PopulationTraining:
-    """Trains one policy for each design, all in one batch.
+    """Trains one policy per design, all in one batch.
 
     Each design's training is that which :class:`warpvox.algos.training.runner.Runner` would give it alone with its
     seed, up to rounding.
@@ -89,7 +90,7 @@ class PopulationTraining:
         self._iterate = Iteration(self.env, self.algorithm, self.env.env.capture)
 
     def _make_environments(self) -> None:
-        """Make the environments for training and for evaluation, for the current bodies."""
+        """Create the environments for training and evaluation of the present bodies."""
         settings = self.settings
         training = self.factory.make(self.bodies, settings.envs, self.seeds, auto_reset=True)
         self.env = adapt(training, self.ppo, apart=True)
@@ -99,7 +100,7 @@ class PopulationTraining:
         )
 
     def _algorithm(self, networks: Sequence[Networks]) -> PopulationPPO:
-        """Return the algorithm that starts from ``networks``, with a random generator for each design."""
+        """Create the PPO algorithm from ``networks``, with a random generator for each design."""
         device = str(self.env.device)
         obs = self.env.get_observations()
         # On the CPU a design's stream goes on where its networks were made; on another device it begins with the seed.
@@ -114,7 +115,8 @@ class PopulationTraining:
         settings.pop("class_name")
         threads = self.env.env.sim.threads if device == "cpu" else 1
         streams = Streams(generators, device)
-        return PopulationPPO(actor, critic, storage, streams, threads=threads, device=device, **settings)
+        kind = PopulationPPO if device == "cpu" else FusedPPO
+        return kind(actor, critic, storage, streams, threads=threads, device=device, **settings)
 
     @property
     def num_designs(self) -> int:
@@ -122,11 +124,11 @@ class PopulationTraining:
 
     @property
     def steps_per_iteration(self) -> int:
-        """Control steps of one design in an iteration."""
+        """Control steps per design in one iteration."""
         return self.ppo.steps * self.settings.envs
 
     def iterate(self) -> None:
-        """Run one iteration; before the first, randomise episode lengths if the settings say so."""
+        """Run one training iteration; the first one starts at random episode lengths if so set."""
         if self.iteration == 0 and self.ppo.random_start:
             lengths = self.algorithm.streams.integers(int(self.env.max_episode_length), self.settings.envs)
             self.env.episode_length_buf = lengths.flatten().to(self.env.device)
@@ -134,7 +136,7 @@ class PopulationTraining:
         self.iteration += 1
 
     def evaluate(self) -> torch.Tensor:
-        """Return the mean return of deterministic episodes, the same every time; float64 ``[designs]``.
+        """Run the deterministic evaluation episodes; return the mean returns, float64 ``[designs]``.
 
         NaN for a design whose policy gives actions that are not numbers; the others are not affected. The networks are
         evaluated in float64, as :class:`warpvox.algos.checkpoints.policy.Policy` is.
@@ -152,11 +154,11 @@ class PopulationTraining:
         return evaluate(self._judge, judged, seed=self._eval_seeds).fitness.masked_fill(diverged.cpu(), math.nan)
 
     def policy(self, design: int) -> dict[str, torch.Tensor]:
-        """Return the policy of ``design`` as the state of a stock actor."""
+        """Return a design's policy as the state of a standard actor."""
         return self.algorithm.actor.member(design)
 
     def keep(self, index: Sequence[int]) -> None:
-        """Keep the designs with the indices ``index``; their training continues as before, up to rounding."""
+        """Continue with the designs at ``index`` only; their training is unaffected, up to rounding."""
         state = self.env.pick(index)
         self.bodies = [self.bodies[d] for d in index]
         self.seeds = [self.seeds[d] for d in index]

@@ -1,4 +1,4 @@
-"""The report of a design search: one HTML page that needs no network and no server.
+"""Report of a design search as one self-contained HTML page.
 
 It is made from the archive alone, so it can be made again at any time, also while the search is running.
 """
@@ -23,11 +23,11 @@ from warpvox.runs import CONFIG
 from warpvox.view.player import asset, fill_template
 
 FILE, FILM = "report.html", "film.webp"
-"""Names of the report in the folder of a search, and of the film in that of a design."""
+"""File names of the report in a search's folder, and of the film in a design's."""
 
 
 def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str:
-    """Return the report as the text of an HTML page.
+    """Build the report as an HTML page.
 
     Args:
         facts: what stands under the title, by name: status, search, version, ...
@@ -69,7 +69,7 @@ def report_page(archive: Archive, facts: Mapping[str, str], folder: Path) -> str
 
 
 def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
-    """Return the main figures of the search, as text by name."""
+    """Collect the main figures of the search, as text by name."""
     if not done:
         return {"evaluations": "0"}
     trained = [record for record in done if record.reused is None]
@@ -84,7 +84,7 @@ def _figures(done: Sequence[Record], best: Sequence[Record]) -> dict[str, str]:
 
 
 def _progress(search: SearchResult, archive: Archive) -> str:
-    """Return a chart of fitness over evaluations: designs, finalists, best so far, mean of each generation."""
+    """Draw fitness over evaluations: designs, finalists, best so far, mean of each generation."""
     trained = [record for record in search.records if record.reused is None and record.fitness is not None]
     dots = []
     notes = []
@@ -110,7 +110,7 @@ def _progress(search: SearchResult, archive: Archive) -> str:
 
 
 def _card(record: Record, folder: Path) -> str:
-    """Return the HTML card of a design: its film or body, origin, curve, and the command that plays it."""
+    """Build the HTML card of a design: film or body, origin, curve, and the command to play it."""
     candidate = record.candidate
     parents = ", ".join(f"#{parent}" for parent in candidate.parents)
     descent = f"{candidate.origin} of {parents}" if parents else candidate.origin
@@ -136,7 +136,7 @@ def _card(record: Record, folder: Path) -> str:
 
 
 def _row(record: Record) -> str:
-    """Return the row of a design in the table of all designs, as HTML."""
+    """Build the HTML row of a design in the table of all designs."""
     candidate = record.candidate
     state = ""
     if record.reused is not None:
@@ -171,7 +171,7 @@ def _row(record: Record) -> str:
 
 
 def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
-    """Return column and row of each design in the tree: generations left to right, parents near their children."""
+    """Lay out the family tree: column and row of each design, by generation and near its parents."""
     # Columns. In a search that evaluates one design at a time, parent and child may be of the same generation.
     order = sorted({record.candidate.generation for record in line})
     column = {record.id: order.index(record.candidate.generation) for record in line}
@@ -197,7 +197,7 @@ def places(line: Sequence[Record]) -> dict[int, tuple[int, int]]:
 
 
 def family_tree(line: Sequence[Record]) -> str:
-    """Return the family tree as an ``<svg>`` element, with a note if ancestors were left out."""
+    """Draw the family tree as an ``<svg>`` element, with a note if ancestors are left out."""
     # The nearest ancestors, and their positions in pixels
     shown = list(line)[-60:]
     cell = 8

@@ -1,4 +1,4 @@
-"""Charts as SVG text: lines, steps and dots with two axes; colours come from the page's style sheet."""
+"""Charts as SVG: lines, steps and dots with two axes; colours come from the page's style sheet."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from warpvox.view.player import asset
 
 @dataclass(frozen=True)
 class Series:
-    """Points ``(x, y)`` shown as ``line``, ``step`` (holds until the next) or ``dots``, in the colour ``--s<colour>``.
+    """Data of a chart: points ``(x, y)`` drawn as ``line``, ``step`` (holds until the next) or ``dots``.
 
     ``notes`` are shown when a dot is pointed at.
     """
@@ -27,7 +27,7 @@ class Series:
 
 
 def ticks(low: float, high: float, count: int = 6) -> list[float]:
-    """Return about ``count`` round numbers between ``low`` and ``high``."""
+    """Choose about ``count`` round numbers between ``low`` and ``high``."""
     if not high > low:
         return [low]
     rough = (high - low) / count
@@ -39,7 +39,7 @@ def ticks(low: float, high: float, count: int = 6) -> list[float]:
 
 
 def chart(series: Sequence[Series], x_label: str, y_label: str) -> str:
-    """Return a chart of all series with axes, grid and legend as HTML; a sentence if there is nothing to show."""
+    """Draw series with axes, grid and legend as HTML; a sentence if there is no data."""
     figure = _figure(series, x_label, y_label, 920, 340)
     if not figure:
         return '<p class="faint">Nothing to show yet.</p>'
@@ -52,7 +52,7 @@ def chart(series: Sequence[Series], x_label: str, y_label: str) -> str:
 
 
 def picture(points: Sequence[tuple[float, float]], x_label: str, y_label: str, kind: str = "line") -> str:
-    """Return a chart of one curve as ``<img>`` with a style of its own, for notebooks."""
+    """Draw one curve as a self-contained ``<img>``, for notebooks."""
     width = 440
     height = 250
     figure = _figure([Series("", points, kind)], x_label, y_label, width, height)
@@ -71,7 +71,7 @@ def picture(points: Sequence[tuple[float, float]], x_label: str, y_label: str, k
 
 
 def _figure(series: Sequence[Series], x_label: str, y_label: str, width: int, height: int) -> str:
-    """Return axes, grid and all series as ``<svg>``; empty if there is nothing to show."""
+    """Draw axes, grid and all series as ``<svg>``; empty without data."""
     points = [point for one in series for point in one.points if all(map(math.isfinite, point))]
     if not points:
         return ""
@@ -132,7 +132,7 @@ def _figure(series: Sequence[Series], x_label: str, y_label: str, width: int, he
 
 
 def sparkline(values: Sequence[float], width: int = 96, height: int = 24) -> str:
-    """Return a small line without axes as ``<svg>``; empty for less than two values."""
+    """Draw a small line without axes as ``<svg>``; empty for less than two values."""
     if len(values) < 2:
         return ""
     low = min(values)
@@ -145,7 +145,7 @@ def sparkline(values: Sequence[float], width: int = 96, height: int = 24) -> str
 
 
 def _number(value: float) -> str:
-    """Return the label of a tick, with k for thousands and M for millions."""
+    """Format a tick's number, with k for thousands and M for millions."""
     if value and abs(value) >= 1e6:
         return f"{value / 1e6:g}M"
     if abs(value) >= 1e4:

@@ -1,4 +1,4 @@
-"""One picture of many tasks: each world with a robot at its start."""
+"""Gallery of tasks: one picture with a robot at the start of each world."""
 
 import os
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ COLUMNS, TILE = 4, (324, 150)
 
 
 def everywhere(design: str = "walker") -> list[tuple[str, Design, str]]:
-    """Return (task, body, caption) for one body in every task; ``design`` is as for :func:`warpvox.load_design`."""
+    """Return (task, body, caption) for one body in every task, as input for :func:`draw_gallery`."""
     body = load_design(design)
     return [(task, body, task) for task in task_ids()]
 
 
 def draw_gallery(shown: Sequence[tuple[str, Design, str]]) -> Image.Image:
-    """Draw bodies in the worlds of tasks, row by row; ``shown``: (task, body, caption) of each."""
+    """Draw bodies in the worlds of tasks, row by row; ``shown``: (task, body, caption) each."""
     # Pixels of a caption, and between the worlds
     label = 24
     gap = 10
@@ -48,7 +48,7 @@ def draw_gallery(shown: Sequence[tuple[str, Design, str]]) -> Image.Image:
 
 
 def _tile(task: Any, body: np.ndarray) -> Image.Image:
-    """Draw a world with the robot at the left, so that what lies ahead is visible."""
+    """Draw a world with the robot at the left, so that the terrain ahead is visible."""
     scene, points = scene_of_world(task_world(task, body))
     robot = points[scene.robot_points] / VOXEL
     scale = 8  # pixels of a voxel
@@ -68,7 +68,7 @@ def _tile(task: Any, body: np.ndarray) -> Image.Image:
 
 
 def write_gallery(path: str | os.PathLike[str], shown: Sequence[tuple[str, Design, str]]) -> Path:
-    """Write the picture of :func:`draw_gallery` as PNG; return the path. RolloutError: another suffix than .png."""
+    """Write the picture of :func:`draw_gallery` as PNG; return the path. RolloutError: suffix other than .png."""
     check_suffix("The file of a gallery", path, PNG_SUFFIXES, RolloutError)
     # Few colours: as a palette the picture takes a fraction of the room, without a visible difference.
     return save_png(draw_gallery(shown).quantize(128, dither=Image.Dither.NONE), path, optimize=True)

@@ -1,4 +1,4 @@
-"""Learning curves of trainings and design searches: means over seeds with intervals, as pictures and CSV."""
+"""Learning curves of trainings and design searches: means over seeds with intervals, as picture and CSV."""
 
 import math
 import os
@@ -24,7 +24,7 @@ _COLOURS = ("#d96a14", "#2f6fb0", "#3a8a4d", "#8a4fa3", "#b03a48", "#5b6473")
 
 @dataclass(frozen=True)
 class Group:
-    """Runs with the same settings; ``label`` names the settings that differ from those of other groups."""
+    """Runs that differ only in their seed; ``label`` names the settings that distinguish the group."""
 
     label: str
     runs: tuple[Any, ...]
@@ -32,7 +32,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Curve:
-    """Learning curve of runs that differ only in their seed.
+    """Learning curve: mean over runs that differ only in their seed, with intervals.
 
     ``places``: values on the x axis, float64 ``[k]``; ``mean``, ``low``, ``high`` ``[k]``: mean return of the runs with
     its interval (NaN for a single run); ``runs``: x values and returns of each run, ``[2, evaluations]``.
@@ -47,7 +47,7 @@ class Curve:
 
 
 def curves_of_searches(members: Sequence[SearchResult], x: str) -> dict[str, list[Curve]]:
-    """Return, by task, a curve of the best return for each search, over ``steps`` or ``evaluations``.
+    """Return, by task, a curve of the best return of each search, over ``steps`` or ``evaluations``.
 
     A search that has ended before others keeps its best return.
     """
@@ -61,7 +61,7 @@ def curves_of_searches(members: Sequence[SearchResult], x: str) -> dict[str, lis
 
 
 def curves_of(groups: Sequence[Group], x: str = "steps") -> list[Curve]:
-    """Return a curve of the deterministic return for each group, over the column ``x`` of ``metrics.csv``.
+    """Return, by task, a curve of the deterministic return of each group, over the column ``x`` of ``metrics.csv``.
 
     A run that has stopped early keeps its last return.
     """
@@ -89,7 +89,7 @@ def curves_of(groups: Sequence[Group], x: str = "steps") -> list[Curve]:
 
 
 def _mean_curve(label: str, places: np.ndarray, values: np.ndarray, runs: Sequence[np.ndarray]) -> Curve:
-    """Return the curve of the mean of ``values`` ``[places, runs]``, with its intervals."""
+    """Compute the mean curve of ``values`` ``[places, runs]``, with confidence intervals."""
     intervals = [mean_interval(row) for row in values]
     mean = np.array([interval.mean for interval in intervals])
     low = np.array([interval.low for interval in intervals])
@@ -98,14 +98,14 @@ def _mean_curve(label: str, places: np.ndarray, values: np.ndarray, runs: Sequen
 
 
 def evaluations_of(found: Run) -> list[dict[str, float]]:
-    """Return the rows of ``metrics.csv`` that have an evaluation."""
+    """Select the rows of ``metrics.csv`` with an evaluation."""
     return [row for row in read_metrics(found.folder) if np.isfinite(row["eval_return"])]
 
 
 def write_curves(
     panels: Mapping[str, Sequence[Curve]], path: str | os.PathLike[str], x: str, size: tuple[int, int]
 ) -> Path:
-    """Draw curves (runs thin, mean thick, 95 % interval as a band), and write their numbers as CSV beside.
+    """Draw curves (runs thin, mean thick, 95 % interval as a band), and write their numbers as CSV.
 
     Args:
         panels: curves, see :func:`curves_of`, of pictures beside each other, by their titles.
@@ -175,12 +175,12 @@ def write_curves(
 
 
 def _plain(text: str) -> str:
-    """Return the text escaped so that matplotlib shows it unchanged."""
+    """Escape text so that matplotlib shows it unchanged."""
     return escaped(text).replace("$", r"\$")
 
 
 def labelled(panels: Mapping[str, Sequence[Curve]]) -> Iterator[tuple[str, Curve]]:
-    """Yield each curve with its label, which names the panel as well if there are several."""
+    """Yield each curve with its legend label, which includes the panel's name if there are several."""
     for title, several in panels.items():
         for curve in several:
             alone = len(panels) == 1 or curve.label == title

@@ -1,4 +1,4 @@
-"""Design searches read from their archives, for comparisons."""
+"""Design searches read from their archives for comparison."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -15,12 +15,12 @@ from warpvox.keys import flat
 from warpvox.runs import read_summary
 
 SHOWN = 3
-"""Most settings in the name of a search."""
+"""Maximum number of settings in the name of a search."""
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Result of one design search with its curve: ``evaluations`` and ``steps`` so far, ``best`` return so far.
+    """Result of one design search with its curve: ``evaluations``, ``steps`` and ``best`` return so far.
 
     The curve never falls, and ends at the fitness of the best design. Finalists are evaluations, too. Where the other
     designs were only compared by a common policy, it begins with the finalists, once there are some.
@@ -42,7 +42,7 @@ class SearchResult:
 
     @property
     def task(self) -> str:
-        """Id of the task, or the name of the code of a user's own task."""
+        """Id of the task, or the name of the user's own task."""
         return str(self.settings.get("task", "unknown task"))
 
     @property
@@ -51,7 +51,7 @@ class SearchResult:
 
     @cached_property
     def _trained(self) -> list[Record]:
-        """Designs that were evaluated, without those that took the result of an equal body."""
+        """Evaluated designs, without copies of the result of an equal body."""
         return [record for record in self.records if record.fitness is not None and record.reused is None]
 
     @cached_property
@@ -61,26 +61,26 @@ class SearchResult:
 
     @cached_property
     def steps(self) -> np.ndarray:
-        """Control steps spent up to each evaluation, int64 ``[n]``."""
+        """Control steps spent up to and including each evaluation, int64 ``[n]``."""
         return np.cumsum([record.steps or 0 for record in self._trained], dtype=np.int64)
 
     @cached_property
     def best(self) -> np.ndarray:
-        """Best return up to each evaluation, float64 ``[n]``."""
+        """Best return up to and including each evaluation, float64 ``[n]``."""
         return np.maximum.accumulate(np.array([record.fitness for record in self._trained], np.float64))
 
     def best_at(self, steps: float) -> float:
-        """Return the best return within ``steps`` control steps, at least that of the first design."""
+        """Return the best return within a budget of ``steps`` control steps, at least the first design's."""
         return float(self.best[max(0, np.searchsorted(self.steps, steps, "right") - 1)])
 
 
 def fresh_interval(facts: Mapping[str, Any]) -> Interval:
-    """Return the mean return on fresh seeds with its interval, from ``fresh_seeds`` of a summary."""
+    """Return the mean return over unused seeds with its interval, from ``fresh_seeds`` of a summary."""
     return Interval(*(facts[name] for name in ("mean", "low", "high", "episodes")))
 
 
 def read_members(archives: Sequence[Path]) -> list[SearchResult]:
-    """Read the design searches in these folders, also those that are still running.
+    """Read the design searches in these folders, finished or running.
 
     In a folder ``.../<task>/<search>/seed<k>`` a search has the name of that folder. Elsewhere it has that of its
     algorithm, with the settings that other searches of the same algorithm and task have otherwise: the three that tell
@@ -102,7 +102,7 @@ def read_members(archives: Sequence[Path]) -> list[SearchResult]:
 
 
 def _names(found: Sequence[tuple[Path, Mapping[str, Any]]]) -> list[str]:
-    """Return a name for each search from its folder or from the settings that differ between them."""
+    """Name each search by its folder or by the settings that differ between searches."""
     settings = [flat(own) for _, own in found]
     kinds = [(own.get("task"), str(own.get("search.algorithm", "search"))) for own in settings]
 
@@ -132,16 +132,16 @@ def _names(found: Sequence[tuple[Path, Mapping[str, Any]]]) -> list[str]:
 
 
 def differing(groups: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the keys whose values differ between groups of settings, in the order of the configuration."""
+    """List the keys whose values differ between groups, in the order of the configuration."""
     keys = dict.fromkeys(key for values in groups for key in values)
     return [key for key in keys if any(values.get(key) != groups[0].get(key) for values in groups)]
 
 
 def telling(groups: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> list[str]:
-    """Sort ``keys``: the task first, then always the one that distinguishes most groups together with those before."""
+    """Sort ``keys`` by how many groups they distinguish together with the keys before; the task comes first."""
 
     def told_apart(names: Sequence[str]) -> int:
-        """Return how many different groups there are by these settings."""
+        """Count the groups that differ in these settings."""
         return len({str([group.get(name) for name in names]) for group in groups})
 
     first = [key for key in keys if key == "task"]

@@ -1,4 +1,4 @@
-"""Trained robots as small files: the zoo that comes with the package, and files of your own.
+"""Trained robots as small files: the zoo of the package, and the user's own.
 
 A :class:`Robot` is a body with its policy and what is known of both. ``warpvox zoo`` lists those of the package.
 """

@@ -1,4 +1,4 @@
-"""Stored robots: body, connections, policy and facts about them, in one ``.npz`` file without pickle.
+"""Stored robots: body, connections, policy and metadata in one ``.npz`` file without pickle.
 
 The file holds ``header`` (JSON in UTF-8, uint8: ``format``, ``version``, ``task``, ``network``, ``about``, ``sha256``),
 ``body`` int8 ``[rows, columns]``, ``connections`` int32 ``[2, k]`` and, if there is a policy, ``mean``, ``deviation``
@@ -32,16 +32,16 @@ if TYPE_CHECKING:  # torch, which the help of commands does without
 
 FORMAT, VERSION = "warpvox robot", 1
 DIGITS = 9
-"""Decimals of recorded returns. Rewards are sums over points, which round differently (about 1e-15) on other CPUs."""
+"""Decimals of recorded returns; sums over points round differently (about 1e-15) on other CPUs."""
 GAIT = {"kind": "gait"}
-"""Entry ``network`` in the header of a file with an open-loop policy."""
+"""Value of ``network`` in the header of a file with an open-loop policy."""
 LARGEST, LARGEST_HEADER = 1 << 26, 1 << 20
-"""Maximum length of a file's arrays, and of its header, in bytes."""
+"""Maximum sizes of a robot file's arrays and of its header, in bytes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A body for a task with its policy and facts about both.
+    """A trained robot: body, task, policy and metadata.
 
     Attributes:
         task: id of the task.
@@ -65,7 +65,7 @@ class Robot:
     source: str = ""
 
     def __post_init__(self) -> None:
-        """Replace the policy by a copy in the form that files keep."""
+        """Convert the policy to the form stored in files."""
         if self.policy is not None:
             from warpvox.algos.robots.policies import as_stored
 
@@ -78,18 +78,18 @@ class Robot:
         return f"Robot({self.task}, {rows} x {columns} cells, {kind}, return {self.mean_return:.3f})"
 
     def _repr_html_(self) -> str:
-        """Return the body and its return as HTML, for notebooks."""
+        """Show the body and its return as HTML, for notebooks."""
         return f"{body_svg(self.body, 20)}<br>{html.escape(repr(self))}"
 
     @property
     def mean_return(self) -> float:
-        """Recorded mean return; NaN: unknown."""
+        """Recorded mean return; NaN if unknown."""
         value = self.about.get("return")
         return float("nan") if value is None else float(value)
 
     @property
     def robust_return(self) -> float:
-        """Recorded mean return under noise; NaN: unknown."""
+        """Recorded mean return under action noise; NaN if unknown."""
         value = self.about.get("noise", {}).get("return")
         return float("nan") if value is None else float(value)
 
@@ -112,19 +112,19 @@ class Robot:
 
     @property
     def obs(self) -> str:
-        """Observations that the policy takes, as ``make_vec`` names them: ``timed`` for a gait, else ``task``."""
+        """Value of ``make_vec(obs=...)`` for the policy: ``timed`` for a gait, else ``task``."""
         return "task" if self.has_feedback else "timed"
 
     @property
     def fully_connected(self) -> bool:
-        """True if all neighbouring cells are connected."""
+        """True if all adjacent cells are connected."""
         pairs = np.sort(self.connections.T, axis=1)
         full = full_connections(self.body)
         return {tuple(pair) for pair in pairs.tolist()} == {tuple(pair) for pair in full.tolist()}
 
     @property
     def design(self) -> Design:
-        """Body of the robot, as a design; DesignError: it lacks connections, which a design has."""
+        """Body of the robot as a design; DesignError: some adjacent cells are not connected."""
         if not self.fully_connected:
             raise DesignError(
                 "This robot lacks connections of neighbouring cells, which a design has: body=robot.body and"
@@ -150,7 +150,7 @@ def zoo(task: str | os.PathLike[str]) -> Robot: ...
 
 
 def zoo(task: str | os.PathLike[str] | None = None) -> Robot | list[str]:
-    """Load the zoo's robot for a task: ``zoo("Thrower-v0").policy(obs)`` gives its actions.
+    """Load the zoo's robot for a task: ``zoo("Thrower-v0").policy(obs)`` returns actions.
 
     Args:
         task: its id, or a file of a zoo of your own (``.npz``); None: the ids of all tasks that have a robot.
@@ -164,7 +164,7 @@ def zoo(task: str | os.PathLike[str] | None = None) -> Robot | list[str]:
 
 
 def save_robot(path: str | os.PathLike[str], robot: Robot) -> Path:
-    """Write ``robot`` to ``path``, whole or not at all; return the path.
+    """Write ``robot`` to ``path`` atomically; return the path.
 
     Raises:
         RunError: another suffix than .npz, or facts with values that JSON lacks.
@@ -184,7 +184,7 @@ def save_robot(path: str | os.PathLike[str], robot: Robot) -> Path:
 
 
 def read_robot(path: str | os.PathLike[str]) -> Robot:
-    """Read the robot that :func:`save_robot` has written.
+    """Read a robot written by :func:`save_robot`.
 
     Raises:
         RunError: no such file, one of another kind, or a damaged one.
@@ -211,7 +211,7 @@ def read_robot(path: str | os.PathLike[str]) -> Robot:
 
 
 def _check_header(header: Any) -> None:
-    """Raise Unreadable if the header of a file has another format or version, or facts of wrong types."""
+    """Raise Unreadable if a file's header has another format or version, or metadata of wrong types."""
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise Unreadable(f"its header is not one of {FORMAT}")
     if header.get("version") != VERSION:
@@ -232,7 +232,7 @@ def _check_header(header: Any) -> None:
 
 
 def _robot(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Robot:
-    """Make the robot from the header and the arrays of a file."""
+    """Build the robot from a file's header and arrays."""
     from warpvox.algos.robots.policies import gait_policy, network_policy
 
     body = check_design(arrays.pop("body"))
@@ -250,7 +250,7 @@ def _robot(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Robot:
 
 
 def _network(policy: Policy | None) -> dict[str, Any] | None:
-    """Return the entry ``network`` of a file's header, which describes the policy."""
+    """Describe the policy for the entry ``network`` of a file's header."""
     if policy is None:
         return None
     if policy.spec.gait is not None:
@@ -260,7 +260,7 @@ def _network(policy: Policy | None) -> dict[str, Any] | None:
 
 
 def _arrays(robot: Robot) -> dict[str, np.ndarray]:
-    """Return the arrays of a robot's file: body, connections and those of the policy."""
+    """Collect the arrays of a robot's file: body, connections and the policy's arrays."""
     from warpvox.algos.robots.policies import arrays_of
 
     arrays = {"body": robot.body, "connections": robot.connections.astype(np.int32)}

@@ -1,4 +1,4 @@
-"""Episodes of stored robots: their environments, and returns in exact arithmetic, equal on every machine."""
+"""Evaluation of stored robots: environments, and returns in exact arithmetic, equal on every machine."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,11 +12,11 @@ from warpvox.envs.vec_env import VoxelVecEnv, make_vec
 from warpvox.errors import ConfigError
 
 SEEDS = tuple(range(1000, 1008))
-"""Seeds of the episodes of a task that draws something at random; other tasks have one episode."""
+"""Seeds of a robot's evaluation episodes in random tasks; other tasks have one episode."""
 
 
 def robot_env(robot: Robot, seeds: Sequence[int] = (0,), **options: Any) -> VoxelVecEnv:
-    """Make environments with the robot's body, one for each seed; exact and on the CPU unless ``options`` differ.
+    """Create environments with the robot's body, one for each seed; exact and on the CPU unless ``options`` differ.
 
     They give the observations that its policy takes (:attr:`Robot.obs`).
 
@@ -33,16 +33,16 @@ def robot_env(robot: Robot, seeds: Sequence[int] = (0,), **options: Any) -> Voxe
 
 
 def known_task(robot: Robot) -> str:
-    """Return the id of the robot's task; ConfigError: it is a user's own task, whose code must be named."""
+    """Return the id of the robot's task; ConfigError: an unknown task, whose code must be named."""
     if robot.task not in task_ids():
         raise ConfigError(f"The robot is for {robot.task}, a task of your own: name its code, task=FILE.py:NAME.")
     return robot.task
 
 
 def with_facts(robot: Robot) -> Policy:
-    """Return a float32 copy of the robot's policy whose ``metadata`` say how the robot is evaluated.
+    """Copy the robot's policy in float32, with the settings of its evaluation as ``metadata``.
 
-    That is exactly, with a seed for each episode (``seed_each``).
+    Evaluation is exact, with a seed for each episode (``seed_each``).
     """
     policy = robot.own_policy
     about: dict[str, Any] = {
@@ -63,7 +63,7 @@ def with_facts(robot: Robot) -> Policy:
 
 @dataclass(frozen=True)
 class Judgement:
-    """Results of a robot's episodes: ``returns`` (nine decimals) and ``lengths`` (control steps) for ``seeds``."""
+    """Results of a robot's episodes: ``seeds``, ``returns`` (nine decimals) and ``lengths`` (control steps)."""
 
     returns: list[float]
     lengths: list[int]
@@ -76,7 +76,7 @@ class Judgement:
 
 
 def judge(robot: Robot, seeds: Sequence[int] | None = None) -> Judgement:
-    """Run episodes of ``robot`` in exact arithmetic, which gives the same returns as EvoGym, and return the results.
+    """Run the episodes of ``robot`` in exact arithmetic, with the same returns as EvoGym.
 
     Args:
         seeds: one an episode; None: :data:`SEEDS` where the task draws something, else a single episode.

@@ -1,4 +1,4 @@
-"""Policies in the form that robot files have, whose actions are equal on every machine."""
+"""Policies of stored robots, whose actions are equal on every machine."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,14 +13,14 @@ from warpvox.errors import RunError, first_line
 from warpvox.types import ACTION_CENTER, ACTION_SCALE, Cell
 
 STEP = 2.0**-16
-"""Actions of stored networks are multiples of this step.
+"""Quantisation step of the actions of stored networks.
 
 How a matrix product or a tanh is rounded depends on the CPU and the libraries. Such differences are about 1e-15 and are
 gone after rounding to a step that is 1e10 times as large, unless an action lies within 1e-15 of the middle between two
 multiples: a chance of about 1e-10 an action. All multiples in the range of actions are also numbers of float32.
 """
 MOTION = ("amplitude", "phase", "rest")
-"""Arrays of a gait with a value for each actuator; ``begin`` and ``period`` have one for each stage."""
+"""Arrays of a gait with a value per actuator; ``begin`` and ``period`` have one per stage."""
 
 
 def network_policy(
@@ -32,7 +32,7 @@ def network_policy(
     scale: float = ACTION_SCALE,
     center: float = ACTION_CENTER,
 ) -> Policy:
-    """Make a policy ``center + scale * mlp((obs - mean) / deviation)``, rounded to multiples of :data:`STEP`.
+    """Create a policy ``center + scale * mlp((obs - mean) / deviation)``, rounded to multiples of :data:`STEP`.
 
     Args:
         weights, biases: of each layer, ``[outputs, inputs]`` and ``[outputs]``, kept as float32.
@@ -76,7 +76,7 @@ def network_policy(
 def gait_policy(
     body: Design, begin: np.ndarray, period: np.ndarray, amplitude: np.ndarray, phase: np.ndarray, rest: np.ndarray
 ) -> Policy:
-    """Make an open-loop policy for observations of ``obs="timed"``: sinusoids of the time, in one stage or several.
+    """Create an open-loop policy for ``obs="timed"``: sinusoids of the time, in one stage or several.
 
     ``action = 1.1 + 0.5 * clip(rest + amplitude * sin(2 pi t / period + phase), -1, 1)`` with the values of the last
     stage that begins at ``t`` or before. ``t`` is the control steps since the episode began, the last number of the
@@ -128,14 +128,14 @@ def gait_policy(
 
 
 def _checked(spec: PolicySpec, state: dict[str, np.ndarray]) -> Policy:
-    """Check that ``state`` fits ``spec``, and return the policy in float64."""
+    """Validate ``state`` against ``spec``, and return the policy in float64."""
     tensors = {name: torch.as_tensor(value) for name, value in state.items()}
     check_spec(spec, tensors)
     return Policy(spec, tensors).double()
 
 
 def as_stored(policy: Policy, body: Design) -> Policy:
-    """Return the policy for ``body`` in the form that a robot file keeps, in float64.
+    """Convert a policy for ``body`` to the form of robot files, in float64.
 
     Raises:
         RunError: it is recurrent or one for voxels, or it is for another body.
@@ -159,7 +159,7 @@ def as_stored(policy: Policy, body: Design) -> Policy:
 
 
 def arrays_of(policy: Policy) -> dict[str, np.ndarray]:
-    """Return a policy's arrays: the arguments of :func:`gait_policy` (float64) or :func:`network_policy` (float32)."""
+    """Return a policy's arrays: arguments of :func:`gait_policy` (float64) or :func:`network_policy` (float32)."""
     state = {name: value.detach().cpu().numpy() for name, value in policy.actor.state_dict().items()}
     if policy.spec.gait is not None:
         arrays = {"begin": state["begin"], "period": state["period"]}

@@ -1,4 +1,4 @@
-"""Design search: algorithms that propose bodies and learn from their fitness, and never simulate.
+"""Search algorithms for designs: they propose bodies and learn from fitness, without simulating.
 
 All implement :class:`warpvox.algos.candidate.Search`::
 

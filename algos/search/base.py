@@ -1,4 +1,4 @@
-"""Base class of searches: ask and tell, numbering of candidates, budget, no body proposed twice."""
+"""Base class of search algorithms: ask and tell, numbering, budget, no body proposed twice."""
 
 import math
 from abc import ABC, abstractmethod
@@ -19,7 +19,7 @@ from warpvox.errors import ConfigError, DesignError, SearchError
 
 @dataclass(frozen=True)
 class Proposal:
-    """Body ``int8 [rows, columns]`` proposed by a search, before it is numbered as a :class:`Candidate`."""
+    """A body int8 ``[rows, columns]`` proposed by a search, before numbering as a :class:`Candidate`."""
 
     body: np.ndarray
     parents: tuple[int, ...] = ()
@@ -27,7 +27,7 @@ class Proposal:
 
 
 class BaseSearch(ABC):
-    """Base class of searches that propose whole generations.
+    """Base class of search algorithms that propose whole generations.
 
     A subclass says what to propose (:meth:`propose`) and, if it keeps more than the record of all designs, what
     to learn (:meth:`learn`). It draws from the Generator it is given, which follows from the seed and the number
@@ -70,7 +70,7 @@ class BaseSearch(ABC):
         self._start: list[Proposal] = []
 
     def start_with(self, bodies: Sequence[np.ndarray]) -> None:
-        """Let the first generation begin with these bodies; call it before the first :meth:`ask`.
+        """Set the bodies that begin the first generation, before the first :meth:`ask`.
 
         Raises:
             ConfigError: bodies of another shape, equal ones or too many, or a search that makes all bodies itself.
@@ -93,24 +93,24 @@ class BaseSearch(ABC):
 
     @abstractmethod
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """Return at most ``count`` new bodies, at least one; each must have been accepted by :meth:`claim`."""
+        """Return up to ``count`` new bodies, at least one, each accepted by :meth:`claim`."""
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:  # noqa: B027  (a choice)
-        """Update the model with a generation and its fitness; ``bodies`` and ``fitness`` contain it already."""
+        """Update the model after a generation, which ``bodies`` and ``fitness`` already contain."""
 
     def claim(self, body: np.ndarray) -> bool:
-        """Mark ``body`` as proposed; return whether it was not proposed before."""
+        """Mark ``body`` as proposed; return False if it was proposed before."""
         key = body_key(body)
         new = key not in self._seen
         self._seen.add(key)
         return new
 
     def is_known(self, key: bytes) -> bool:
-        """Return whether the body with this :func:`body_key` was proposed before."""
+        """Return whether a body was proposed before, given its :func:`body_key`."""
         return key in self._seen
 
     def new_body(self, draw: Callable[[], np.ndarray], limit: int = 2_000_000) -> np.ndarray | None:
-        """Draw bodies ``[n, rows, columns]`` and claim the first valid new one; None after ``limit`` voxels."""
+        """Draw bodies ``[n, rows, columns]`` until one is valid and new, and claim it; None after ``limit`` voxels."""
         drawn = 0
         while drawn < limit:
             bodies = draw()
@@ -121,7 +121,7 @@ class BaseSearch(ABC):
         return None
 
     def random_proposal(self, rng: np.random.Generator) -> Proposal:
-        """Return a new random body by EvoGym's sampling rule; in large shapes by that of :func:`warpvox.sample_design`.
+        """Return a new random body by EvoGym's sampling rule (large shapes: :func:`warpvox.sample_design`).
 
         Raises:
             SearchError: none turns up.
@@ -140,7 +140,7 @@ class BaseSearch(ABC):
         return Proposal(body)
 
     def mutant(self, rng: np.random.Generator, parents: Sequence[int], rate: float) -> Proposal:
-        """Return a new mutant of a random parent; a random body if all mutants are known."""
+        """Return a new mutant of a random parent, or a random body if all mutants are known."""
         for parent in rng.permutation(parents):
             # Draw sixteen mutants at a time and take the first valid new one. After 100,000 voxels try another parent.
             copies = np.repeat(self.bodies[int(parent)][None], 16, axis=0)
@@ -150,7 +150,7 @@ class BaseSearch(ABC):
         return self.random_proposal(rng)
 
     def ask(self) -> list[Candidate]:
-        """Return the next generation of valid bodies never proposed before; empty when the budget is spent.
+        """Return the next generation of new valid bodies; empty when the budget is spent.
 
         Raises:
             SearchError: the fitness of the last generation is missing, no new body can be found, or a subclass has
@@ -181,7 +181,7 @@ class BaseSearch(ABC):
         return [replace(candidate, body=candidate.body.copy()) for candidate in self._asked]
 
     def tell(self, fitness: Sequence[float]) -> None:
-        """Record the fitness of the candidates asked for last, in their order; larger is better.
+        """Store the fitness of the candidates last asked for, in their order; larger is better.
 
         Raises:
             SearchError: nothing was asked for, or not one finite number per candidate.
@@ -205,7 +205,7 @@ class BaseSearch(ABC):
         self.generation += 1
 
     def replay(self, history: Sequence[tuple[Sequence[Candidate], Sequence[float]]]) -> None:
-        """Restore the state after the generations in ``history``, and check that this search proposed them.
+        """Restore the state after the generations in ``history``; SearchError: this search proposes others.
 
         Args:
             history: of each generation from the first: its candidates, as they were proposed, and their fitness.
@@ -220,7 +220,7 @@ class BaseSearch(ABC):
             self.tell(fitness)
 
     def recall(self, candidates: Sequence[Candidate]) -> None:
-        """Ask again and check that the proposals equal ``candidates``; costly searches call :meth:`adopt`."""
+        """Ask again and verify that the proposals equal ``candidates``; costly searches call :meth:`adopt`."""
         again = self.ask()
         if [(one.id, one.body.tolist()) for one in candidates] != [(one.id, one.body.tolist()) for one in again]:
             raise SearchError(
@@ -230,7 +230,7 @@ class BaseSearch(ABC):
             )
 
     def adopt(self, candidates: Sequence[Candidate]) -> None:
-        """Accept ``candidates`` as the next generation, without proposing them again.
+        """Accept ``candidates`` as the next generation without proposing them again.
 
         Raises:
             SearchError: they cannot have been the next generation of this search.
@@ -271,7 +271,7 @@ class BaseSearch(ABC):
 
 
 class RandomSearch(BaseSearch):
-    """Random search by EvoGym's sampling rule, without repetition: the baseline of all other searches."""
+    """Random search without repetition, by EvoGym's sampling rule: the baseline."""
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
         return [self.random_proposal(rng) for _ in range(count)]

@@ -21,7 +21,7 @@ from warpvox.design import are_valid, draw_bodies
 
 
 class BayesianSearch(BaseSearch):
-    """Fits a Gaussian process to all evaluated designs and proposes those that it expects most of.
+    """Bayesian optimisation: fits a Gaussian process to all evaluated designs and proposes promising ones.
 
     ``acquisition="paper"``: of random designs, batch Thompson sampling picks the starts; from each, L-BFGS climbs
     expected improvement. Nearly all ends, rounded to voxels, are one and the same body or not valid; so a climb goes
@@ -38,7 +38,7 @@ class BayesianSearch(BaseSearch):
     settings: BO
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """Return random bodies in the first generation, then maximisers of the acquisition."""
+        """Return random bodies in the first generation, later maximisers of the acquisition function."""
         if self.generation == 0:
             return [self.random_proposal(rng) for _ in range(count)]
         propose = self._by_posterior if self.settings.acquisition == "pathwise" else self._by_improvement
@@ -50,11 +50,11 @@ class BayesianSearch(BaseSearch):
         return proposals + [self.random_proposal(rng) for _ in range(count - len(proposals))]
 
     def recall(self, candidates: Sequence[Candidate]) -> None:
-        """Take ``candidates`` as given: fitting the process again would cost minutes and change nothing."""
+        """Accept ``candidates`` without fitting the process again, which would take minutes."""
         self.adopt(candidates)
 
     def _by_improvement(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
-        """Propose bodies: start from those that Thompson sampling picks, and improve each by expected improvement."""
+        """Propose bodies of high expected improvement, starting from Thompson samples."""
         pool, _ = self.pool(rng, self.settings.candidates, 0)
         if not len(pool):
             return []
@@ -69,7 +69,7 @@ class BayesianSearch(BaseSearch):
         return [Proposal(body, (), "improvement" if moved else "thompson") for body, moved in chosen]
 
     def _ends_or_starts(self, starts: np.ndarray, ends: np.ndarray) -> Iterator[tuple[np.ndarray, bool]]:
-        """Yield each end, or its start if the end is not valid or not new, and whether it moved."""
+        """Yield each climb's end, or its start if the end is invalid or known, and whether it moved."""
         for start, end, good in zip(starts, ends, are_valid(ends), strict=True):
             if good and self.claim(end):
                 yield end, not np.array_equal(end, start)
@@ -79,7 +79,7 @@ class BayesianSearch(BaseSearch):
     def _climbed(
         self, values: Callable[[np.ndarray], np.ndarray], starts: np.ndarray, ends: np.ndarray
     ) -> Iterator[tuple[np.ndarray, bool]]:
-        """Yield the body that the climb from each start ends at, and whether it differs from the start."""
+        """Yield the end of each climb, and whether it differs from the start."""
 
         def free(bodies: np.ndarray) -> np.ndarray:
             return are_valid(bodies) & np.array([not self.is_known(body_key(body)) for body in bodies])
@@ -90,7 +90,7 @@ class BayesianSearch(BaseSearch):
                 yield summit, not np.array_equal(summit, start)
 
     def _by_posterior(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
-        """Return the maximiser of each of ``count`` functions drawn from the posterior."""
+        """Propose the maximisers of ``count`` functions drawn from the posterior."""
         # A quarter of the pool is random; the rest are mutants of the best.
         random = max(1, round(self.settings.candidates * 0.25))
         pool, parents = self.pool(rng, random, self.settings.candidates - random)
@@ -109,12 +109,12 @@ class BayesianSearch(BaseSearch):
         return proposals
 
     def _claim_best(self, bodies: np.ndarray, values: np.ndarray) -> int | None:
-        """Claim the new body of highest value and return its index; None if there is no new one."""
+        """Claim the new body with the highest value and return its index, or None."""
         places = (place for place in np.argsort(-values, kind="stable") if values[place] > -np.inf)
         return next((int(place) for place in places if self.claim(bodies[place])), None)
 
     def pool(self, rng: np.random.Generator, random: int, mutants: int) -> tuple[np.ndarray, list[tuple[int, ...]]]:
-        """Draw new bodies to choose from: ``random`` random ones and ``mutants`` of the best designs.
+        """Draw new bodies to choose from: ``random`` random bodies and ``mutants`` of the best designs.
 
         Returns:
             New valid bodies int8 ``[m, rows, columns]``, all different, and the parents of each: none, or the one.

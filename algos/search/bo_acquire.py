@@ -1,4 +1,4 @@
-"""The model of Bayesian optimisation, and its choice of designs by expected improvement or posterior samples."""
+"""Model and acquisition of Bayesian optimisation: expected improvement and posterior samples."""
 
 # GPyTorch and parts of BoTorch and torch have no types.
 # pyright: reportMissingTypeStubs=false, reportUnknownLambdaType=false, reportUnknownArgumentType=false
@@ -32,12 +32,12 @@ from warpvox.devices.startup import own_torch
 from warpvox.errors import SearchError
 
 _NOTHING = 1e-9
-"""Gains below this are rounding errors: a climb ends."""
+"""Smallest gain of a climb; smaller ones are rounding errors."""
 
 
 @dataclass
 class Climb:
-    """Result of climbing n functions, each to a local maximum.
+    """Result of climbing n functions to their local maxima.
 
     Attributes:
         start: int ``[n]``, place in the pool where each began.
@@ -55,7 +55,7 @@ class Climb:
 
 
 def thompson_starts(model: SingleTaskGP, pool: np.ndarray, count: int) -> np.ndarray:
-    """Return indices ``[count]`` into the pool, each the best body under one sample of the posterior."""
+    """Select the best body of the pool under each of ``count`` posterior samples; return indices ``[count]``."""
     points = one_hot(pool)
     with torch.no_grad():
         chosen = MaxPosteriorSampling(model, replacement=False)(points, num_samples=count)
@@ -85,7 +85,7 @@ def improve(model: SingleTaskGP, best: float, starts: np.ndarray, iterations: in
 
 
 def log_improvement(model: SingleTaskGP, best: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function of bodies ``[n, rows, columns]``: the log of expected improvement on ``best``, ``[n]``.
+    """Return a function that computes the log of expected improvement over ``best`` for bodies, ``[n]``.
 
     BoTorch's own is made for few points and gradients; this one has the posterior of all points computed at once.
     With u standard deviations between the mean and ``best``, expected improvement is
@@ -93,7 +93,7 @@ def log_improvement(model: SingleTaskGP, best: float) -> Callable[[np.ndarray], 
     """
 
     def values(bodies: np.ndarray) -> np.ndarray:
-        """Return the logarithm of expected improvement of each body."""
+        """Compute the logarithm of expected improvement of each body."""
         with torch.no_grad():
             posterior = model.posterior(one_hot(bodies))
             deviation = posterior.variance[:, 0].sqrt()
@@ -134,7 +134,7 @@ def ascend(
 
 
 def climb_posterior(model: SingleTaskGP, pool: np.ndarray, count: int) -> Climb:
-    """Draw ``count`` functions from the posterior and climb each over valid bodies."""
+    """Draw ``count`` functions from the posterior and maximise each over valid bodies."""
     paths = draw_matheron_paths(model, torch.Size([count]))
 
     def values(bodies: np.ndarray) -> np.ndarray:
@@ -145,7 +145,7 @@ def climb_posterior(model: SingleTaskGP, pool: np.ndarray, count: int) -> Climb:
 
 
 def climb(values: Callable[[np.ndarray], np.ndarray], pool: np.ndarray) -> Climb:
-    """Climb n functions from the best body of the pool, one voxel at a time, over valid bodies only.
+    """Maximise n functions from the best body of the pool, one voxel at a time, over valid bodies only.
 
     Args:
         values: of n functions at once: bodies ``[k, rows, columns]``, the same for all, or ``[n, k, rows,
@@ -171,7 +171,7 @@ def climb(values: Callable[[np.ndarray], np.ndarray], pool: np.ndarray) -> Climb
 
 @contextmanager
 def seeded_torch(seed: int) -> Generator[None]:
-    """Within the block, let torch draw from ``seed`` on one thread; afterwards restore its state.
+    """Seed torch and use one thread within the block; afterwards restore its state.
 
     Sums of several threads depend on their number, and a search must not depend on the machine's load.
     """
@@ -183,13 +183,13 @@ def seeded_torch(seed: int) -> Generator[None]:
 
 
 def one_hot(bodies: np.ndarray) -> torch.Tensor:
-    """Encode bodies int8 ``[..., rows, columns]`` as float64 ``[..., cells * 5]``: 1 for the type of each voxel."""
+    """Encode bodies int8 ``[..., rows, columns]`` one-hot as float64 ``[..., cells * 5]``."""
     flat = torch.as_tensor(np.asarray(bodies, dtype=np.int64)).flatten(-2)
     return torch.nn.functional.one_hot(flat, CELL_TYPES).flatten(-2).double()
 
 
 def _make_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> SingleTaskGP:
-    """Make the Gaussian process before its fit: Matern 5/2 with one length scale, standardised fitness.
+    """Create the Gaussian process: Matern 5/2 with one length scale, standardised fitness.
 
     The priors are there for the restarts, which draw from them; without any, all would start alike.
     """
@@ -205,7 +205,7 @@ def _make_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> S
 
 
 def fit_model(bodies: np.ndarray, fitness: Sequence[float], settings: BO) -> SingleTaskGP:
-    """Fit the Gaussian process by L-BFGS from several starts; return the one of largest marginal likelihood."""
+    """Fit the Gaussian process by L-BFGS from several starts; return the fit of largest marginal likelihood."""
     model = _make_model(bodies, fitness, settings)
     try:
         fit_gpytorch_mll(

@@ -1,4 +1,4 @@
-"""Operations on many bodies at once: mutation, neighbours, counting. Arrays are int8 ``[n, rows, columns]``."""
+"""Operations on arrays of bodies, int8 ``[n, rows, columns]``: mutation, neighbours, counting."""
 
 import numpy as np
 
@@ -6,16 +6,16 @@ from warpvox.design import are_valid
 from warpvox.types import ROBOT_CELLS
 
 CELL_TYPES = len(ROBOT_CELLS)
-"""Number of types of a robot's voxel, counted from 0."""
+"""Number of cell types of a robot."""
 
 
 def body_key(body: np.ndarray) -> bytes:
-    """Return bytes that identify a body among those of its shape."""
+    """Return bytes that identify a body among bodies of the same shape."""
     return np.ascontiguousarray(body, dtype=np.int8).tobytes()
 
 
 def mutate(rng: np.random.Generator, bodies: np.ndarray, rate: float | np.ndarray) -> np.ndarray:
-    """Return copies in which each voxel changes its type with probability ``rate`` (a number or ``[n, 1, 1]``)."""
+    """Copy bodies and change the type of each voxel with probability ``rate`` (a number or ``[n, 1, 1]``)."""
     changes = rng.random(bodies.shape) < rate
     # Adding 1 to 4 modulo 5 gives every other type with equal probability, and never the same type.
     steps = rng.integers(1, CELL_TYPES, bodies.shape, dtype=np.int8)
@@ -23,7 +23,7 @@ def mutate(rng: np.random.Generator, bodies: np.ndarray, rate: float | np.ndarra
 
 
 def neighbours(bodies: np.ndarray) -> np.ndarray:
-    """Return all bodies that differ in one voxel: int8 ``[n, cells * 4, rows, columns]``."""
+    """List all bodies that differ in one voxel: int8 ``[n, cells * 4, rows, columns]``."""
     n, rows, columns = bodies.shape
     cells = rows * columns
     near = np.repeat(bodies.reshape(n, 1, cells), cells * (CELL_TYPES - 1), axis=1)
@@ -33,7 +33,7 @@ def neighbours(bodies: np.ndarray) -> np.ndarray:
 
 
 def count_valid(shape: tuple[int, int]) -> int:
-    """Count the valid bodies of a small ``shape`` by trying all (5 to the power of the cells)."""
+    """Count the valid bodies of a small ``shape`` by enumeration (5 to the power of the cells)."""
     cells = shape[0] * shape[1]
     codes = np.arange(CELL_TYPES**cells, dtype=np.int64)[:, None] // CELL_TYPES ** np.arange(cells) % CELL_TYPES
     return int(are_valid(codes.reshape(-1, *shape)).sum())

@@ -1,4 +1,4 @@
-"""CPPN-NEAT (paper section C.3, Table 5) with neat-python: evolving networks paint bodies."""
+"""CPPN-NEAT (paper section C.3, Table 5) with neat-python: evolved networks paint bodies."""
 
 # neat-python has no types.
 # pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false
@@ -23,7 +23,7 @@ from warpvox.errors import ConfigError, SearchError
 
 @contextmanager
 def own_random(seed: int) -> Generator[None]:
-    """Within the block, seed Python's global generator, which neat-python draws from; then restore its state."""
+    """Seed Python's global random generator within the block, for neat-python; then restore its state."""
     state = random.getstate()
     random.seed(seed)
     try:
@@ -68,14 +68,14 @@ def inputs(shape: tuple[int, int]) -> np.ndarray:
 
 
 def paint(genome: neat.DefaultGenome, config: neat.Config, shape: tuple[int, int]) -> np.ndarray:
-    """Return the body int8 ``[rows, columns]`` of a network: each voxel has the type of largest output."""
+    """Paint a body int8 ``[rows, columns]``: each voxel gets the type with the network's largest output."""
     network = neat.nn.FeedForwardNetwork.create(genome, config)
     types = [int(np.argmax(network.activate(seen))) for seen in inputs(shape).tolist()]
     return np.array(types, np.int8).reshape(shape)
 
 
 class CppnNeatSearch(BaseSearch):
-    """Evolves networks by NEAT; as in the paper's code, new networks replace those that paint no valid new body.
+    """CPPN-NEAT; networks that paint no valid new body are replaced by new ones, as in the paper's code.
 
     Attributes:
         population: genomes of the last generation, by neat-python's key.
@@ -96,7 +96,7 @@ class CppnNeatSearch(BaseSearch):
         self.ids: dict[int, int] = {}
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """Return bodies that children of the last generation paint; new networks replace useless ones."""
+        """Return bodies painted by children of the last generation; new networks replace useless ones."""
         with own_random(int(rng.integers(2**63))):
             bred = self._breed()
             elites = {key: genome for key, genome in bred.items() if key in self.ids}
@@ -112,7 +112,7 @@ class CppnNeatSearch(BaseSearch):
         return [Proposal(body, parents[key], origins[len(parents[key])]) for key, (_, body) in proposals.items()]
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
-        """Give the networks their fitness and sort them into species."""
+        """Assign fitness to the networks and sort them into species."""
         fresh = [key for key in self.population if key not in self.ids]
         self.ids |= {key: candidate.id for key, candidate in zip(fresh, candidates, strict=True)}
         for key, genome in self.population.items():
@@ -121,7 +121,7 @@ class CppnNeatSearch(BaseSearch):
             self.species.speciate(self.config, self.population, self.generation)
 
     def _breed(self) -> dict[int, neat.DefaultGenome]:
-        """Return the next networks by key: children, or new ones at the start and after an extinction."""
+        """Create the next networks by key: children, or new ones at the start and after an extinction."""
         if self.generation:
             size = self.settings.population
             try:
@@ -138,13 +138,13 @@ class CppnNeatSearch(BaseSearch):
         return self._create(self.settings.population)
 
     def _create(self, count: int) -> dict[int, neat.DefaultGenome]:
-        """Return ``count`` new networks by key."""
+        """Create ``count`` new networks, by key."""
         return self.reproduction.create_new(self.config.genome_type, self.config.genome_config, count)
 
     def _new_bodies(
         self, genomes: dict[int, neat.DefaultGenome], count: int
     ) -> dict[int, tuple[neat.DefaultGenome, np.ndarray]]:
-        """Return ``count`` networks, with keys and bodies, whose bodies are valid and new."""
+        """Create ``count`` networks that paint valid new bodies; return keys, networks and bodies."""
         chosen: dict[int, tuple[neat.DefaultGenome, np.ndarray]] = {}
         # Try new networks this many times before giving up.
         for _ in range(2000):

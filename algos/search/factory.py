@@ -1,4 +1,4 @@
-"""Making of searches from their settings."""
+"""Creation of searches from their settings."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -14,7 +14,7 @@ from warpvox.errors import ConfigError, listing
 def make_search(
     settings: SearchSettings, shape: tuple[int, int] = (5, 5), seed: int = 0, start: Sequence[Design] = ()
 ) -> Search:
-    """Make a search of the algorithm that the class of ``settings`` stands for.
+    """Create the search algorithm that ``settings`` describe.
 
     Args:
         settings: their class says which algorithm.
@@ -31,7 +31,7 @@ def make_search(
 
 
 def start_with(search: Any, bodies: Sequence[Design]) -> None:
-    """Let the first generation begin with ``bodies``; ConfigError: the search cannot, or the bodies do not fit."""
+    """Set the first bodies of ``search``; ConfigError: not supported, or the bodies do not fit."""
     if bodies:
         if not hasattr(search, "start_with"):
             raise ConfigError(f"{type(search).__name__} has no start_with(bodies), which start needs.")
@@ -39,7 +39,7 @@ def start_with(search: Any, bodies: Sequence[Design]) -> None:
 
 
 def make_custom(settings: CustomSearch, shape: tuple[int, int], seed: int) -> Search:
-    """Call the user's code that ``settings.make`` names, and return the search that it makes."""
+    """Call the user's code named by ``settings.make``, and return the search."""
     check_code(settings.make, "search=custom needs search.make", "a search of settings, shape and seed")
     search: Any = load_code(cast(str, settings.make))(settings, shape, seed)
     verbs = ("ask", "tell", "replay")

@@ -12,7 +12,7 @@ from warpvox.algos.search.settings import GA
 
 
 def survivors_of(settings: GA, generation: int, last: int) -> int:
-    """Return the number of survivors that ``generation`` >= 1 keeps, of ``last`` generations (Algorithm 1).
+    """Return the number of survivors after ``generation`` >= 1, of ``last`` generations (Algorithm 1).
 
     ``ceil(population * x)`` with a survival rate x that goes linearly from 0.6 at generation 0 to 0 at the last,
     but at least 2; and never all, so that there is something new.
@@ -26,7 +26,7 @@ def survivors_of(settings: GA, generation: int, last: int) -> int:
 
 
 def last_generation(settings: GA) -> int:
-    """Return N_max of Algorithm 1, for which the generations just use up ``max_designs``.
+    """Return N_max of Algorithm 1, so that the generations use up ``max_designs``.
 
     The paper limits evaluations rather than generations (section D.1), and survivors cost none.
     """
@@ -40,7 +40,7 @@ def last_generation(settings: GA) -> int:
 
 
 class GeneticSearch(BaseSearch):
-    """Keeps the best designs without evaluating them again, and replaces the others by their mutants.
+    """Genetic algorithm: the best designs survive without new evaluation, mutants replace the others.
 
     Attributes:
         last: number of the last generation, N_max of Algorithm 1.
@@ -54,12 +54,12 @@ class GeneticSearch(BaseSearch):
         self.population: list[int] = []
 
     def survivors(self) -> list[int]:
-        """Return the ids that the next generation keeps, best first; of equals the older one comes first."""
+        """Return the ids of the survivors, best first; in ties the older one comes first."""
         ranked = sorted(self.population, key=lambda number: (-self.fitness[number], number))
         return ranked[: survivors_of(self.settings, self.generation, self.last)]
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """Return random bodies in the first generation, then mutants of the survivors."""
+        """Return random bodies in the first generation, later mutants of the survivors."""
         if self.generation == 0:
             return [self.random_proposal(rng) for _ in range(count)]
         survivors = self.survivors()
@@ -67,6 +67,6 @@ class GeneticSearch(BaseSearch):
         return [self.mutant(rng, survivors, self.settings.mutation_rate) for _ in range(count)]
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
-        """Set the population to the survivors and their mutants."""
+        """Reduce the population to the survivors and their mutants."""
         kept = self.survivors() if self.generation else []
         self.population = kept + [candidate.id for candidate in candidates]

@@ -1,4 +1,4 @@
-"""MAP-Elites with pyribs: keeps the best body of each cell of a descriptor grid, and mutates these."""
+"""MAP-Elites with pyribs: keeps and mutates the best body in each cell of a descriptor grid."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ except ImportError as error:
 
 
 class MapElitesSearch(BaseSearch):
-    """Mutates designs drawn from a grid that holds the best design of every kind.
+    """MAP-Elites: mutates designs drawn from a grid with the best design of every kind.
 
     Attributes:
         archive: of pyribs; its field ``id`` holds the candidate of each cell.
@@ -36,18 +36,18 @@ class MapElitesSearch(BaseSearch):
         )
 
     def propose(self, rng: np.random.Generator, count: int) -> list[Proposal]:
-        """Return random bodies in the first generation, then mutants of elites drawn uniformly."""
+        """Return random bodies in the first generation, later mutants of uniformly drawn elites."""
         if self.generation == 0:
             return [self.random_proposal(rng) for _ in range(count)]
         elites = self.elites()
         return [self.mutant(rng, elites, self.settings.mutation_rate) for _ in range(count)]
 
     def elites(self) -> list[int]:
-        """Return the ids of the best design of each kind, in ascending order."""
+        """Return the ids of the elites, the best designs of each kind, ascending."""
         return sorted(int(number) for number in self.archive.data("id"))
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
-        """Put each design into its cell of the grid, unless a better one is there."""
+        """Insert each design into its cell of the grid, unless the cell has a better one."""
         bodies = np.stack([candidate.body for candidate in candidates])
         kinds = describe(bodies, self.settings.descriptors)
         ids = np.array([candidate.id for candidate in candidates])
@@ -55,7 +55,7 @@ class MapElitesSearch(BaseSearch):
 
 
 def describe(bodies: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """Return the descriptors of bodies ``[n, rows, columns]`` as float64 ``[n, descriptors]``.
+    """Compute the descriptors of bodies ``[n, rows, columns]`` as float64 ``[n, descriptors]``.
 
     ``actuators``, ``empty``, ``rigid``, ``soft``, ``horizontal`` and ``vertical`` are shares of the grid's cells;
     ``height`` and ``width`` what the body spans of the grid; ``symmetry`` is the share of cells that equal their
@@ -65,7 +65,7 @@ def describe(bodies: np.ndarray, names: Sequence[str]) -> np.ndarray:
 
 
 def _descriptor(bodies: np.ndarray, name: str) -> np.ndarray:
-    """Return one descriptor of bodies, float64 ``[n]``."""
+    """Compute one descriptor of bodies, float64 ``[n]``."""
     # Descriptors that are fractions of the grid's cells
     shares = {
         "actuators": ACTUATORS,

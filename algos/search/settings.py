@@ -1,4 +1,4 @@
-"""Settings of the search algorithms: dataclasses whose defaults are the paper's values (section D).
+"""Settings of the search algorithms: dataclasses with the paper's values as defaults (section D).
 
 They are what ``search=NAME`` stands for on the command line. One differs, because it finds more: ``acquisition``.
 """
@@ -14,24 +14,24 @@ from warpvox.errors import ConfigError, listing
 from warpvox.keys import Settings, key
 
 DESCRIPTORS = ("actuators", "empty", "rigid", "soft", "horizontal", "vertical", "height", "width", "symmetry")
-"""Descriptors of bodies for MAP-Elites, numbers from 0 to 1 (see ``describe`` in ``map_elites.py``)."""
+"""Descriptors of bodies for MAP-Elites, from 0 to 1 (``describe`` in ``map_elites.py``)."""
 
 
 Kind = TypeVar("Kind", bound="SearchSettings")
 
 ALGORITHMS: dict[str, type[SearchSettings]] = {}
-"""The settings of each algorithm, by its name."""
+"""Settings classes of the algorithms by name."""
 
 
 @dataclass
 class SearchSettings(Settings):
-    """Settings that every search has (paper section D.1, Table 2)."""
+    """Settings common to all searches (paper section D.1, Table 2)."""
 
     prefix = "search."
     title = "search"
-    """Name of the algorithm in reports."""
+    """Name of the algorithm for reports."""
     implementation = ""
-    """``MODULE:NAME`` in this package that makes the search; imported, with its libraries, only when it is used."""
+    """``MODULE:NAME`` of the class or function that creates the search, imported on first use."""
 
     algorithm: str = key("", "which search")
     population: int = key(25, "designs of a generation", low=2)
@@ -44,7 +44,7 @@ class SearchSettings(Settings):
 
 
 def register_search(kind: type[Kind]) -> type[Kind]:
-    """Add a class to :data:`ALGORITHMS` under its ``algorithm``; a decorator."""
+    """Register a class in :data:`ALGORITHMS` under its ``algorithm`` (decorator)."""
     ALGORITHMS[kind.algorithm] = kind
     return kind
 
@@ -52,7 +52,7 @@ def register_search(kind: type[Kind]) -> type[Kind]:
 @register_search
 @dataclass
 class GA(SearchSettings):
-    """Genetic algorithm (paper Algorithm 1, Table 3)."""
+    """Settings of the genetic algorithm (paper Algorithm 1, Table 3)."""
 
     title = "genetic algorithm"
     implementation = "ga:GeneticSearch"
@@ -65,7 +65,7 @@ class GA(SearchSettings):
     min_survivors: int = key(2, "smallest number of survivors of a generation", low=1)
 
     def __post_init__(self) -> None:
-        """Check the values, and that a generation has room for new designs."""
+        """Validate the values, and that a generation has room for new designs."""
         super().__post_init__()
         if self.min_survivors >= self.population:
             raise ConfigError(
@@ -77,7 +77,7 @@ class GA(SearchSettings):
 @register_search
 @dataclass
 class BO(SearchSettings):
-    """Bayesian optimisation (paper Algorithm 2, Table 4)."""
+    """Settings of Bayesian optimisation (paper Algorithm 2, Table 4)."""
 
     title = "Bayesian optimisation"
     implementation = "bo:BayesianSearch"
@@ -102,7 +102,7 @@ class BO(SearchSettings):
 @register_search
 @dataclass
 class CppnNeat(SearchSettings):
-    """CPPN-NEAT (paper section C.3, Table 5); Table 5 itself is ``cppn_neat.cfg`` beside this module."""
+    """Settings of CPPN-NEAT (paper section C.3); Table 5 is the file ``cppn_neat.cfg``."""
 
     title = "CPPN-NEAT"
     implementation = "cppn_neat:CppnNeatSearch"
@@ -115,7 +115,7 @@ class CppnNeat(SearchSettings):
 @register_search
 @dataclass
 class MapElites(SearchSettings):
-    """MAP-Elites: the best design of every kind of body."""
+    """Settings of MAP-Elites, which keeps the best design of every kind of body."""
 
     title = "MAP-Elites"
     implementation = "map_elites:MapElitesSearch"
@@ -129,7 +129,7 @@ class MapElites(SearchSettings):
     bins: int = key(5, "bins of each descriptor", low=1)
 
     def __post_init__(self) -> None:
-        """Check the values, and that the grid of descriptors fits into memory."""
+        """Validate the values, and that the descriptor grid fits into memory."""
         super().__post_init__()
         if not self.descriptors or len(set(self.descriptors)) < len(self.descriptors):
             raise ConfigError(
@@ -144,7 +144,7 @@ class MapElites(SearchSettings):
 @register_search
 @dataclass
 class RandomDesigns(SearchSettings):
-    """Random search, the baseline: designs by EvoGym's sampling rule."""
+    """Settings of random search, the baseline: designs by EvoGym's sampling rule."""
 
     title = "random search"
     implementation = "base:RandomSearch"
@@ -155,7 +155,7 @@ class RandomDesigns(SearchSettings):
 @register_search
 @dataclass
 class CustomSearch(SearchSettings):
-    """Search by code of your own; see docs/own_search.md."""
+    """Settings of a search by the user's own code; see docs/own_search.md."""
 
     title = "custom"
     implementation = "factory:make_custom"

@@ -1,4 +1,4 @@
-"""Bodies of a training: reading them from the settings, and exchanging them while a policy is trained."""
+"""Bodies of a training: loading, random sampling, and exchange during training."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from warpvox.runs import CONFIG
 
 RANDOM = re.compile(r"random:(\d+)(?::(\d+)x(\d+))?")
 SHAPE = (5, 5)
-"""Rows and columns of random bodies, where the settings give no size."""
+"""Default rows and columns of random bodies."""
 HELD_OUT_SEED = 1_000_003
-"""Seed of random held-out bodies: the same for all trainings, so that they can be compared."""
+"""Seed of random held-out bodies, the same for all trainings."""
 HELD_OUT = 32
-"""Number of random held-out bodies, where the settings name none."""
+"""Default number of random held-out bodies."""
 MOST = 1_000_000
 RECENT = 0.3
-"""Weight of the newest episode in the running mean return of a body."""
+"""Weight of the newest episode in a body's running mean return."""
 
 
 def load_bodies(spec: Any, seed: int) -> list[Design | dict[str, Design]]:
-    """Load the bodies that the key ``design`` names: one, or one for each entry of a list of names, files or bodies.
+    """Load the bodies given by the key ``design``: one, or a list of names, files or bodies.
 
     A mapping ``{robot name: body}`` is a design for a task with several robots.
     """
@@ -55,7 +55,7 @@ def load_bodies(spec: Any, seed: int) -> list[Design | dict[str, Design]]:
 
 
 def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) -> list[Design]:
-    """Return the bodies that the key named ``key`` gives, read from files or drawn at random.
+    """Load or sample the bodies given by the key named ``key``.
 
     Args:
         spec: ``random:64`` or ``random:64:5x7`` (drawn with ``seed``), a folder of designs, the folder of a design
@@ -82,7 +82,7 @@ def read_bodies(spec: Any, seed: int, key: str, without: Sequence[Design] = ()) 
 
 
 def _bodies_in(folder: Path, key: str) -> list[Design]:
-    """Load the bodies in ``folder``: those of a design search (best first), the one of a run, or all design files."""
+    """Load the bodies in ``folder``: of a design search (best first), of a run, or all design files."""
     from warpvox.algos.archive import FILE, Archive
 
     if (folder / FILE).is_file():
@@ -103,13 +103,13 @@ def _bodies_in(folder: Path, key: str) -> list[Design]:
 
 
 def has_designs(folder: Path) -> bool:
-    """Return True if ``folder`` holds design files and is not the folder of a run."""
+    """Return True if ``folder`` contains design files and is not a run's folder."""
     return bool(design_paths(folder)) and not (folder / CONFIG).is_file()
 
 
 @dataclass(frozen=True)
 class TrainingBodies:
-    """The bodies that one training uses.
+    """Bodies of one training: to train on, and to evaluate on.
 
     Attributes:
         trained: bodies that the policy is trained on.
@@ -124,19 +124,19 @@ class TrainingBodies:
     own: bool = False
 
     def lanes(self, settings: Training, device: str) -> int | None:
-        """Return the SIMD lanes of the training, so that an evaluation can reuse its kernels; None: not on the CPU."""
+        """Return the lane width of the training, so that evaluations reuse its kernels; None: not on the CPU."""
         return lanes_of(settings, len(self.trained)) if device == "cpu" else None
 
 
 def lanes_of(settings: Training, bodies: int) -> int | None:
-    """Return the SIMD lanes of a training on ``bodies`` bodies on the CPU; None: the environments choose them."""
+    """Return the lane width for training on ``bodies`` bodies on the CPU; None: let the environments choose."""
     if settings.lanes is not None or settings.is_many:
         return settings.lanes
     return lanes_for(settings.num_envs // bodies)
 
 
 def training_bodies(settings: Training) -> TrainingBodies:
-    """Load the bodies to train on and those to evaluate on, as the settings name them."""
+    """Load the bodies to train on and to evaluate on from the settings."""
     designs = settings.designs
     seed = settings.seed
     if designs.bodies is None:
@@ -158,14 +158,14 @@ def training_bodies(settings: Training) -> TrainingBodies:
 
 
 def _shape(bodies: Sequence[Design]) -> tuple[int, int]:
-    """Return the largest number of rows and the largest number of columns among ``bodies``."""
+    """Return the largest row count and the largest column count among ``bodies``."""
     return max(body.shape[0] for body in bodies), max(body.shape[1] for body in bodies)
 
 
 def draw_bodies(
     count: int, shape: tuple[int, int], rng: np.random.Generator, without: Sequence[Design] = ()
 ) -> list[Design]:
-    """Draw ``count`` different random bodies, none of them in ``without``.
+    """Sample ``count`` distinct random bodies, excluding those in ``without``.
 
     Bodies that differ only by their position in the grid count as equal.
 
@@ -182,7 +182,7 @@ def draw_bodies(
 def _append_random(
     found: list[Design], count: int, shape: tuple[int, int], rng: np.random.Generator, seen: set[int]
 ) -> None:
-    """Append random bodies whose digest is not in ``seen`` to ``found``, until it has ``count`` or draws run out."""
+    """Append new random bodies to ``found`` until it has ``count``, or sampling finds no more."""
     for _ in range(100 * count + 1000):
         if len(found) == count:
             return
@@ -194,7 +194,7 @@ def _append_random(
 
 
 def _digest(body: Design) -> int:
-    """Return a 64-bit hash of a body, equal for bodies that differ only by their position in the grid."""
+    """Return a 64-bit hash of a body, independent of its position in the grid."""
     rows, columns = (np.flatnonzero(body.any(axis)) for axis in (1, 0))
     cells = np.ascontiguousarray(body[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], np.int8)
     text = bytes(cells.shape) + cells.tobytes()
@@ -202,7 +202,7 @@ def _digest(body: Design) -> int:
 
 
 class Bodies:
-    """Exchanges the bodies of environments whose episode has ended.
+    """Exchanges the bodies of environments when their episodes end.
 
     Bodies are exchanged between two rollouts, so that no rollout holds a jump from one body to another; an episode
     that has begun in the meantime is discarded.
@@ -230,7 +230,7 @@ class Bodies:
 
     @classmethod
     def of(cls, bodies: TrainingBodies, settings: Training, seed: int) -> Bodies:
-        """Make the exchange for a training; ``seed`` is for the random choices and differs between processes."""
+        """Create the exchange of a training; ``seed`` differs between processes."""
         count = len(bodies.trained)
         refresh = settings.designs.refresh
         if refresh not in REFRESH[:2] and count < 2:
@@ -243,7 +243,7 @@ class Bodies:
         return cls(bodies.trained, refresh, np.random.default_rng([seed, 1]), bodies.judged)
 
     def first(self, num_envs: int) -> list[Design]:
-        """Choose each environment's first body, at random if there are more bodies; set ``_which``."""
+        """Choose each environment's first body, at random if there are more bodies than environments."""
         which = np.arange(num_envs) % len(self.bodies)
         if len(self.bodies) > num_envs:
             which = self._rng.choice(len(self.bodies), num_envs, replace=False)
@@ -252,7 +252,7 @@ class Bodies:
         return [self.bodies[body] for body in self._which]
 
     def record(self, ended: torch.Tensor, returns: torch.Tensor) -> None:
-        """Update mean returns of bodies by ``returns`` ``[num_envs]``, where whole episodes have ``ended`` (bool)."""
+        """Update the running mean returns of bodies from ``returns`` ``[num_envs]`` where ``ended`` (bool) is True."""
         for env in ended.nonzero()[:, 0].tolist():
             body = self._which[env]
             value = float(returns[env])
@@ -261,7 +261,7 @@ class Bodies:
                 self._returns[body] = value if np.isnan(old) else old + RECENT * (value - old)
 
     def exchange(self, env: RslRlVecEnv, ended: torch.Tensor) -> None:
-        """Give each environment in the mask ``ended`` (bool ``[num_envs]``) another body, as ``refresh`` says."""
+        """Give environments in the mask ``ended`` (bool ``[num_envs]``) other bodies, according to ``refresh``."""
         count = int(ended.sum())
         if self.refresh == "none" or not count:
             return
@@ -276,7 +276,7 @@ class Bodies:
         env.set_designs(bodies, ended)
 
     def _draw_new(self, count: int) -> list[Design]:
-        """Draw ``count`` random bodies that were not used yet; once there are no more, used ones may come again."""
+        """Sample ``count`` unused random bodies; if there are none left, used ones repeat."""
         found: list[Design] = []
         _append_random(found, count, self.shape, self._rng, self._digests)
         while len(found) < count:
@@ -288,7 +288,7 @@ class Bodies:
         return found
 
     def _probabilities(self) -> np.ndarray | None:
-        """Return the probability with which each body is drawn, ``[bodies]``; None: all are equally likely."""
+        """Return the sampling probability of each body, ``[bodies]``; None: uniform."""
         if self.refresh != "performance":
             return None
         fresh = np.isnan(self._returns)
@@ -298,7 +298,7 @@ class Bodies:
         return low / low.sum()
 
     def state(self, env: RslRlVecEnv) -> dict[str, Any]:
-        """Return the bodies of the environments, the returns and the random state, for :meth:`set_state`."""
+        """Return bodies, mean returns and random state, for :meth:`set_state`."""
         bodies = [env.env.designs[design] for design in env.env.design_index.tolist()]
         grids = np.zeros((env.num_envs, *self.shape), np.int8)
         shapes = [list(body.shape) for body in bodies]
@@ -313,7 +313,7 @@ class Bodies:
         }
 
     def set_state(self, state: dict[str, Any], env: RslRlVecEnv) -> None:
-        """Restore a saved :meth:`state` and put its bodies into ``env``; the simulation's own state is not restored.
+        """Restore a :meth:`state` and put its bodies into ``env``, without the simulation's state.
 
         Raises:
             RunError: the state is of other bodies or environments. DesignError: a body in it is not valid.

@@ -1,4 +1,4 @@
-"""Training one policy in several processes started by ``torchrun``; each process has its own environments."""
+"""Training of one policy in several processes started by ``torchrun``, each with its own environments."""
 
 import os
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class ProcessGroup:
-    """The processes that train one policy, and the position of this process among them.
+    """Processes that train one policy together, and this process's rank.
 
     ``rank`` is the index of this process among all ``size`` processes, ``local_rank`` its index among the
     ``local_size`` on this machine. The processes exchange tensors on ``device``. In a group of one process no method
@@ -35,13 +35,13 @@ class ProcessGroup:
         return self.rank == 0
 
     def seed(self, seed: int) -> int:
-        """Return a seed of this process, derived from that of the training; the first process uses ``seed``."""
+        """Derive this process's seed from ``seed``; the first process uses ``seed`` itself."""
         if self.is_main_process:
             return seed
         return int(np.random.SeedSequence([seed, self.rank]).generate_state(1, np.uint32)[0])
 
     def sum(self, values: Sequence[float]) -> list[float]:
-        """Return the sum of each value over all processes."""
+        """Sum each value over all processes."""
         if self.size == 1:
             return list(values)
         # NCCL has float64, some other devices have not; here it is CUDA or the CPU
@@ -53,7 +53,7 @@ class ProcessGroup:
         return bool(self.sum([float(flag)])[0])
 
     def broadcast(self, value: Value) -> Value:
-        """Return the ``value`` that the first process passed."""
+        """Return the ``value`` passed by the first process, in all processes."""
         if self.size == 1:
             return value
         box = [value]
@@ -65,7 +65,7 @@ SINGLE_PROCESS = ProcessGroup()
 
 
 def join_process_group(device: str) -> ProcessGroup:
-    """Join the processes that ``torchrun`` has started; without ``torchrun`` return a group of one.
+    """Join the processes started by ``torchrun``; otherwise return a group of one.
 
     Args:
         device: ``cuda`` and ``auto`` become this process's own GPU; the processes talk by NCCL then, else by gloo.

@@ -1,4 +1,4 @@
-"""Evaluation of a policy on many bodies, written as a table and a picture to the folder of a run."""
+"""Evaluation of a policy on many bodies, written to a run's folder as table and picture."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COLUMNS = "body", "last_return", "best_return", "cells"
 
 
 def shades(task: str, returns: np.ndarray) -> list[float]:
-    """Scale returns to [0, 1]: 0 for random actions or worse, 1 for the best published return of the task or better.
+    """Scale returns to [0, 1]: 0 for random actions or worse, 1 for the best published return or better.
 
     If no return is published for the task, 0 stands for a return of 0 or less, 1 for the largest absolute value in
     ``returns``.
@@ -33,13 +33,13 @@ def shades(task: str, returns: np.ndarray) -> list[float]:
 
 
 class HeldOut:
-    """Evaluates a policy on many bodies and writes the return on each body to a table and a picture.
+    """Evaluator of a policy on many bodies; writes the return on each body to a table and a picture.
 
-    They are ``<name>.csv`` and ``<name>.png`` in ``folder``, the run's folder; None: nothing is written.
+    The files are ``<name>.csv`` and ``<name>.png`` in ``folder``, the run's folder; None: nothing is written.
     """
 
     def __init__(self, judge: Evaluator, bodies: Sequence[Design], name: str = "held_out", task: str = "") -> None:
-        """Set up the evaluation; ``folder`` is set once the run has one.
+        """Set up the evaluation; ``folder`` is assigned once the run has one.
 
         Args:
             judge: evaluates a policy in environments with the ``bodies``.
@@ -54,12 +54,12 @@ class HeldOut:
 
     @property
     def about(self) -> str:
-        """Words that say how many bodies these are and whether the policy is trained on them."""
+        """Number of bodies, as text, and whether the policy is trained on them."""
         count = f"{len(self.bodies)} bod{'y' if len(self.bodies) == 1 else 'ies'}"
         return f"the {count} trained on" if self.name == "bodies" else f"{count} held out from training"
 
     def __call__(self, policy: Any) -> EpisodeReturns:
-        """Evaluate ``policy`` and return the result; writes the table and the picture if there is a folder."""
+        """Evaluate ``policy`` and return the result; writes table and picture if there is a folder."""
         result = self.judge(policy)
         last = result.fitness.numpy()
         if self.folder is not None:
@@ -71,7 +71,7 @@ class HeldOut:
         return result
 
     def _best(self, file: Path) -> np.ndarray:
-        """Return the best return on each body so far, ``[bodies]``, from the table; -inf where it has none."""
+        """Read the best return on each body so far, ``[bodies]``, from the table; -inf if there is none."""
         with suppress(Unreadable, KeyError, TypeError, ValueError):  # of a file that somebody else has written
             best = np.array([row["best_return"] for row in read_table(file)], float)
             if len(best) == len(self.bodies):
@@ -79,7 +79,7 @@ class HeldOut:
         return np.full(len(self.bodies), -np.inf)
 
     def _draw(self, last: np.ndarray, file: Path) -> None:
-        """Save a picture of the bodies, best first, each on a background that is greener for a higher return."""
+        """Save a picture of the bodies, best first, with greener backgrounds for higher returns."""
         from warpvox.view.body_picture import draw_bodies
         from warpvox.view.painter import save_png
 

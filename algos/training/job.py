@@ -1,4 +1,4 @@
-"""A training from its settings to its result: environments, runner, folder and summary."""
+"""A training from settings to result: environments, runner, folder and summary."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ CHANGEABLE = (
     "max_iterations", "eval_interval", "stop_return", "save_interval", "device", "threads", "torch_threads", "logger",
     "nan_guard", "memory_check", "export", "resume", "output_dir",
 )  # fmt: skip
-"""Keys that may differ when a run is resumed: they do not change what is learned.
+"""Keys that may change when a run is resumed, as they do not affect learning.
 
 But for ``max_iterations`` where the rate falls to the end (``ppo.schedule=linear``), and rounding: another device, or
 other ``torch_threads``, adds up the products of matrices in another order.
@@ -60,7 +60,7 @@ other ``torch_threads``, adds up the products of matrices in another order.
 
 
 class Job:
-    """One training: checks the settings when it is made, trains in :meth:`train`, and keeps the result.
+    """A training: validates its settings, trains in :meth:`train`, and keeps the result.
 
     Args:
         settings: of the training; with ``source`` only settings in :data:`CHANGEABLE` may differ from those of that
@@ -89,7 +89,7 @@ class Job:
         self.settings = settings
 
     def check(self) -> None:
-        """Raise an error if a task, body, policy or device that the settings name does not exist."""
+        """Raise an error if a task, body, policy or device in the settings does not exist."""
         resolved(self.settings)
 
     def train(
@@ -101,7 +101,7 @@ class Job:
         place: Path | None = None,
         finish: Callable[[], object] = lambda: None,
     ) -> None:
-        """Train the policy and write the run's folder. Nothing is written before everything has been checked.
+        """Train the policy and write the run's folder, after validating everything.
 
         Args:
             listeners: called about the progress, in the first process only.
@@ -129,7 +129,7 @@ class Job:
                 finish()
 
     def _prepare(self, listeners: Sequence[Listener]) -> None:
-        """Make the environments, the evaluator and the runner; nothing is written."""
+        """Create environments, evaluator and runner, without writing files."""
         group = self.group
         settings = self.settings
         with ExitStack() as stack:
@@ -230,7 +230,7 @@ class Job:
         self.written = dataclasses.replace(settings, task=task_name(settings.task))
 
     def _make_judge(self, settings: Training, bodies: TrainingBodies) -> Evaluator:
-        """Return the evaluator, which runs the same episodes every time, on the CPU even if training is on a GPU.
+        """Create the evaluator, which repeats the same episodes, on the CPU even if training is on a GPU.
 
         On a GPU the few environments of an evaluation would need as many kernel launches as ten iterations.
         """
@@ -253,7 +253,7 @@ class Job:
 
     @contextmanager
     def _folder(self, place: Path | None) -> Iterator[None]:
-        """Create the folder of a new run, or open that of a resumed one, for the block."""
+        """Create the folder of a new run, or open a resumed run's folder, within the block."""
         settings = self.settings
         group = self.group
         runner = self.runner
@@ -281,7 +281,7 @@ class Job:
     def _learn(
         self, listeners: Sequence[Listener], callbacks: Sequence[Callable[[Mapping[str, float]], object]]
     ) -> None:
-        """Run the training loop; write the summary and notify the listeners however it ends."""
+        """Run the training loop; write the summary and notify the listeners even after errors."""
         runner = self.runner
         status = "failed"
         began = time.perf_counter()
@@ -327,7 +327,7 @@ class Job:
                 listener.ended(self.summary)
 
     def _keep_best(self, judge: Evaluator, policy: Any) -> EpisodeReturns:
-        """Evaluate ``policy`` with ``judge``, and keep a copy in ``best`` if its mean return is the highest so far."""
+        """Evaluate ``policy`` with ``judge``, and copy it to ``best`` if its mean return is the highest so far."""
         found = judge(policy)
         if found.mean_return > self.runner.best_return:
             self.best = Policy(policy.spec, policy.actor.state_dict())
@@ -335,7 +335,7 @@ class Job:
 
     @property
     def policy(self) -> Policy:
-        """Policy with the best evaluation, on the CPU, of a training that writes no files."""
+        """Best policy of a training without files, on the CPU."""
         policy = self.best or self.runner.policy
         known = {name: getattr(self.settings, name) for name in ("obs", "dtype", "arithmetic")}
         known["lanes"] = lanes_of(self.settings, len(load_bodies(self.settings.design, self.settings.seed)))
@@ -344,7 +344,7 @@ class Job:
 
 
 def resolved(settings: Training) -> Any:
-    """Return ``settings`` with names replaced by values (cells, constants, device); random bodies stay names."""
+    """Replace names in ``settings`` by values (cells, constants, device), except random bodies."""
     get_task(settings.task)
     check_policy(settings.policy)
     designs = {}
@@ -364,12 +364,12 @@ def resolved(settings: Training) -> Any:
 
 
 def task_name(task: Any) -> str:
-    """Return the id by which files name a task."""
+    """Return the id that stands for a task in files."""
     return task.id if isinstance(task, TaskSpec) else task
 
 
 def continued(settings: Training, source: Run) -> tuple[Training, Path]:
-    """Return the settings of the run ``source`` to continue, and the checkpoint that learning continues from."""
+    """Return the settings for continuing the run ``source``, and the checkpoint to continue from."""
     check_writable(source.folder)
     named = dataclasses.replace(resolved(settings), task=task_name(settings.task))
     check_unchanged(source.config, named, CHANGEABLE)
@@ -396,7 +396,7 @@ def continued(settings: Training, source: Run) -> tuple[Training, Path]:
 
 
 def go_on(checkpoint: Path, runner: Runner) -> None:
-    """Load a checkpoint into ``runner`` so that training continues; ResumeError if no iterations are left to do.
+    """Load a checkpoint into ``runner`` to continue training; ResumeError: no iterations are left.
 
     A run that was killed after its last iteration, before its summary was written, may continue: only the summary is
     left to do.

@@ -1,4 +1,4 @@
-"""Loading of trained policies, and of environments to run them in."""
+"""Loading of trained policies and matching environments."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 def find_policy(
     source: Any, output_dir: str | Path = "outputs", network: str | None = None, device: str = "cpu"
 ) -> Run | Callable[[Any], Any]:
-    """Return the run or stored robot that ``source`` names, or ``source`` itself as a function of observations.
+    """Find the run or stored robot named by ``source``; a function of observations is returned unchanged.
 
     Args:
         source: ``latest``, the folder of a run or of a design search (its best design), a checkpoint, an exported file,
@@ -86,7 +86,7 @@ def load_policy(
     device: str = "cpu",
     policy: str | None = None,
 ) -> Policy:
-    """Load a trained policy as a torch module that maps observations to actions, without exploration.
+    """Load a trained policy without exploration as a torch module from observations to actions.
 
     The module can be scripted, traced and exported (see :class:`warpvox.algos.checkpoints.policy.Policy`). No file is
     unpickled and none brings code: a run's task is not imported.
@@ -125,7 +125,7 @@ def load_policy(
 
 @dataclasses.dataclass(frozen=True)
 class TrainedRun:
-    """The result of a training that has ended.
+    """Result of a finished training.
 
     Attributes:
         folder: of the run, as ``warpvox play run=FOLDER`` takes it; None: nothing was written.
@@ -141,7 +141,7 @@ class TrainedRun:
 
     @property
     def design(self) -> Design | dict[str, Design]:
-        """Body of the run, or a mapping of robot names to bodies.
+        """Body of the run, or bodies by robot name.
 
         Raises:
             DesignError: the policy is for many bodies.
@@ -153,12 +153,12 @@ class TrainedRun:
 
     @property
     def policy_source(self) -> Path | Policy:
-        """Folder of the run, or the policy itself if nothing was written."""
+        """Folder of the run, or the policy itself if no files were written."""
         return self.folder or self.policy
 
     @classmethod
     def of(cls, job: Job) -> TrainedRun:
-        """Return the result of ``job``, whose training has ended."""
+        """Create the result from a finished ``job``."""
         if job.folder is None:
             return cls(None, job.summary, job.rows, job.policy)
         policy = load_policy(job.folder, policy=job.settings.policy)
@@ -170,7 +170,7 @@ class TrainedRun:
         return f"TrainedRun({self.summary['status']}, {self.summary['steps']:,} steps, {best}, {where})"
 
     def _repr_html_(self) -> str:
-        """Return the result and the learning curve as HTML, for notebooks."""
+        """Show the result and the learning curve as HTML, for notebooks."""
         from warpvox.algos.report.charts import picture
 
         points = [(row["steps"], row.get("eval_return", np.nan)) for row in self.rows]
@@ -178,17 +178,17 @@ class TrainedRun:
 
     @property
     def best_return(self) -> float | None:
-        """Best mean return of a deterministic evaluation; None: there was no evaluation."""
+        """Best mean return of all deterministic evaluations, or None."""
         return self.summary["best_return"]
 
     @property
     def metrics(self) -> dict[str, np.ndarray]:
-        """Columns of ``metrics.csv`` as float64 arrays ``[iterations]``; NaN where an iteration has no value."""
+        """Columns of ``metrics.csv`` as float64 arrays ``[iterations]``; NaN for missing values."""
         return {name: np.array([row.get(name, np.nan) for row in self.rows], float) for name in COLUMNS}
 
 
 def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:
-    """Return environments and policy of a run (see :func:`load_trained`) or of a stored robot."""
+    """Load environments and policy of a run (see :func:`load_trained`) or of a stored robot."""
     if run.robot is not None:
         if designs is not None:
             raise ConfigError("Other bodies go with a run over many of them; a stored robot has its own.")
@@ -197,7 +197,7 @@ def load_run(run: Run, config: Any, designs: Any = None, every: bool = False) ->
 
 
 def _load_robot(robot: Robot, config: Playing, file: Path) -> tuple[VoxelVecEnv, Any]:
-    """Return environments and policy of a stored robot; exact, with recorded seeds, unless ``config`` differs.
+    """Load environments and policy of a stored robot; exact, with recorded seeds, unless ``config`` differs.
 
     ``config.seed`` is that of the first episode; the others follow it, as an entry is judged.
     """

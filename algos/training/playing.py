@@ -1,4 +1,4 @@
-"""Trained policies in environments of their run, for playing and evaluation."""
+"""Trained policies together with environments, for playing and evaluation."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -24,12 +24,12 @@ from warpvox.errors import ConfigError
 from warpvox.runs import CONFIG, Run
 
 SHOWN = 4
-"""Default number of episodes to show where episodes differ."""
+"""Default number of episodes shown of a random task."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Playing:
-    """Settings for playing the policy of a run; None: as in the run.
+    """Settings for playing a run's policy; None: as in training.
 
     Attributes:
         task, policy: code of the user's own that the run names, see :func:`warpvox.code.passed_code`.
@@ -54,14 +54,14 @@ class Playing:
 
 
 def own_code(settings: Any) -> dict[str, Any]:
-    """Return the user's own task and policy code that ``settings`` name, as arguments for :class:`Playing`."""
+    """Return the user's own task and policy code in ``settings``, as arguments for :class:`Playing`."""
     policy = getattr(settings, "policy", None)
     task = settings.task if is_code(settings.task) or isinstance(settings.task, TaskSpec) else None
     return {"task": task, "policy": policy if is_code(policy) else None}
 
 
 class SampledPolicy:
-    """Policy that draws actions from the Gaussian distribution it was trained with, instead of taking the mean.
+    """Policy that samples actions from its Gaussian distribution instead of taking the mean.
 
     Args:
         policy: gives the mean action.
@@ -80,7 +80,7 @@ class SampledPolicy:
 
     @torch.no_grad()
     def __call__(self, obs: torch.Tensor) -> torch.Tensor:
-        """Draw actions ``[n, num_actions]`` in [0.6, 1.6] for the observations ``[n, num_obs]``."""
+        """Sample actions ``[n, num_actions]`` in [0.6, 1.6] for the observations ``[n, num_obs]``."""
         mean = self.policy.network(obs).float()
         noise = torch.randn(mean.shape, generator=self._generator, device=mean.device)
         deviation = self._std
@@ -91,7 +91,7 @@ class SampledPolicy:
 
 
 def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False) -> tuple[VoxelVecEnv, Any]:
-    """Return environments and policy of a training run (not of a stored robot).
+    """Load environments and policy of a training run (not of a stored robot).
 
     Args:
         config: :class:`Playing`, or the keys of a command that has the same.
@@ -140,7 +140,7 @@ def load_trained(run: Run, config: Any, designs: Any = None, every: bool = False
 
 
 def load_result(run: Run, settings: Any, device: str = "cpu") -> tuple[VoxelVecEnv, Any]:
-    """Return the policy of a run that has just ended, and one environment for each of its designs, to show an episode.
+    """Load the policy of a finished run, with one environment per design, to show an episode.
 
     ``settings``: of the training or design search, with the code that the user has named.
     """
@@ -150,13 +150,13 @@ def load_result(run: Run, settings: Any, device: str = "cpu") -> tuple[VoxelVecE
 
 
 def check_episodes(episodes: int, bodies: int) -> None:
-    """Raise ConfigError unless ``episodes`` can be divided evenly among ``bodies``."""
+    """Raise ConfigError unless ``episodes`` is a multiple of ``bodies``."""
     if episodes % bodies:
         raise ConfigError(f"{bodies} bodies need a multiple of that of episodes; got {episodes}.")
 
 
 def disturbed(policy: Any, env: VoxelVecEnv, parts: Sequence[str], seed: int) -> Any:
-    """Wrap ``policy`` so that each block of environments gets its disturbance; all draw the same random numbers."""
+    """Wrap ``policy`` so that each block of environments gets its disturbance, with common random numbers."""
     if parts == (NOMINAL,):
         return policy
     episodes = env.num_envs // len(parts)

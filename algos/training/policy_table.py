@@ -1,4 +1,4 @@
-"""Mean returns of evaluated policies with confidence intervals, and comparisons of runs grouped by settings."""
+"""Tables of mean returns with confidence intervals, and comparisons of groups of runs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from warpvox.runs import Run
 
 @dataclass(frozen=True)
 class EvaluatedPolicy:
-    """One row of the table: a policy and its returns in episodes of one disturbance.
+    """A row of the table: a policy's returns under one disturbance.
 
     ``returns`` are those of all episodes; ``independent`` is the sample that the interval is computed from: with
     several bodies, or episodes that are all equal, one mean for each body, else ``returns``. ``drawn``: episodes with
@@ -42,7 +42,7 @@ class EvaluatedPolicy:
     def each(
         cls, name: str, env: VoxelVecEnv, policy: Any, level: float, parts: Sequence[str], drawn: bool
     ) -> list[EvaluatedPolicy]:
-        """Run one episode in each environment and return a row for each disturbance in ``parts``."""
+        """Run one episode in each environment; return a row for each disturbance in ``parts``."""
         blocks = evaluate(env, policy).returns.view(env.num_designs, len(parts), -1).transpose(0, 1)
         rows = []
         for part, block in zip(parts, blocks.tolist(), strict=True):
@@ -57,12 +57,12 @@ class EvaluatedPolicy:
 
     @property
     def interval(self) -> Interval:
-        """Confidence interval of the mean return, by Student's t distribution."""
+        """Confidence interval of the mean return (Student's t)."""
         return mean_interval(self.independent, self.level)
 
     @property
     def episodes(self) -> str:
-        """The number of independent episodes, and whether others would have been the same."""
+        """Number of independent episodes, marked if repeating them changes nothing."""
         return str(len(self.returns)) if self.drawn else f"{len(self.independent)} (deterministic)"
 
     @property
@@ -72,15 +72,15 @@ class EvaluatedPolicy:
 
     @property
     def low_tenth(self) -> float:
-        """10 % quantile of the returns in ``independent``."""
+        """10 % quantile of the independent returns."""
         return float(np.quantile(self.independent, 0.1))
 
 
 class PolicyTable(tuple[EvaluatedPolicy, ...]):
-    """Rows in the order in which the policies were given; shown as a table by ``print`` and in notebooks."""
+    """List of evaluated policies, shown as a table by ``print`` and in notebooks."""
 
     def _cells(self) -> Iterator[tuple[str, ...]]:
-        """Yield the header and then each row, as tuples of text."""
+        """Yield the header and each row as text."""
         yield "policy", "task", "protocol", "episodes", "mean", f"{100 * self[0].level:g} % CI", "10 % quantile"
         for row in self:
             low, high = row.interval.low, row.interval.high
@@ -99,7 +99,7 @@ class PolicyTable(tuple[EvaluatedPolicy, ...]):
 
 
 def evaluate_run(run: Run, config: Any, designs: Any = None, level: float = 0.95) -> list[EvaluatedPolicy]:
-    """Run one episode in each environment of :func:`load_run` and return a row for each disturbance."""
+    """Run one episode in each environment of a run; return a row for each disturbance."""
     env, policy = load_run(run, config, designs, every=True)
     parts = policy.parts if isinstance(policy, Disturbed) else (NOMINAL,)
     return EvaluatedPolicy.each(str(run.folder), env, policy, level, parts, config.stochastic)
@@ -107,29 +107,29 @@ def evaluate_run(run: Run, config: Any, designs: Any = None, level: float = 0.95
 
 @dataclass(frozen=True)
 class Judged:
-    """Runs with the same settings, and the evaluation of each in episodes of one disturbance."""
+    """A group of runs with the same settings, and their evaluations under one disturbance."""
 
     group: Group
     rows: list[EvaluatedPolicy]
 
     @property
     def disturbance(self) -> str:
-        """Disturbance of the episodes."""
+        """Name of the disturbance."""
         return self.rows[0].disturbance
 
     @property
     def over(self) -> str:
-        """Sample of the interval: ``runs`` if there are several, else the ``episodes`` of the only run."""
+        """Sample of the confidence interval: ``runs`` if there are several, else the ``episodes`` of one run."""
         return "runs" if len(self.rows) > 1 else "episodes"
 
     @property
     def values(self) -> list[float]:
-        """Independent values: the mean return of each run, or the returns of the only run."""
+        """Independent values: the mean return of each run, or the episodes' returns of a single run."""
         return [row.mean for row in self.rows] if len(self.rows) > 1 else self.rows[0].independent
 
 
 def judged_groups(groups: Iterable[Group], rows_of: Callable[[Run], Sequence[EvaluatedPolicy]]) -> list[Judged]:
-    """Return a :class:`Judged` for each group and each disturbance that all runs of the group were evaluated with."""
+    """Combine rows into a :class:`Judged` per group and disturbance, if all runs of the group have it."""
     found = []
     for group in groups:
         by_part = [{row.disturbance: row for row in rows_of(run)} for run in group.runs]
@@ -139,7 +139,7 @@ def judged_groups(groups: Iterable[Group], rows_of: Callable[[Run], Sequence[Eva
 
 
 def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged, Interval]]:
-    """Return each pair with the same task and disturbance, and Welch's interval of first minus second mean return."""
+    """Compare all pairs with the same task and disturbance: Welch's interval of the difference in mean return."""
     pairs = [
         (first, second)
         for first, second in combinations(judged, 2)
@@ -149,7 +149,7 @@ def compare(judged: Sequence[Judged], level: float) -> list[tuple[Judged, Judged
 
 
 def tables(judged: Sequence[Judged], level: float) -> dict[str, list[dict[str, Any]]]:
-    """Return the tables ``runs``, ``groups`` and ``comparisons``, each as a list of rows."""
+    """Build the tables ``runs``, ``groups`` and ``comparisons``, each as a list of rows."""
     runs = []
     groups = []
     pairs = []
@@ -168,6 +168,6 @@ def tables(judged: Sequence[Judged], level: float) -> dict[str, list[dict[str, A
 
 
 def _row(interval: Interval, name: str = "mean") -> dict[str, Any]:
-    """Return the columns of an interval: the mean as ``name``, ``low``, ``high`` (None where not finite) and ``n``."""
+    """Build the columns of an interval: the mean as ``name``, ``low``, ``high`` (None if not finite) and ``n``."""
     low, high = ((value if math.isfinite(value) else None) for value in (interval.low, interval.high))
     return {name: interval.mean, "low": low, "high": high, "n": interval.n}

@@ -1,4 +1,4 @@
-"""The key ``pretrained``: a trained policy that another training or a design search starts from."""
+"""The key ``pretrained``: start a training or a design search from a trained policy."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from warpvox.algos.checkpoints.files import PolicySpec
 
 OBS_OF_VOXELS = {"task": "voxel", "timed": "timed_voxel"}
-"""Observations that a voxel policy gets for a value of ``obs``."""
+"""Voxel observations for each value of ``obs``."""
 
 
 def find_pretrained(source: str, output_dir: str) -> tuple[Path, dict[str, Any]]:
-    """Return the checkpoint that ``source`` names and the configuration of its run; empty for a file without a run."""
+    """Find the checkpoint named by ``source`` and its run's configuration; empty for a single file."""
     path = Path(source).expanduser()
     if path.is_file() and not (path.parent / CONFIG).is_file():
         return path, {}
@@ -33,7 +33,7 @@ def find_pretrained(source: str, output_dir: str) -> tuple[Path, dict[str, Any]]
 
 
 def check_learned(path: Path, content: Mapping[str, Any], network: str | None) -> PolicySpec:
-    """Check a whole checkpoint and return its policy's specification; raises if it cannot be trained further."""
+    """Validate a whole checkpoint for further training, and return the policy's specification."""
     from warpvox.algos.checkpoints.files import checked_weights
     from warpvox.algos.checkpoints.policy import policy_of
 
@@ -48,18 +48,18 @@ def check_learned(path: Path, content: Mapping[str, Any], network: str | None) -
 
 
 def observed_by(spec: Mapping[str, Any] | None) -> str:
-    """Return the key ``obs`` of a voxel policy, ``voxel`` or ``timed_voxel``, from the policy's specification."""
+    """Return the key ``obs`` of a voxel policy: ``voxel`` or ``timed_voxel``."""
     voxels = (spec or {}).get("voxels") or {}
     return "timed_voxel" if voxels.get("layout", {}).get("timed") else "voxel"
 
 
 def is_on_grid(layout: Mapping[str, Any]) -> bool:
-    """Return whether a voxel policy has an action for every cell of its grid, and so can control any body in it."""
+    """Return whether a voxel policy has an action for every cell of its grid, so that it can control any body."""
     return layout["actions"] == layout["rows"] * layout["columns"]
 
 
 def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[Training, dict[str, Any]]:
-    """Return ``config`` changed to start from the policy ``pretrained``, and the content of its checkpoint.
+    """Change ``config`` to start from the policy ``pretrained``; return it with the checkpoint's content.
 
     Network and observations are those of the policy. One that sees voxels keeps its grid, which other bodies
     lie in.
@@ -102,7 +102,7 @@ def adopted(config: Training, pretrained: str, named: Collection[str]) -> tuple[
 
 
 def _designs_on_grid(config: Training, layout: dict[str, Any]) -> Any:
-    """Return ``designs`` with the grid of the policy; if it has no bodies, with the one body of ``config``."""
+    """Return ``designs`` with the policy's grid; without bodies, use the body of ``config``."""
     from warpvox.algos.training.bodies import load_bodies  # and torch with it, for which mistakes in keys do not wait
 
     designs = config.designs

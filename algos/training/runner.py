@@ -1,4 +1,4 @@
-"""The training loop: PPO with evaluations, metrics, atomic checkpoints and exact resumption."""
+"""Training loop: PPO with evaluations, metrics, atomic checkpoints and exact resumption."""
 
 import contextlib
 import math
@@ -32,8 +32,8 @@ from warpvox.algos.expected import check_like
 from warpvox.algos.generators import Generators
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.metrics import Metrics, read_metrics
+from warpvox.algos.ppo.fused import FusedPPO
 from warpvox.algos.ppo.iteration import Iteration
-from warpvox.algos.ppo.population import PopulationPPO
 from warpvox.algos.ppo.stock import PPO, rsl_rl_config
 from warpvox.algos.settings import WIDEST, Ppo
 from warpvox.algos.training.bodies import Bodies
@@ -48,15 +48,15 @@ COUNTERS = {
     "elapsed": float, "best_return": float, "best_iteration": int, "processes": int, "env": dict, "random": dict,
     "memory": dict,
 }  # fmt: skip
-"""Entries of a training state besides networks and optimiser, and their types."""
+"""Entries of a training state besides networks and optimiser, with their types."""
 
 HOST_BOUND = 0.1
-"""Training is host-bound if the host waits for the GPU for less than this fraction of the time."""
+"""Fraction of time waiting for the GPU below which training counts as host-bound."""
 
 
 @dataclass(frozen=True)
 class _Evaluation:
-    """An evaluation that runs in a thread while learning continues.
+    """An evaluation running in a thread while learning continues.
 
     ``result``: its outcome, once it has ended. ``policy``: checkpoint content of the policy under evaluation.
     ``state``: of the runner at that time, to return to if the evaluation reaches ``stop_return``; None: there is no
@@ -70,7 +70,7 @@ class _Evaluation:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Iterations at which training saves, evaluates and ends.
+    """Iterations at which training saves, evaluates and stops.
 
     ``total``: iterations of the whole run; ``save``, ``evaluate``: intervals; ``stop_return``: an evaluation
     that reaches it ends the run.
@@ -83,7 +83,7 @@ class Schedule:
 
 
 def adapt(env: Any, ppo: Ppo, apart: bool = False) -> RslRlVecEnv:
-    """Wrap a :class:`VoxelVecEnv` for rsl-rl as ``ppo`` says; ``apart``: designs share no running moments."""
+    """Wrap a :class:`VoxelVecEnv` for rsl-rl with the settings ``ppo``; ``apart``: no moments shared by designs."""
     if env.num_obs > WIDEST:  # of a checkpoint more are not read
         raise ConfigError(f"A policy takes {WIDEST:,} observations at most; this task and body have {env.num_obs:,}.")
     own = {name: getattr(ppo, name) for name in ("action_scale", "reward_scale", "bootstrap_time_limit")}
@@ -92,7 +92,7 @@ def adapt(env: Any, ppo: Ppo, apart: bool = False) -> RslRlVecEnv:
 
 @dataclass
 class TimeSpent:
-    """Seconds that iterations have taken (evaluations left out), by what they were spent on.
+    """Seconds spent on simulation and learning, without evaluations.
 
     ``simulation``: rollouts, the policy's forward passes included; ``learning``: updates. ``launching`` and
     ``waiting``: of the host, giving work to a GPU and waiting until it is done; 0 on a CPU.
@@ -105,17 +105,17 @@ class TimeSpent:
 
     @property
     def shares(self) -> dict[str, float]:
-        """Fractions of time spent on simulation and on learning, which add up to 1; empty at the beginning."""
+        """Fractions of time spent on simulation and on learning (sum 1); empty at first."""
         whole = self.simulation + self.learning
         return {"simulation": self.simulation / whole, "learning": self.learning / whole} if whole else {}
 
     @property
     def is_host_bound(self) -> bool:
-        """True if the GPU finishes almost as soon as the host has launched its last work."""
+        """True if the GPU mostly waits for the host to launch work."""
         return self.launching > 0 and self.waiting < HOST_BOUND * (self.launching + self.waiting)
 
     def __str__(self) -> str:
-        """Return the shares in percent, with a note if training is host-bound."""
+        """Format the shares in percent, with a note if training is host-bound."""
         parts = [", ".join(f"{name} {100 * share:.0f} %" for name, share in self.shares.items())]
         if self.is_host_bound:
             parts.append("host-bound: more environments cost nothing")
@@ -123,7 +123,7 @@ class TimeSpent:
 
 
 class _Rollout(Logger):
-    """Replaces rsl-rl's logger: collects what its runner reports of one iteration.
+    """Replacement of rsl-rl's logger that collects the figures of one iteration.
 
     ``ended``: bool ``[num_envs]``, environments in which an episode has ended. ``steps``: control steps of a rollout.
     """
@@ -136,7 +136,7 @@ class _Rollout(Logger):
         self.spent = spent
 
     def init_logging_writer(self) -> None:
-        """Start the record of a new iteration."""
+        """Start the record of an iteration."""
         self._began = time.perf_counter()
         self._logs: list[dict[str, torch.Tensor]] = []
         self.ended = torch.tensor(False)
@@ -144,7 +144,7 @@ class _Rollout(Logger):
     def process_env_step(
         self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict, intrinsic_rewards: object = None
     ) -> None:
-        """Record the logs and ended episodes of one control step; after the last one on CUDA, measure the wait."""
+        """Record the logs and ended episodes of one control step; after the last on CUDA, time the wait."""
         self._logs.append(extras["log"])
         self.ended = dones | self.ended
         if self.bodies is not None:
@@ -157,7 +157,7 @@ class _Rollout(Logger):
             self.spent.waiting += time.perf_counter() - launched
 
     def log(self, *, loss_dict: dict[str, float], collect_time: float, learn_time: float, **_: object) -> None:
-        """Record the losses and times of the update, and average the logs over the control steps."""
+        """Record losses and times of the update, and average the logs over the control steps."""
         self.losses = loss_dict
         self.spent.simulation += collect_time
         self.spent.learning += learn_time
@@ -262,7 +262,7 @@ class Runner(OnPolicyRunner):
         self._evaluation: _Evaluation | None = None
 
     def _configure_multi_gpu(self) -> None:
-        """Set the process group's ranks as rsl-rl's method does, for processes that are already connected."""
+        """Set ranks as rsl-rl does, for processes that are already connected."""
         group = self.group
         self.is_distributed = False
         self.gpu_world_size = group.size
@@ -276,17 +276,17 @@ class Runner(OnPolicyRunner):
 
     @property
     def steps(self) -> int:
-        """Number of control steps of all environments so far."""
+        """Control steps of all environments so far."""
         return self.current_learning_iteration * self.steps_per_iteration
 
     @property
     def policy(self) -> Policy:
-        """Current policy, without exploration, on the CPU."""
+        """Present policy without exploration, on the CPU."""
         self._catch_up()
         return Policy(self.spec, self.alg.get_policy().state_dict())
 
     def run(self) -> None:
-        """Train until the schedule's total number of iterations or ``stop_return`` is reached.
+        """Train until the schedule ends or ``stop_return`` is reached.
 
         The first interrupt waits for the end of the iteration, saves, and then raises KeyboardInterrupt.
 
@@ -300,7 +300,7 @@ class Runner(OnPolicyRunner):
             self.learn(left, init_at_random_ep_len=self.ppo.random_start)
 
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
-        """Train for ``num_learning_iterations``; random first episode lengths apply to the very first one only."""
+        """Train for ``num_learning_iterations``; only the very first may start at random episode lengths."""
         end = self.current_learning_iteration + num_learning_iterations
         self._rows.clear()
         self._evaluation = None
@@ -350,7 +350,7 @@ class Runner(OnPolicyRunner):
                 self._metrics.close()
 
     def _report(self) -> None:
-        """Write the rows in ``_rows`` to the metrics, pass them to ``report``, and empty ``_rows``."""
+        """Write pending metrics rows, pass them to ``report``, and clear them."""
         while self._rows:
             row, means = self._rows.pop(0)
             self.logger.means = means  # trackers read them
@@ -360,7 +360,7 @@ class Runner(OnPolicyRunner):
                 self.report(row)
 
     def _is_due(self, iteration: int, end: int) -> bool:
-        """Return whether ``iteration`` is evaluated: those of the interval, and the last one, ``end``."""
+        """Return whether ``iteration`` has an evaluation: at each interval, and at the ``end``."""
         return iteration % self.schedule.evaluate == 0 or iteration == end
 
     def _reached_goal(self) -> bool:
@@ -369,7 +369,7 @@ class Runner(OnPolicyRunner):
         return goal is not None and self.last_return >= goal
 
     def _own_torch(self) -> contextlib.AbstractContextManager[None]:
-        """Return a context for one iteration with torch settings and a global seed of its own.
+        """Return a context for one iteration with its own torch settings and global seed.
 
         Code of the user's may draw from torch's global generators: the same numbers again if the run is resumed.
         """
@@ -377,7 +377,7 @@ class Runner(OnPolicyRunner):
         return own_torch(self.torch_threads, seed, self.env.network_dtype)
 
     def _begin(self, init_at_random_ep_len: bool) -> None:
-        """Prepare a call of :meth:`learn`: first state file, episode lengths, metrics, other processes' networks."""
+        """Prepare for :meth:`learn`: first state file, episode lengths, metrics, networks of other processes."""
         # A run can be resumed whenever it is killed.
         if self.current_learning_iteration == 0 or self._turned_back:
             self.save_state()
@@ -404,20 +404,20 @@ class Runner(OnPolicyRunner):
             self._iteration = self._make_iteration()
 
     def _make_iteration(self) -> Iteration:
-        """Return an iteration on the device that starts with the networks and optimiser state of ``alg``."""
+        """Create an iteration on the device from the networks and optimiser state of ``alg``."""
         settings = {name: value for name, value in self.cfg["algorithm"].items() if name != "class_name"}
-        algorithm = PopulationPPO.in_place_of(self.alg, self.generators.on(self.device), **settings)
+        algorithm = FusedPPO.in_place_of(self.alg, self.generators.on(self.device), **settings)
         inner = self.env.env
         return Iteration(self.env, algorithm, None if inner.dump is not None else inner.capture)
 
     def _catch_up(self) -> None:
-        """Copy to ``alg`` what the iteration on the device has learned, if that is newer."""
+        """Copy newer weights from the iteration on the device to ``alg``."""
         if self._iteration is not None and self._is_behind:
             self._iteration.algorithm.copy_to(self.alg)
             self._is_behind = False
 
     def _iterate(self, end: int) -> dict[str, float]:
-        """Run one iteration: collect, learn, exchange bodies, evaluate if due; returns its row of the metrics."""
+        """Run one iteration (collect, learn, exchange bodies, evaluate if due); return the row of metrics."""
         started = time.perf_counter()
 
         # Collect and learn; tensors and means that do not go into the row are in `logger`.
@@ -452,7 +452,7 @@ class Runner(OnPolicyRunner):
         return self._row(figures, seconds, evaluated)
 
     def _figures_of_rsl_rl(self) -> dict[str, float]:
-        """Return the figures of the iteration that rsl-rl has made, under the names of :meth:`Iteration.read`."""
+        """Return the figures of rsl-rl's iteration, under the names of :meth:`Iteration.read`."""
         learned = [value for group in self.alg.optimizer.param_groups for value in group["params"]]
         learned += self.alg.get_policy().buffers()
         deviations: Any = self.alg.get_policy().distribution
@@ -465,7 +465,7 @@ class Runner(OnPolicyRunner):
         }
 
     def _learn_on_device(self, iteration: Iteration) -> dict[str, float]:
-        """Collect and learn with :class:`Iteration` instead of rsl-rl; returns what :meth:`Iteration.read` does."""
+        """Collect and learn with :class:`Iteration` instead of rsl-rl; return its figures."""
         began = time.perf_counter()
         iteration()
         self._is_behind = True
@@ -488,7 +488,7 @@ class Runner(OnPolicyRunner):
         return figures
 
     def _check(self, figures: dict[str, float]) -> None:
-        """Raise DivergenceError if losses, weights or moments are not finite."""
+        """Raise DivergenceError if losses, weights or moments are NaN or infinite."""
         for name, value in self.logger.losses.items():
             if not math.isfinite(value):
                 raise self._diverged(f"the {name} loss is {value}")
@@ -496,14 +496,14 @@ class Runner(OnPolicyRunner):
             raise self._diverged("the networks have weights that are NaN or infinite")
 
     def _diverged(self, reason: str) -> DivergenceError:
-        """Return the DivergenceError for the current iteration, with ``reason`` and advice."""
+        """Build the DivergenceError for this iteration, with ``reason`` and advice."""
         return DivergenceError(
             f"Learning diverged in iteration {self.current_learning_iteration + 1} ({reason}); checkpoints hold what"
             " was before. Try a new run with a lower ppo.learning_rate, or with values of ppo nearer to the defaults."
         )
 
     def _evaluate(self) -> float:
-        """Evaluate the policy without exploration, keep it if it is the best so far, and return its mean return.
+        """Evaluate the policy without exploration, save it if best so far, and return the mean return.
 
         The result is NaN without an evaluator, and where the evaluation is started in a thread, while the GPU replays a
         graph and the host is idle. The first evaluation never runs in a thread, because it loads kernels.
@@ -531,7 +531,7 @@ class Runner(OnPolicyRunner):
         return value
 
     def _keep_if_best(self, value: float, iteration: int, policy: Callable[[], dict[str, Any]]) -> None:
-        """Set ``last_return``; if ``value`` is the best so far, update ``best_return`` and write ``model_best.pt``."""
+        """Store ``value`` as ``last_return``; if best so far, write ``model_best.pt``."""
         self.last_return = value
         if value > self.best_return:
             self.best_return = value
@@ -540,7 +540,7 @@ class Runner(OnPolicyRunner):
                 save_checkpoint(self.folder / BEST, policy() | {"eval_return": value})
 
     def _await_evaluation(self) -> None:
-        """Wait for the evaluation in the thread, if any, and put its result into the row of its iteration."""
+        """Wait for an evaluation in the thread, if any, and put the result into its iteration's row."""
         if self._evaluation is None:
             return
         evaluation = self._evaluation
@@ -571,7 +571,7 @@ class Runner(OnPolicyRunner):
             row["best_return"] = self.best_return
 
     def _row(self, figures: dict[str, float], seconds: float, evaluated: float) -> dict[str, float]:
-        """Return the row of ``metrics.csv`` for the current iteration."""
+        """Build the ``metrics.csv`` row of this iteration."""
         return {
             "iteration": self.current_learning_iteration,
             "steps": self.steps,
@@ -589,14 +589,14 @@ class Runner(OnPolicyRunner):
         }
 
     def _quantiles(self, evaluated: float) -> dict[str, float]:
-        """Return the 10, 50 and 90 % quantiles of the last evaluation over its bodies; empty for a single body."""
+        """Return the 10, 50 and 90 % quantiles over bodies of the last evaluation; empty for one body."""
         fitness = () if math.isnan(evaluated) or self._judged is None else self._judged.fitness
         if len(fitness) < 2:
             return {}
         return {f"eval_q{share}": float(torch.quantile(fitness, share / 100)) for share in (10, 50, 90)}
 
     def _episodes(self, figures: dict[str, float]) -> dict[str, float]:
-        """Return count, mean return and mean length of episodes ended in all processes, and how many were stopped."""
+        """Return count, mean return, mean length and number of stopped episodes, over all processes."""
         own = self.env.pop_episodes() if self._iteration is None else self.env.episodes_of(figures)
         count = own["episodes"]
         sums = [count, *(count * own[name] if count else 0.0 for name in ("return", "length"))]
@@ -606,7 +606,7 @@ class Runner(OnPolicyRunner):
         return {"episodes": int(count), "return_mean": mean, "length_mean": length} | stopped
 
     def summary(self) -> dict[str, Any]:
-        """Return the progress so far for ``summary.json``: iterations, steps, best and last return, times."""
+        """Return the progress for ``summary.json``: iterations, steps, best and last return, times."""
         known = math.isfinite(self.best_return)
         return {
             "iterations": self.current_learning_iteration,
@@ -619,33 +619,33 @@ class Runner(OnPolicyRunner):
         }
 
     def _time_spent(self) -> dict[str, Any]:
-        """Return how time was spent in this process, for the summary; empty before the first iteration."""
+        """Return this process's time by activity, for the summary; empty before the first iteration."""
         shares = {name: round(share, 3) for name, share in self.spent.shares.items()}
         found: dict[str, Any] = {"time": shares} if shares else {}
         return found | ({"host_bound": self.spent.is_host_bound} if self.spent.launching else {})
 
     def _policy_content(self) -> dict[str, Any]:
-        """Return the content of a checkpoint: networks, optimiser, iteration and the policy's specification."""
+        """Collect a checkpoint's content: networks, optimiser, iteration and the policy's specification."""
         self._catch_up()
         own = {"iter": self.current_learning_iteration, "infos": None, "policy": spec_dict(self.spec)}
         return self.alg.save() | own | {"eval_return": self.last_return, "trained_on": self.trained_on}
 
     def save_all(self) -> None:
-        """Write ``model_<iteration>.pt`` and ``state.pt`` to the run's folder, if there is one."""
+        """Write ``model_<iteration>.pt`` and ``state.pt`` to the run's folder, if any."""
         if self.folder is not None and self.group.is_main_process:
             check_folder(self.folder)
             save_checkpoint(self.folder / f"model_{self.current_learning_iteration}.pt", self._policy_content())
         self.save_state()
 
     def save_state(self) -> None:
-        """Write this process's state file to the run's folder, if there is one, and set ``saved_iteration``."""
+        """Write this process's training state to the run's folder, if any."""
         if self.folder is not None:
             check_folder(self.folder)
             save_checkpoint(self.state_file(self.folder / STATE), self.state())
         self.saved_iteration = self.current_learning_iteration
 
     def state(self) -> dict[str, Any]:
-        """Return the complete state of training, for :meth:`set_state`."""
+        """Return the complete training state, for :meth:`set_state`."""
         own = {
             "env": self.env.state(),
             "random": self.generators.state(),
@@ -660,11 +660,11 @@ class Runner(OnPolicyRunner):
         return self._policy_content() | own
 
     def state_file(self, path: Path) -> Path:
-        """Return where this process keeps its state: ``path`` in the first process, a file beside it in others."""
+        """Return this process's state file: ``path``, or a numbered file beside it in other processes."""
         return path if self.group.is_main_process else path.with_name(f"{path.stem}_{self.group.rank}{path.suffix}")
 
     def resume(self, path: Path) -> None:
-        """Continue from a checkpoint file: load the networks and, from ``state.pt``, the complete state.
+        """Load networks from a checkpoint file, and the complete state from ``state.pt``, to continue training.
 
         From ``state.pt`` learning goes on exactly as if it had not been stopped. Any other checkpoint restores the
         networks, the optimiser and the schedule, with new episodes; later checkpoints are removed when learning begins.
@@ -692,7 +692,7 @@ class Runner(OnPolicyRunner):
                 self.best_iteration = best["iter"]
 
     def begin_with(self, learned: Mapping[str, Any], optimizer: bool = False) -> None:
-        """Load the networks of a checkpoint from another training, and start at the beginning of the schedule.
+        """Load networks from another training's checkpoint, to start a new schedule.
 
         Args:
             optimizer: whether to load the optimiser's moments, and the learning rate that an adaptive schedule found.
@@ -708,7 +708,7 @@ class Runner(OnPolicyRunner):
             self.alg.set_learning_rate(self.ppo.learning_rate)
 
     def set_state(self, content: dict[str, Any]) -> None:
-        """Restore what :meth:`state` returned; from the content of ``model_<iteration>.pt``, with new episodes."""
+        """Restore a :meth:`state`, or the content of ``model_<iteration>.pt`` with new episodes."""
         check_like(content, {"iter": int, "eval_return": float} | (COUNTERS if "env" in content else {}))
         self._iteration = None
         self.alg.load(content, None, True)

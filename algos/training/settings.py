@@ -1,4 +1,4 @@
-"""Settings of a training of one policy; checked when they are made."""
+"""Settings of the training of one policy, validated on construction."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -14,7 +14,7 @@ from warpvox.keys import Settings, check_values, convert, key, plain
 from warpvox.types import OBSERVATIONS, RULES
 
 MOST_THREADS = 1024
-"""Most threads, above the cores of any machine: a stored file must not start a million."""
+"""Maximum number of threads, above the cores of any machine."""
 TASK = "task id, or a task of your own: module:NAME or file.py:NAME"
 RULE_SETS = "rules and constants of the benchmark as released (evogym) or as printed in the paper (paper)"
 TORCH_THREADS = "PyTorch threads; more than 1 slow down small networks and change rounding"
@@ -23,13 +23,13 @@ DEVICES = "auto (CUDA where there is a device, from 256 environments on), cpu, c
 
 
 def arithmetic_key(default: str) -> Any:
-    """Return the field of the key ``arithmetic``; ``default`` says in its help what null stands for."""
+    """Declare the field of the key ``arithmetic``; ``default`` describes null in the help."""
     return key(None, f"fast, or exact (float64, bit for bit as released); null: {default}", choices=("fast", "exact"))
 
 
 @dataclass
 class Designs(Settings):
-    """Keys ``designs.*``: many bodies for one policy. ``designs=...`` is short for ``designs.bodies=...``."""
+    """Keys ``designs.*``: many bodies for one policy; ``designs=...`` is short for ``designs.bodies=...``."""
 
     bodies: Any = key(
         None,
@@ -54,7 +54,7 @@ class Designs(Settings):
 
 @dataclass
 class Training(Settings):
-    """A training of one policy: the keys of ``warpvox train``, whose defaults are these.
+    """Settings of a training: the keys of ``warpvox train`` with their defaults.
 
     Values may be numpy's, bodies arrays, parts mappings (``ppo={"steps": 64}``).
 
@@ -130,7 +130,7 @@ class Training(Settings):
     )
 
     def __post_init__(self) -> None:
-        """Convert short forms to settings, NumPy values to plain ones, and check all values."""
+        """Convert short forms to settings and NumPy values to plain ones, and validate all values."""
         if isinstance(self.designs, str | list | tuple):
             self.designs = Designs(self.designs)
         self.task, self.physics = bare_id(self.task), PhysicsConfig.of(self.physics)

@@ -1,1 +1,1 @@
-"""Environments behind the interfaces of other libraries: gymnasium, rsl-rl, Stable-Baselines3."""
+"""Adapters to the environment interfaces of gymnasium, rsl-rl and Stable-Baselines3."""

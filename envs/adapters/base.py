@@ -1,4 +1,4 @@
-"""Common parts of the adapters: environments from their arguments, bounds of observations and actions, pictures."""
+"""Common code of the adapters: construction, spaces, rendering."""
 
 import copy
 from collections.abc import Mapping, Sequence
@@ -19,13 +19,13 @@ from warpvox.view import window
 Values = TypeVar("Values")
 
 WINDOWED = ("human", "screen")
-"""Render modes that show a window."""
+"""Render modes that open a window."""
 FPS = round(1 / FRAME_SECONDS)
-"""Pictures a second at the speed of the world."""
+"""Frames per second of a film in real time."""
 
 
 class Adapter:
-    """Environments of :func:`warpvox.make_vec` behind the interface of another library.
+    """Base class of adapters: environments of :func:`warpvox.make_vec` behind another library's interface.
 
     Attributes:
         vec: the environments themselves, with torch tensors.
@@ -39,7 +39,7 @@ class Adapter:
     def _make(
         self, task: Any, designs: Any, num_envs: int, options: dict[str, Any], defaults: dict[str, Any], **fixed: Any
     ) -> None:
-        """Make the environments and set ``vec``.
+        """Create the vector environment ``vec``.
 
         Args:
             options: what the adapter was given besides its own arguments.
@@ -57,7 +57,7 @@ class Adapter:
         self.vec = make_vec(task, designs, num_envs, **options, **fixed)
 
     def pictures(self, envs: Sequence[int] | None = None) -> Sequence[np.ndarray]:
-        """Return a picture of every environment, or of those numbered ``envs``: uint8 ``[height, width, 3]`` each."""
+        """Render all environments, or those in ``envs``: uint8 ``[height, width, 3]`` each."""
         if self._view is None or self._view.worlds is not self.vec.sim.world_numbers:  # bodies have been exchanged
             from warpvox.view.painter import LiveView
 
@@ -66,7 +66,7 @@ class Adapter:
 
 
 class BatchAdapter(Adapter):
-    """Environments in one batch behind an interface that also reaches each environment by itself.
+    """Base class of vector adapters that also give access to single environments.
 
     Attributes:
         num_envs: the number of environments.
@@ -80,15 +80,15 @@ class BatchAdapter(Adapter):
 
     @cached_property
     def envs(self) -> list["SubEnv"]:
-        """The environments as single ones, in order."""
+        """Single-environment views of the batch, in order."""
         return [SubEnv(self, number) for number in range(self.num_envs)]
 
     def restart(self, mask: np.ndarray, seeds: Sequence[int] | None) -> np.ndarray:
-        """Begin an episode where ``mask``, bool ``[num_envs]``, is True; return the observations of all."""
+        """Begin an episode where ``mask``, bool ``[num_envs]``, is True; return all observations."""
         raise NotImplementedError
 
     def _reset(self, seeds: Sequence[int] | None, mask: np.ndarray | None = None) -> Any:
-        """Reset the environments, or those of ``mask``; return the observations, a tensor ``[num_envs, num_obs]``."""
+        """Reset all environments, or those in ``mask``; return all observations, a tensor ``[num_envs, num_obs]``."""
         obs, _ = self.vec.reset(seeds, mask=mask)
         if seeds is not None:
             for env, seed in zip(self.envs, seeds, strict=True):
@@ -98,7 +98,7 @@ class BatchAdapter(Adapter):
 
 
 class OneEnv:
-    """Properties of one environment of a :class:`warpvox.envs.vec_env.VoxelVecEnv`.
+    """Base class with properties of one environment of a :class:`warpvox.envs.vec_env.VoxelVecEnv`.
 
     Attributes:
         vec: the environments that it is one of.
@@ -110,22 +110,22 @@ class OneEnv:
 
     @property
     def sim(self) -> Any:
-        """The :class:`warpvox.Simulation` of ``vec``."""
+        """The underlying :class:`warpvox.Simulation`."""
         return self.vec.sim
 
     @property
     def voxels(self) -> dict[str, Any]:
-        """The :class:`warpvox.envs.voxels.VoxelLayout` of every robot by name, with ``obs="voxel"``."""
+        """:class:`warpvox.envs.voxels.VoxelLayout` of every robot by name, with ``obs="voxel"``."""
         return self.vec.voxels
 
     @property
     def body(self) -> np.ndarray | dict[str, np.ndarray]:
-        """The body of the robot, int8 ``[rows, columns]``, a copy; of several robots ``{name: body}``."""
+        """Copy of the robot's body, int8 ``[rows, columns]``; several robots: ``{name: body}``."""
         return copy.deepcopy(self.vec.designs[int(self.vec.design_index[self.number])])
 
 
 class SubEnv(OneEnv, gymnasium.Env[np.ndarray, np.ndarray]):
-    """One environment of a batch, with the attributes of a single environment within gymnasium's TimeLimit.
+    """View of one environment in a batch, with the attributes of a single environment inside gymnasium's TimeLimit.
 
     It is stepped by the batch alone. ``sim``, ``vec`` and ``voxels`` are those of the batch.
 
@@ -146,7 +146,7 @@ class SubEnv(OneEnv, gymnasium.Env[np.ndarray, np.ndarray]):
 
     @property
     def spec(self) -> EnvSpec | None:  # pyright: ignore[reportIncompatibleVariableOverride] # as gymnasium's wrappers
-        """The specification of the batch with the time limit of this environment; None if no id has made it."""
+        """Specification of the batch with this environment's time limit; None if made without an id."""
         spec = copy.copy(getattr(self.batch, "spec", None))
         if spec is not None:
             spec.max_episode_steps = self._max_episode_steps
@@ -155,7 +155,7 @@ class SubEnv(OneEnv, gymnasium.Env[np.ndarray, np.ndarray]):
     # TimeLimit has these names, which its users read and set.
     @property
     def _max_episode_steps(self) -> int:
-        """Control steps after which an episode is truncated."""
+        """Time limit of an episode in control steps."""
         return int(self.vec.episodes.limit[self.number])
 
     @_max_episode_steps.setter
@@ -164,7 +164,7 @@ class SubEnv(OneEnv, gymnasium.Env[np.ndarray, np.ndarray]):
 
     @property
     def _elapsed_steps(self) -> int:
-        """Control steps of the episode so far."""
+        """Control steps since the episode began."""
         return int(self.vec.episodes.length[self.number])
 
     @_elapsed_steps.setter
@@ -174,19 +174,19 @@ class SubEnv(OneEnv, gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode in this environment alone; ``options`` are not used."""
+        """Begin an episode in this environment only; ``options`` are not used."""
         mask = np.arange(self.batch.num_envs) == self.number
         seeds = None if seed is None else [seed] * self.batch.num_envs
         return self.batch.restart(mask, seeds)[self.number].copy(), {}
 
     def step(self, action: np.ndarray) -> Any:
-        """Raise SimulationError: one environment of a batch cannot be stepped without the others."""
+        """Raise SimulationError: environments of a batch can only be stepped together."""
         raise SimulationError(
             f"Environment {self.number} is part of a batch: step all of them, by step(actions) of it."
         )
 
     def render(self) -> np.ndarray | None:
-        """Return a picture of the present state, uint8 ``[height, width, 3]``; without a mode warn and return None."""
+        """Render the present state as uint8 ``[height, width, 3]``; without a mode, warn and return None."""
         if self.render_mode is None:
             gymnasium.logger.warn("render() does nothing without render_mode='rgb_array'.")
             return None
@@ -194,7 +194,7 @@ class SubEnv(OneEnv, gymnasium.Env[np.ndarray, np.ndarray]):
 
 
 def flat(terms: Mapping[str, Values]) -> dict[str, Values]:
-    """Return values of reward terms under the names that ``info`` has for them: ``reward_terms/NAME``.
+    """Rename reward terms to flat keys of ``info``: ``reward_terms/NAME``.
 
     Libraries do not take nested dictionaries.
     """
@@ -202,14 +202,14 @@ def flat(terms: Mapping[str, Values]) -> dict[str, Values]:
 
 
 def metadata_here(metadata: dict[str, Any]) -> dict[str, Any]:
-    """Return the metadata of an environment with only the render modes that work on this machine."""
+    """Return an environment's metadata with only the render modes that this machine supports."""
     if window.why_no_window() is None:
         return metadata
     return metadata | {"render_modes": [mode for mode in metadata.get("render_modes", ()) if mode not in WINDOWED]}
 
 
 def spaces_of(env: Any) -> tuple[Box, Box]:
-    """Return the spaces of observations and of actions of a single environment of a ``VoxelVecEnv``.
+    """Return the observation and action spaces of a single environment in a ``VoxelVecEnv``.
 
     An entry's bounds are those of the terms (:mod:`warpvox.envs.about`) that it belongs to in some design, or with
     ``grid`` in any that may be put in; what has none, such as places and velocities, may become as large as it likes.

@@ -1,4 +1,4 @@
-"""One environment as gymnasium has them: ``gymnasium.make("warpvox/Walker-v0", body=...)``."""
+"""Single environment for gymnasium: ``gymnasium.make("warpvox/Walker-v0", body=...)``."""
 
 import time
 from math import isfinite
@@ -20,14 +20,14 @@ NAMESPACE = "warpvox"
 
 
 def register() -> None:
-    """Register all tasks with gymnasium as ``warpvox/<id>``; may be called again."""
+    """Register all tasks with gymnasium as ``warpvox/<id>``; safe to repeat."""
     for task in task_ids():
         if f"{NAMESPACE}/{task}" not in gymnasium.registry:
             _register(NAMESPACE, task, task)
 
 
 def register_task(task: str | TaskSpec, namespace: str) -> str:
-    """Register a task of your own with gymnasium; return its id ``<namespace>/<task id>``.
+    """Register the user's own task with gymnasium; return its id ``<namespace>/<task id>``.
 
     Args:
         task: a specification, or ``module:NAME``, which other processes (``vectorization_mode="async"``) can import.
@@ -42,7 +42,7 @@ def register_task(task: str | TaskSpec, namespace: str) -> str:
 
 
 def _register(namespace: str, name: str, task: str | TaskSpec) -> str:
-    """Register a task with gymnasium; return its id there."""
+    """Register a task with gymnasium; return its gymnasium id."""
     gymnasium.register(  # pyright: ignore[reportUnknownMemberType] # its types leave arguments open
         f"{namespace}/{name}",
         entry_point="warpvox.envs.adapters.gym:VoxelEnv",
@@ -54,7 +54,7 @@ def _register(namespace: str, name: str, task: str | TaskSpec) -> str:
 
 
 class VoxelEnv(Adapter, OneEnv, gymnasium.Env):
-    """One robot in one task: numpy in and out, float64.
+    """One robot in one task as a gymnasium environment: numpy in and out, float64.
 
     Observations are ``[num_obs]`` (for their bounds see :func:`warpvox.envs.adapters.base.spaces_of`), actions
     ``[num_actions]`` (``Box(0.6, 1.6)``): target lengths of the actuators, row by row from the top of the body, in
@@ -161,7 +161,7 @@ class VoxelEnv(Adapter, OneEnv, gymnasium.Env):
         return obs, sum(terms.values()), terminated, False, info
 
     def render(self) -> np.ndarray | None:
-        """Return a picture of the present state, uint8 ``[height, width, 3]``, in the mode ``rgb_array``.
+        """Render the present state as uint8 ``[height, width, 3]``, in the mode ``rgb_array``.
 
         In the mode ``human`` it is shown, as after every step, and None returned. Without a mode gymnasium's
         convention is a warning and None.
@@ -173,7 +173,7 @@ class VoxelEnv(Adapter, OneEnv, gymnasium.Env):
         return self.pictures()[0] if self.render_mode == "rgb_array" else None
 
     def _show(self) -> None:
-        """Show the present state in a window in the mode ``human``; a window that was closed stays closed."""
+        """Show the present state in a window, in the mode ``human``; do nothing once the user closed the window."""
         if self.render_mode != "human" or (self._window is not None and self._window.closed):
             return
         picture = self.pictures()[0]  # refuses a size before there is a window of it

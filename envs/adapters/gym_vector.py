@@ -1,4 +1,4 @@
-"""Many environments as gymnasium has them: ``gymnasium.make_vec("warpvox/Walker-v0", num_envs=8, body=...)``."""
+"""Vector environment for gymnasium: ``gymnasium.make_vec("warpvox/Walker-v0", num_envs=8, body=...)``."""
 
 from collections.abc import Sequence
 from typing import Any, cast
@@ -17,7 +17,7 @@ from warpvox.keys import in_words
 
 
 class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
-    """Environments behind gymnasium's vector interface, in one batch and one process.
+    """Environments behind gymnasium's vector interface, simulated in one batch and one process.
 
     Observations ``[num_envs, num_obs]``, rewards float64 and flags ``[num_envs]`` are numpy arrays; ``infos`` holds
     ``unstable``, ``diverged`` and ``reward_terms/NAME``, as they are for a single environment. An environment that has
@@ -106,7 +106,7 @@ class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode everywhere, or where ``options["reset_mask"]`` is True.
+        """Begin an episode in all environments, or where ``options["reset_mask"]`` is True.
 
         Args:
             seed: one for each environment, or the first of ``seed, seed + 1, ...``.
@@ -136,16 +136,16 @@ class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
         return self._obs.copy(), {}
 
     def restart(self, mask: np.ndarray, seeds: Sequence[int] | None) -> np.ndarray:
-        """Begin an episode where ``mask`` is True; return all observations, those of the others unchanged."""
+        """Begin an episode where ``mask`` is True; return all observations."""
         fresh = self._reset(seeds, mask).cpu().numpy()
         self._obs = np.where(mask[:, None], fresh, self._obs)
         self._ended = self._ended & ~mask
         return self._obs
 
     def set_designs(self, designs: object, mask: np.ndarray, connections: Sequence[object] | None = None) -> np.ndarray:
-        """Replace bodies by :meth:`warpvox.envs.vec_env.VoxelVecEnv.set_designs`; return all observations.
+        """Replace robot bodies, as :meth:`VoxelVecEnv.set_designs` does; return all observations.
 
-        Those of environments outside ``mask`` are unchanged.
+        Observations of environments outside ``mask`` are unchanged.
         """
         fresh = self.vec.set_designs(designs, mask, connections).cpu().numpy()
         self._obs = np.where(np.asarray(mask)[:, None], fresh, self._obs)
@@ -201,23 +201,23 @@ class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
         return self._obs.copy(), rewards, terminations, truncations, infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Return a picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
+        """Render all environments, uint8 ``[height, width, 3]`` each."""
         if self.render_mode is None:
             gymnasium.logger.warn("render() does nothing without render_mode='rgb_array'.")
             return None
         return tuple(self.pictures())
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method of each environment and return the results; for an attribute that is no method, its values."""
+        """Call a method of each environment and return the results; a plain attribute is read instead."""
         found = [env.get_wrapper_attr(name) for env in self.envs]
         return tuple(value(*args, **kwargs) if callable(value) else value for value in found)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Return an attribute of each environment."""
+        """Read an attribute of each environment."""
         return self.call(name)
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Set an attribute of each environment: one value for all, or a list or tuple with one for each.
+        """Set an attribute of each environment: one value for all, or a list with one value each.
 
         Raises:
             ConfigError (a ValueError): a list of another length.
@@ -234,7 +234,7 @@ class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
 
 
 def _masked(values: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, Any]:
-    """Return values as gymnasium's infos have them: 0 where the mask is False, with the mask under ``_name``."""
+    """Add gymnasium's mask ``_name`` to values of ``info``, and set values to 0 where the mask is False."""
     out: dict[str, Any] = {}
     for name, value in values.items():
         out[name] = np.where(mask, value, np.zeros_like(value))

@@ -1,4 +1,4 @@
-"""Environments behind Stable-Baselines3's interface: ``PPO("MlpPolicy", VoxelSB3VecEnv("Walker-v0", 64))``."""
+"""Environments for Stable-Baselines3: ``PPO("MlpPolicy", VoxelSB3VecEnv("Walker-v0", 64))``."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,7 +22,7 @@ except ImportError as error:
 
 
 class VoxelSB3VecEnv(BatchAdapter, VecEnv):
-    """Environments behind Stable-Baselines3's ``VecEnv``, in one batch and one process.
+    """Environments behind Stable-Baselines3's ``VecEnv``, simulated in one batch and one process.
 
     Observations ``[num_envs, num_obs]`` and rewards ``[num_envs]`` are float32. Environments that end are reset in the
     same step; their ``infos`` then hold ``terminal_observation``, ``TimeLimit.truncated`` (ended by the time limit
@@ -66,22 +66,22 @@ class VoxelSB3VecEnv(BatchAdapter, VecEnv):
         super().__init__(self.vec.num_envs, observations, actions)  # pyright: ignore[reportUnknownMemberType] # bare Space
 
     def reset(self) -> np.ndarray:
-        """Begin an episode everywhere, with the seeds that :meth:`seed` has set; return the observations."""
+        """Begin an episode in all environments, with the seeds set by :meth:`seed`; return the observations."""
         seeds = None if None in self._seeds else [int(seed) for seed in self._seeds if seed is not None]
         self._reset_seeds()
         self._reset_options()
         return self._numbers(self._reset(seeds))
 
     def restart(self, mask: np.ndarray, seeds: Sequence[int] | None) -> np.ndarray:
-        """Begin an episode where ``mask``, bool ``[num_envs]``, is True; return the observations of all."""
+        """Begin an episode where ``mask``, bool ``[num_envs]``, is True; return all observations."""
         return self._numbers(self._reset(seeds, mask))
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Keep ``actions`` ``[num_envs, num_actions]`` for :meth:`step_wait`."""
+        """Store ``actions`` ``[num_envs, num_actions]`` for :meth:`step_wait`."""
         self._actions = np.asarray(actions)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Do one control step everywhere; return observations, rewards, dones and infos.
+        """Do one control step in all environments; return observations, rewards, dones and infos.
 
         Raises:
             ActionError: wrong shape, or entries that are not finite.
@@ -108,18 +108,18 @@ class VoxelSB3VecEnv(BatchAdapter, VecEnv):
         return values.to(torch.float32).cpu().numpy()
 
     def get_images(self) -> list[np.ndarray | None]:
-        """Return a picture of every environment as it is now, uint8 ``[height, width, 3]`` each."""
+        """Render all environments, uint8 ``[height, width, 3]`` each."""
         if self.render_mode is None:
             return [None] * self.num_envs
         return list(self.pictures())
 
     def close(self) -> None:
-        """Do nothing: there is nothing to close."""
+        """Do nothing, as no resources are held."""
 
     # ------------------------------------------------------- what Stable-Baselines3 asks of each environment
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return an attribute of each environment."""
+        """Read an attribute of each environment."""
         return [env.get_wrapper_attr(attr_name) for env in self._chosen(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
@@ -132,7 +132,7 @@ class VoxelSB3VecEnv(BatchAdapter, VecEnv):
         return [env.get_wrapper_attr(method_name)(*args, **options) for env in self._chosen(indices)]
 
     def env_is_wrapped(self, wrapper_class: type, indices: VecEnvIndices = None) -> list[bool]:
-        """Return False for each environment: there are no wrappers around single environments."""
+        """Return False for each environment, as none has a wrapper."""
         return [False for _ in self._chosen(indices)]
 
     def _chosen(self, indices: VecEnvIndices) -> list[SubEnv]:

@@ -1,4 +1,4 @@
-"""One environment on the CPU, stepped with numpy: the same terms on arrays in place of tensors.
+"""Fast stepping of one environment on the CPU: the task's terms run on numpy arrays instead of tensors.
 
 Starting an operation of torch takes longer than what a single environment has to compute. warpvox's own terms take
 arrays as well (:mod:`warpvox.envs.terms.arrays`); :func:`fast_stepper` compares both ways, bit for bit, when an
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Sensors:
-    """Sensing of a simulation of one environment, with numpy arrays ``[1, ...]``.
+    """Sensors of a simulation with one environment, as numpy arrays ``[1, ...]``.
 
     The methods are those of :class:`warpvox.Simulation`, with the same values: launches of the same kernels, into
     buffers of our own. Rows are fresh.
@@ -39,14 +39,14 @@ class Sensors:
         """True if something has moved since the centres were sensed."""
 
     def _record(self, method: str, args: tuple[Any, ...]) -> tuple[torch.Tensor, Any, list[torch.Tensor]]:
-        """Call a method of the simulation; return its result, its kernel launch (or None) and the launch's buffers."""
+        """Call a sensing method; return the result, its recorded kernel launch (or None) and the launch's buffers."""
         with self._sim.sensing_anew() as launches:
             value = getattr(self._sim, method)(*args)
         command, buffers = next(iter(launches.values()), (None, list[torch.Tensor]()))
         return value, command, buffers
 
     def _centre(self, name: str, which: int) -> np.ndarray:
-        """Return the centre of mass (``which`` 1) or its velocity (2), ``[1, 2]``; sense it again after motion."""
+        """Return the centre of mass (``which`` 1) or its velocity (2), ``[1, 2]``, cached until the points move."""
         if self.moved:
             if self._centres is None:
                 _, command, buffers = self._record("com", (name,))
@@ -69,7 +69,7 @@ class Sensors:
         return self._sim.robot_actions(name).numpy()
 
     def relative_positions(self, name: str) -> np.ndarray:
-        """Return all points of an object minus the centre of mass, ``[1, 2, points]``."""
+        """Return all points of an object relative to the centre of mass, ``[1, 2, points]``."""
         if name not in self._points:
             self._points[name] = self._find_points(name)
         points = self._points[name]
@@ -82,7 +82,7 @@ class Sensors:
         return found
 
     def _find_points(self, name: str) -> np.ndarray | None:
-        """Return a view ``[1, 2, points]`` on the simulation's positions; None if their order is another one."""
+        """Return a numpy view of an object's points, ``[1, 2, points]``; None if the order of rows forbids one."""
         sim = self._sim
         body = next((body for body in sim.designs[0].bodies if body.name == name), None)
         places = sim.array("pos").numpy()
@@ -93,14 +93,14 @@ class Sensors:
         return points if np.array_equal(points, there) else None
 
     def launched(self, method: str, *args: Any) -> np.ndarray:
-        """Return a quantity by the recorded launch of the simulation's ``method``, which the first call records."""
+        """Return a quantity by relaunching the recorded kernel of ``method``; the first call records it."""
         key = (method, *args)
         if key not in self._senses:
             self._senses[key] = self._sense(method, args)
         return self._senses[key]()
 
     def __getattr__(self, method: str) -> Callable[..., np.ndarray]:
-        """Return a function that calls :meth:`launched` for a method of the simulation, and keep it as an attribute.
+        """Return a cached function that senses by the simulation's method of this name.
 
         Raises:
             AttributeError: the simulation has no public method of that name.
@@ -112,7 +112,7 @@ class Sensors:
         return ask
 
     def _sense(self, method: str, args: tuple[Any, ...]) -> Callable[[], np.ndarray]:
-        """Record a method of the simulation; return a function that launches it and returns a new array.
+        """Record a sensing method; return a function that relaunches the kernel and returns a new array.
 
         Raises:
             NotImplementedError: the method does more than one launch.
@@ -136,7 +136,7 @@ class Sensors:
 
 
 class RowTerms:
-    """Evaluates the terms of a task on states of :class:`Sensors`.
+    """Evaluates a task's observations, rewards and terminations with numpy.
 
     Args:
         spec: the task; its terms are warpvox's own.
@@ -151,18 +151,18 @@ class RowTerms:
         self._terminations = [(term.name, term.function, dict(term.params), term.bonus) for term in spec.terminations]
 
     def compared(self, state: Snapshot) -> tuple[Quantity, ...]:
-        """Return the quantities that rewards read from the state before a step."""
+        """Return the quantities of the state before a step that rewards compare with."""
         for _, reward, params, _ in self._rewards:
             reward(state, Snapshot(state.sim, state.memory_values), **params)
         return state.quantities
 
     def observe(self, state: Snapshot) -> np.ndarray:
-        """Return the observation in a state, a new array ``[num_obs]``."""
+        """Compute the observation of a state, a new array ``[num_obs]``."""
         parts = [term(state, **params).reshape(-1) for term, params in self._observations]
         return np.concatenate(parts, dtype=self._dtype, casting="same_kind")
 
     def judge(self, before: Snapshot, after: Snapshot, stopped: bool) -> tuple[dict[str, float], bool]:
-        """Return the terms of the reward by name, and whether the episode terminates."""
+        """Compute the reward terms by name, and whether the episode terminates."""
         terms = {name: f(before, after, **params).item() * weight for name, f, params, weight in self._rewards}
         terms["unstable"] = float(stopped) * self._penalty
         ended = stopped
@@ -174,7 +174,7 @@ class RowTerms:
 
 
 class SingleStepper:
-    """Steps a single environment with numpy: a ``VoxelVecEnv`` of one environment that does not reset itself.
+    """Steps a ``VoxelVecEnv`` of one environment with numpy, without automatic reset.
 
     Args:
         env: on the CPU, with terms of warpvox's own.
@@ -197,14 +197,14 @@ class SingleStepper:
         self.begin()
 
     def begin(self) -> None:
-        """Read the present state of the environment: after a reset, or when something else has changed it."""
+        """Read the present state, after a reset or another change from outside."""
         self._times_set = self._episodes.times_set
         self._sensors.moved = True
         memory = {name: value.copy() for name, value in self._memory.items()}
         self._before = Snapshot(self._sensors, memory).fetch(self._episodes.before)
 
     def evaluate(self) -> tuple[np.ndarray, tuple[dict[str, float], bool]]:
-        """Return the observation and the result of :meth:`RowTerms.judge` in the present state, without a step."""
+        """Compute observation, reward terms and termination in the present state, without a step."""
         state = Snapshot(self._sensors, self._before.memory_values)
         return self._terms.observe(state), self._terms.judge(self._before, state, False)
 
@@ -243,7 +243,7 @@ class SingleStepper:
 
 
 def fast_stepper(env: VoxelVecEnv) -> SingleStepper | None:
-    """Return a :class:`SingleStepper` of ``env``; None if ``env`` needs torch (see the module's docstring)."""
+    """Return a :class:`SingleStepper` for ``env``; None if the task's terms need torch."""
     terms = [*env.spec.observations, *env.spec.rewards, *env.spec.terminations]
     functions = [term.function for term in terms] + [memory.update for memory in env.spec.memory if memory.update]
     # Terms of this package follow the rules: functions of states alone, without branches on values.

@@ -14,7 +14,7 @@ _walk = partial(TaskSpec, max_episode_steps=500, rewards=(rewards(displacement, 
 
 
 def _goals(way: int | None) -> tuple[Memory, ...]:
-    """Return the memories of goals: their places, from 20 to 49 voxels, and the index of the present goal."""
+    """Declare the memories of a list of goals: positions from 20 to 49 voxels, and the index of the present goal."""
     start = partial(draw_goals, low=20, high=50, start=35, way=way)
     # As released: the observation still shows the goal that the step has reached, the reward the next one.
     return (Memory("goals", start), Memory("goal", first_goal, partial(next_goal, name="robot", within=0.2)))

@@ -13,7 +13,7 @@ def _sees(terrain: Function) -> tuple[Observation, ...]:
 
 
 def _balancer(*about: str, profile: str, cell: tuple[int, int], x: float, y: float) -> TaskSpec:
-    """Return a task of balancing at the goal (x, y) on a pole of the ground."""
+    """Define a task of balancing on a pole with the goal at (x, y)."""
     return TaskSpec(
         *about,
         objects=(heights("ground", profile),),

@@ -19,7 +19,7 @@ def _course(
     ends: tuple[Termination, ...],
     **paper: Any,
 ) -> TaskSpec:
-    """Return a task of moving to the right over ``objects``, whose height below the robot is observed."""
+    """Define a task of moving right over terrain ``objects`` with the height below observed."""
 
     def sees(terrain: Function) -> tuple[Observation, ...]:
         below = observes(terrain, reach=5, objects=tuple(obj.name for obj in objects))
@@ -38,17 +38,17 @@ def _course(
 
 
 def _passes(limit: float, bonus: float = 2.0) -> Termination:
-    """Return the end of an episode at the end of a terrain: the centre of mass has passed ``limit``."""
+    """Declare a termination for reaching the end of a terrain: the centre of mass passes ``limit``."""
     return terminates(beyond, axis="x", limit=limit, bonus=bonus)
 
 
 def _tilts(degrees: float) -> Termination:
-    """Return the end of an episode, with a penalty, when the robot has turned further than ``degrees`` either way."""
+    """Declare a termination with a penalty for rotating by more than ``degrees`` either way."""
     return terminates(tilted, low=radians(degrees), high=radians(360 - degrees), bonus=-3.0)
 
 
 def _arrives(limit: float, bonus: float) -> tuple[Termination, ...]:
-    """Return the rule that ends an episode, with ``bonus``, once the robot's front passes x = ``limit``.
+    """Declare a termination with ``bonus`` once the robot's front passes x = ``limit``.
 
     This is how we read the paper's "end of the terrain": ``limit`` lies one voxel before the wall or the edge.
     """
@@ -56,7 +56,7 @@ def _arrives(limit: float, bonus: float) -> tuple[Termination, ...]:
 
 
 def _platforms(*places: tuple[int, int, int]) -> tuple[WorldObject, ...]:
-    """Return platforms with these widths and lower left cells (width, x, y), named platform_1, platform_2, ..."""
+    """Build platforms named platform_1, platform_2, ... from (width, x, y), the lower left cell."""
     return tuple(block(f"platform_{k}", width, 1, x=x, y=y) for k, (width, x, y) in enumerate(places, 1))
 
 
@@ -64,7 +64,7 @@ _FALLS = terminates(short, axis="y", limit=0.4, bonus=-3.0)
 
 
 def _blocks() -> tuple[WorldObject, ...]:
-    """Return rigid squares in three layers, named block_0, block_1, ..."""
+    """Build three layers of rigid squares named block_0, block_1, ..."""
     # By the height of the layer: column and size of each
     layers = {
         1: [(20, 3), (24, 3), (27, 2), (31, 3), (34, 3), (38, 2), (41, 3), (45, 3)],

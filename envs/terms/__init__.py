@@ -1,1 +1,1 @@
-"""Terms: the small functions on states that tasks are put together from."""
+"""Terms: small functions of states, from which observations, rewards and terminations of tasks are built."""

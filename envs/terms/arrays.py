@@ -1,4 +1,4 @@
-"""Operations that torch and numpy name differently, so that every term is written once for both.
+"""Array operations that torch and numpy name differently, so that every term works with both.
 
 A batch of environments has tensors ``[num_envs, ...]``; a single one on the CPU has arrays ``[1, ...]``, because
 starting an operation of torch takes longer than what it has to compute. What both have (operators, slices, ``abs``)
@@ -17,41 +17,41 @@ Array: TypeAlias = "np.ndarray | Tensor"
 
 
 def library(array: Array) -> Any:
-    """Return the module with ``where``, ``floor``, ``amin``, ... for an array: numpy or torch."""
+    """Return the array module (numpy or torch) of an array."""
     return np if isinstance(array, np.ndarray) else sys.modules["torch"]
 
 
 def double(array: Array) -> Any:
-    """Return the array in float64."""
+    """Convert an array to float64."""
     return array.astype(np.float64) if isinstance(array, np.ndarray) else array.double()
 
 
 def long(array: Array) -> Any:
-    """Return the array in int64, rounded towards 0."""
+    """Convert an array to int64, rounding towards 0."""
     return array.astype(np.int64) if isinstance(array, np.ndarray) else array.long()
 
 
 def filled(like: Array, shape: tuple[int, ...], value: float) -> Any:
-    """Return an array of one value, with the type and device of ``like``."""
+    """Create an array filled with one value, with the type and device of ``like``."""
     return np.full(shape, value, like.dtype) if isinstance(like, np.ndarray) else like.new_full(shape, value)
 
 
 def replaced(array: Array, where: Any, value: float) -> Any:
-    """Return the array with ``value`` where the mask ``where`` is True; array and mask are broadcast."""
+    """Replace entries where the mask ``where`` is True by ``value``; array and mask are broadcast."""
     if isinstance(array, np.ndarray):
         return np.where(where, array.dtype.type(value), array)
     return array.masked_fill(where, value)  # a number for `where` would have to be brought to the device
 
 
 def taken(array: Array, index: Any) -> Any:
-    """Return the entries of every row of ``array`` ``[rows, n]`` at ``index``, integers ``[rows, k]``."""
+    """Gather entries of every row of ``array`` ``[rows, n]`` at ``index``, integers ``[rows, k]``."""
     if isinstance(array, np.ndarray):
         return array[np.arange(len(array))[:, None], index]
     return array.gather(1, index)
 
 
 def extremes_at(array: Array, index: Any, values: Any, which: str) -> None:
-    """Set ``array[row, index]`` to the minimum (``amin``) or maximum (``amax``) of itself and the values for it.
+    """Reduce values into ``array[row, index]`` by minimum (``amin``) or maximum (``amax``).
 
     Args:
         array: ``[rows, n]``, written to.

@@ -22,7 +22,7 @@ LONGEST = 64  # goals that a list can hold; a way of 100 takes 10 on average, mo
 
 
 def draw_goals(draws: RandomStream, low: int, high: int, start: int, way: int | None) -> Tensor:
-    """Return random goals in [low, high), long ``[num_envs, LONGEST]``, in voxels; 0 behind the last.
+    """Draw random goals in [low, high) voxels, long ``[num_envs, LONGEST]``; 0 after the last goal.
 
     Goals are drawn until the way from ``start`` past all of them has a length of ``way`` voxels.
 
@@ -37,12 +37,12 @@ def draw_goals(draws: RandomStream, low: int, high: int, start: int, way: int | 
 
 
 def first_goal(draws: RandomStream) -> Tensor:
-    """Return the index of the first goal, 0: long ``[num_envs, 1]``."""
+    """Return the initial goal index 0, long ``[num_envs, 1]``."""
     return draws.zeros(1)
 
 
 def next_goal(state: Snapshot, name: str, within: float) -> Tensor:
-    """Return the index of the first goal, from the present one on, that is ``within`` or further away in x.
+    """Return the index of the first goal, from the present one on, that is at least ``within`` away in x.
 
     If there is none, the index behind the list.
     """
@@ -56,7 +56,7 @@ def next_goal(state: Snapshot, name: str, within: float) -> Tensor:
 
 
 def goal_x(state: Snapshot) -> Tensor:
-    """Return x of the present goal, float64 ``[num_envs, 1]``; after all goals are reached, of the last one."""
+    """Return the x of the present goal, float64 ``[num_envs, 1]``, or of the last one when all are reached."""
     goals = state.memory("goals")
     last = (goals > 0).sum(1)[:, None] - 1
     return double(taken(goals, library(goals).minimum(state.memory("goal"), last))) * VOXEL
@@ -64,12 +64,12 @@ def goal_x(state: Snapshot) -> Tensor:
 
 @about("-Δ|x of the goal - x_{name}|")
 def approach_goal(before: Snapshot, after: Snapshot, name: str) -> Tensor:
-    """Return how much closer in x the object has come to its present goal, which is that after the step."""
+    """Return how much closer in x the object came to the present goal, taken after the step."""
     goal = goal_x(after)[:, 0]
     return abs(goal - before.com(name)[:, 0]) - abs(goal - after.com(name)[:, 0])
 
 
 @about("all goals reached by {name}")
 def all_goals_reached(state: Snapshot, name: str) -> Tensor:
-    """Return whether there is no goal left."""
+    """Return whether all goals have been reached."""
     return state.memory("goal")[:, 0] >= (state.memory("goals") > 0).sum(1)

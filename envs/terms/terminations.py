@@ -1,4 +1,4 @@
-"""Termination terms: functions of the state after a control step that give bool ``[num_envs]``."""
+"""Termination terms: functions of the state after a control step that return bool ``[num_envs]``."""
 
 from __future__ import annotations
 

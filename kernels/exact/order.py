@@ -1,6 +1,6 @@
-"""Contact forces in float64, added in the order in which the released simulator meets the contacts.
+"""Contact forces in float64, summed in the released simulator's order of contacts.
 
-It descends the box trees of two objects at once (:mod:`warpvox.contact_order` builds them), always into the
+The release descends the box trees of two objects at once (:mod:`warpvox.contact_order` builds them), always into the
 larger box, and adds to a point what it meets. Here contacts are found in any order and noted; then each gets as a key
 the path of that descent, and they are taken in the order of the keys. Contacts inside one object are met twice.
 """
@@ -17,11 +17,11 @@ PATH = 40  # bits of a key for the path; below them 3 for way and corner, above 
 
 @builder
 def note_one(kit: Kit):
-    """Build a function that stores one contact: of a corner of a voxel with a side of another."""
+    """Build a function that stores one contact between a voxel's corner and another voxel's side."""
 
     @kit.func
     def add(data, pack, k, hit: wp.vec4i, ends: wp.vec2i, side: wp.vec3d):
-        """Append the contact to the list of lane k, or set OVERFLOW if the list is full."""
+        """Append a contact to the list of lane k, or set OVERFLOW if the list is full."""
         n = data.hits[pack, k]
         if n >= data.hit.shape[1]:
             data.status[pack, k] = data.status[pack, k] | OVERFLOW
@@ -36,7 +36,7 @@ def note_one(kit: Kit):
 
 @builder
 def note(kit: Kit):
-    """Build a function that stores the contacts that :func:`warpvox.kernels.contact.apply` would add at once.
+    """Build a function that stores contacts for later, instead of adding their forces at once.
 
     A contact inside one object is stored for both orders of its two leaves.
     """
@@ -44,14 +44,14 @@ def note(kit: Kit):
 
     @kit.func
     def leaf(model, mesh, v):
-        """Return the leaf (number of its node in the box tree) of surface voxel v; v < 0: of terrain cell -1 - v."""
+        """Return the leaf of a surface voxel (v >= 0) or of terrain cell -1 - v in the box tree."""
         if v < 0:
             return model.cell_leaf[mesh, -1 - v]
         return model.leaf[mesh, v]
 
     @kit.func
     def act(model, data, mesh, pack, k, i, j, c, p, ends: wp.vec2i, side: wp.vec3d, times: real):
-        """Store a contact of corner c (point p) of voxel i with a side of voxel j; in one object for both orders."""
+        """Store a contact of corner c (point p) of voxel i with a side of voxel j; within one object in both orders."""
         m, r = leaf(model, mesh, i), leaf(model, mesh, j)
         mine, other = model.node[mesh, m][2], model.node[mesh, r][2]
         if mine <= other:
@@ -64,11 +64,11 @@ def note(kit: Kit):
 
 @builder
 def path_key(kit: Kit):
-    """Build a function that returns a sort key: where the release's descent through two box trees meets two leaves."""
+    """Build a function that computes the sort key of a contact: its place in the descent through two box trees."""
 
     @kit.func
     def area(model, data, mesh, pack, k, n):
-        """Return the area of the bounding box of node ``n`` of the tree, in the environment of lane ``k``."""
+        """Return the area of tree node ``n``'s bounding box in lane ``k``."""
         if n >= model.nodes[mesh]:
             return model.node_area[mesh, n]
         wide = data.node_box[pack, 4 * n + 1, k] - data.node_box[pack, 4 * n, k]
@@ -76,7 +76,7 @@ def path_key(kit: Kit):
 
     @kit.func
     def key(model, data, mesh, pack, k, first, second, last):
-        """Return the sort key of the contact of leaves ``first`` and ``second``; ``last`` is its lowest bits."""
+        """Compute the sort key of the contact between leaves ``first`` and ``second``; ``last`` is its lowest bits."""
         to_a, to_b = model.node[mesh, first], model.node[mesh, second]
         a, b = int(to_a[3]), int(to_b[3])  # the roots
         path = wp.int64(to_a[2] * model.objects[mesh] + to_b[2])
@@ -104,7 +104,7 @@ def path_key(kit: Kit):
 
 @builder
 def take(kit: Kit):
-    """Build the stage that adds the forces of all stored contacts to ``contact``, in the released order."""
+    """Build the stage that sums the forces of all stored contacts in the released order."""
     width = kit.width
     boxes = kit.stage("exact/tree_boxes.h")
     key = path_key(kit)
@@ -112,7 +112,7 @@ def take(kit: Kit):
 
     @kit.func
     def sort(model, data, mesh, pack, k):
-        """Write the keys of all stored contacts of lane k in ascending order, and the contact of each key."""
+        """Sort the stored contacts of lane k by their keys."""
         for n in range(data.hits[pack, k]):
             hit = data.hit[pack, n, k]
             mine = key(model, data, mesh, pack, k, hit[0], hit[1], hit[2])
@@ -126,7 +126,7 @@ def take(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
-        """Add the forces of the stored contacts of the unit's lanes in the order of their keys."""
+        """Sum the forces of the stored contacts in the order of their keys, for all lanes of the unit."""
         most = int(0)
         for k in range(lane, lane + int(width)):
             most = wp.max(most, data.hits[pack, k])
@@ -148,7 +148,7 @@ def take(kit: Kit):
 
 @builder
 def contacts(kit: Kit):
-    """Build the stage that finds all contacts and adds their forces in the released order."""
+    """Build the stage that finds all contacts and sums their forces in the released order."""
     width = kit.width
     search = find(kit, note(kit))
     in_order = take(kit)

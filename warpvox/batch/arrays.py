@@ -119,7 +119,7 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
 
 
 def array_sizes(batch: Batch, tables: dict[str, np.ndarray], room: dict[str, int]) -> dict[str, int]:
-    """Return the size of every shape symbol of :mod:`warpvox.kernels.state`, with one mesh for each of ``tables``.
+    """Return the size of every symbol in array shapes (:mod:`warpvox.kernels.state`) that holds these tables.
 
     Args:
         tables: those of all packs and of all frames.
@@ -174,7 +174,7 @@ def array_sizes(batch: Batch, tables: dict[str, np.ndarray], room: dict[str, int
 
 
 def put_tables(state: Buffers, tables: dict[str, np.ndarray], rows: np.ndarray | None = None) -> None:
-    """Copy tables into the Model's arrays, from the beginning of each axis; ``rows`` chooses rows of the first axis."""
+    """Copy tables to the beginning of the Model's arrays, or into the given ``rows`` of their first axis."""
     for name in MODEL.keys() & tables.keys():
         if not tables[name].size:
             continue
@@ -184,7 +184,7 @@ def put_tables(state: Buffers, tables: dict[str, np.ndarray], rows: np.ndarray |
 
 
 def _capacities(voxels: int, movables: int, width: int, grouped: bool) -> dict[str, int]:
-    """Return the sizes of the broad phase's arrays for numbers of surface voxels, movable ones, and lanes.
+    """Return the sizes of the broad phase's arrays for ``voxels`` surface voxels and ``movables`` movable ones.
 
     A group lists the cells of the terrain that may be touched behind the pairs.
     """

@@ -1,4 +1,4 @@
-"""Tables of packs whose lanes hold different bodies, for the fast arithmetic.
+"""Tables of packs (groups of SIMD lanes) whose lanes hold different bodies, for fast arithmetic.
 
 Worlds that differ in nothing but the cells of their robots have one *frame*: terrain, other objects and where the
 robots begin. Environments of one frame share packs, whatever their bodies; :mod:`warpvox.batch.grid_mesh` says how.
@@ -20,7 +20,7 @@ from warpvox.world import World, WorldObject
 
 
 def frame_key(world: World) -> tuple:
-    """Return a value that is equal for worlds of one frame, and only for these."""
+    """Return a key of a world: equal for worlds that differ only in the cells of their robots."""
     objects = sorted(world.objects.values(), key=lambda obj: obj.name)
     robots = tuple((obj.name, obj.x, obj.y) for obj in objects if obj.is_robot)
     others = tuple(obj.key() for obj in objects if not obj.is_robot)
@@ -28,7 +28,7 @@ def frame_key(world: World) -> tuple:
 
 
 def is_cut(obj: WorldObject) -> bool:
-    """Return whether some neighbouring cells of an object are not connected."""
+    """Return whether an object has neighbouring cells without a connection."""
     filled = obj.grid != 0
     beside = np.count_nonzero(filled[:, 1:] & filled[:, :-1])
     above = np.count_nonzero(filled[1:] & filled[:-1])
@@ -36,7 +36,7 @@ def is_cut(obj: WorldObject) -> bool:
 
 
 class Frame:
-    """The parts that the worlds of a group of packs have in common, and the tables of these packs.
+    """What all worlds of a group have in common (places of robots, other objects), and the tables of their packs.
 
     Args:
         worlds: all of one frame.
@@ -69,7 +69,7 @@ class Frame:
         return RobotBodies.of([world.objects[name] for world in worlds], grid)
 
     def rank(self, copies: np.ndarray, lanes: int) -> np.ndarray:
-        """Return the rank of each body, int ``[bodies]``: bodies with the same double points are near each other.
+        """Return the order of bodies by similarity, int ``[bodies]``, so that one pack doubles few points.
 
         Args:
             copies: how many environments have each body.
@@ -99,17 +99,17 @@ class Frame:
         return rank
 
     def add(self, worlds: Sequence[World]) -> None:
-        """Add the bodies of more worlds; they must fit the grid."""
+        """Add the robot bodies of more worlds, which must fit the grid."""
         for k, name in enumerate(self.names):
             bodies = self.bodies[k]
             self.bodies[k] = bodies.join(self._bodies(name, worlds, bodies.cells.shape[1:]))
 
     def keep(self, kept: np.ndarray) -> None:
-        """Forget the bodies where ``kept``, bool ``[bodies]``, is False."""
+        """Drop the bodies where the mask ``kept``, bool ``[bodies]``, is False."""
         self.bodies = [bodies.take(kept) for bodies in self.bodies]
 
     def tables(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        """Return tables of packs whose lanes hold the bodies ``index``, int ``[packs, lanes]``."""
+        """Make the tables of packs whose lanes hold the bodies with these indices, int ``[packs, lanes]``."""
         # So many packs at once that the largest array has a million entries: it stays in the cache.
         cells = sum(bodies.cells[0].size for bodies in self.bodies)
         most = max(1, 1_000_000 // max(1, 200 * cells * index.shape[1]))
@@ -124,7 +124,7 @@ class Frame:
 
 
 class _Rows:
-    """Table rows for the entries of a grid that some lane has; numbers go on from the rows in use.
+    """Numbering of table rows: each entry of a grid that some lane uses gets the next free row.
 
     Attributes:
         row: int ``[packs, entries]``; of an entry that no lane has, that of the one before it.
@@ -142,7 +142,7 @@ class _Rows:
         self._target = self._source[0], self.row[self._source]
 
     def put(self, table: np.ndarray, values: np.ndarray) -> None:
-        """Write ``values`` ``[packs, entries, ...]`` into their rows of ``table``."""
+        """Write the values of the entries, ``[packs, entries, ...]``, into their rows of ``table``."""
         table[self._target] = values[self._source]
 
 
@@ -173,7 +173,7 @@ class _PackTables:
         self._objects()
 
     def _number(self) -> None:
-        """Give a row to each point, spring and surface voxel that some lane has."""
+        """Assign a table row to each point, spring and surface voxel that some lane uses."""
         # Rows of the points, springs and voxels of each robot that some lane has
         self.points: list[_Rows] = []
         self.springs: list[_Rows] = []
@@ -197,16 +197,16 @@ class _PackTables:
         self._count("first_other", self.first_voxel, 0)
 
     def _count(self, name: str, robots: np.ndarray, others: int) -> None:
-        """Store a count of each pack: of its robots, int ``[packs]``, plus of the other objects."""
+        """Store the number of elements in each pack: ``robots``, int ``[packs]``, plus the other objects'."""
         self.arrays[name] = (robots + others).astype(np.int32)
 
     def _table(self, count: str, *more: int, kind: type = np.int32, fill: int = 0) -> np.ndarray:
-        """Return a table ``[packs, rows, *more]`` of ``fill``; its rows are the largest ``count`` of a pack."""
+        """Allocate a table ``[packs, rows, *more]`` filled with ``fill``; ``count`` says how many rows are used."""
         rows = max(1, int(self.arrays[count].max()))
         return np.full((self.packs, rows, *more), fill, kind)
 
     def _append(self, table: np.ndarray, first: np.ndarray, count: int, values: np.ndarray | int) -> None:
-        """Write ``values`` of the other objects into ``count`` rows from ``first`` on, in every pack.
+        """Copy rows of the other objects into all packs, from row ``first`` on.
 
         Lanes are the last axis of ``values``.
         """
@@ -216,7 +216,7 @@ class _PackTables:
             table[pack, row] = values
 
     def _points(self) -> None:
-        """Make the tables of points: positions at time 0, in which lanes they are free, and the active ones."""
+        """Make the tables of points: initial positions, lanes in which a point is free, active points."""
         rest_pos = self._table("points", 2, self.lanes, kind=np.float64)
         free_lanes = self._table("points")
         tied = np.zeros(free_lanes.shape, bool)  # a spring ends here
@@ -241,7 +241,7 @@ class _PackTables:
         self.arrays["free_lanes"] = free_lanes
 
     def _twins(self) -> None:
-        """Make the table of twins, (twin, leader): in some lanes both points are one; and a mask of these lanes."""
+        """Make the table of twins: pairs of points that coincide in some lanes, with a mask of these lanes."""
         twin_slot = [twin for twin, _ in TWIN_PAIRS]
         leader_slot = [leader for _, leader in TWIN_PAIRS]
         all_pairs = [np.zeros((self.packs, 0, 2), int)]
@@ -320,7 +320,7 @@ class _PackTables:
         self.arrays["stiffness"] = stiffness[..., 0]
 
     def _rigid(self) -> None:
-        """Make the table of the sides of rigid voxels, as springs, and a mask of the lanes that have each."""
+        """Make the table of springs that are sides of rigid voxels, with a mask of lanes for each."""
         rigid_rows = []
         start = np.zeros(self.packs, int)  # sides so far
         for mesh in self.meshes:
@@ -343,7 +343,7 @@ class _PackTables:
         self.arrays["rigid_lanes"] = rigid_lanes
 
     def _links(self) -> None:
-        """Make the table of springs by point: s for a spring that begins there, -1 - s for one that ends there."""
+        """Make the table of springs at each point: s if spring s begins there, -1 - s if it ends there."""
         others = self.others
         num_others = len(others["link"])
 
@@ -378,7 +378,7 @@ class _PackTables:
         self.arrays["link"] = link
 
     def _twin_ends(self) -> None:
-        """Make the table of spring ends that are a twin in some lanes: spring, point, end, lanes; sorted by spring."""
+        """Make the table of spring ends at twin points: spring, point, end and lanes, sorted by spring."""
         parts = [np.zeros((0, 5), int)]
         for mesh, points, springs in zip(self.meshes, self.points, self.springs, strict=True):
             at_node = mesh.springs.at_node  # [nodes, 12]: springs around a node, -1: none
@@ -416,7 +416,7 @@ class _PackTables:
         self.arrays["twin_end"] = table
 
     def _order_active(self) -> None:
-        """Make the table of active points, sorted by the last spring that acts on each."""
+        """Make the table of active points, sorted by the last spring that acts on them."""
         spring_ends = self.arrays["spring_ends"]  # [packs, springs, 2]
         twin_end = self.arrays["twin_end"]  # [packs, entries, 4]: spring, point, end, lanes
         num_springs = spring_ends.shape[1]
@@ -499,7 +499,7 @@ class _PackTables:
         self.arrays["robots"] = np.full(self.packs, num_robots, np.int32)
 
     def _objects(self) -> None:
-        """Make the tables of each object's points in the order of observations, and of their numbers."""
+        """Make the table of each object's points in the order of observations, and count them."""
         counts = []  # [packs, lanes] each
         orders = []  # [packs, lanes, points] each, -1: none
 
@@ -525,7 +525,7 @@ class _PackTables:
 
 
 def _by_first_end(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the arrays of a world with springs, also those of each point, sorted by their lower end."""
+    """Sort the springs in a world's arrays by the lower index of their two points."""
     ends = np.sort(arrays["spring_ends"], axis=1)
     order = np.argsort(ends[:, 0], kind="stable")
     ends = ends[order]
@@ -546,7 +546,7 @@ def _by_first_end(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def capacities(frame: Frame, rows: int, columns: int, cut: bool) -> dict[str, int]:
-    """Return the most points, springs, ... that bodies on a grid may need in one pack of a frame."""
+    """Return the largest numbers of points, springs, ... that a pack needs for bodies up to a grid size."""
     robots = len(frame.names)
     others = frame.arrays
     cells = rows * columns

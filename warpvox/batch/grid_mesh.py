@@ -1,4 +1,4 @@
-"""Meshes of robots that share a pack: one table of points and springs for all its lanes, with lane masks.
+"""Meshes of robots that share a pack: one table of points and springs, with a mask of lanes for each entry.
 
 A pack advances its lanes by the same instructions, so they need the same indices even where their bodies differ. All
 bodies of a pack lie on one grid of cells. Its tables hold every point, spring and voxel that some lane has; masks, an
@@ -22,11 +22,11 @@ from warpvox.types import ACTUATORS, VOXEL, Cell, Physics
 from warpvox.world import WorldObject
 
 ABOVE_LEFT, ABOVE_RIGHT, BELOW_LEFT, BELOW_RIGHT = range(4)
-"""Places of the cells around a node, in the order in which a mesh is made."""
+"""Indices of the four cells around a grid node, in meshing order."""
 TWIN_PAIRS = ((1, 0), (2, 0), (2, 1), (3, 0), (3, 1), (3, 2))
-"""Slots of a node that may hold one point: the twin's and the leader's."""
+"""Pairs of point slots at a node, (twin, leader), that may hold the same point."""
 NOBODY = -1
-"""The number of a cell, point or action that there is not."""
+"""Index that stands for a missing cell, point or action."""
 
 
 @dataclass
@@ -45,7 +45,7 @@ class RobotBodies:
 
     @classmethod
     def of(cls, robots: Sequence[WorldObject], grid: tuple[int, int] = (1, 1)) -> RobotBodies:
-        """Return the bodies of these objects, on a grid of at least ``(rows, columns)``."""
+        """Collect the bodies of these objects on one grid of at least ``grid`` (rows, columns)."""
         height = np.array([robot.height for robot in robots])
         rows = max(grid[0], height.max())
         columns = max(grid[1], *(robot.width for robot in robots))
@@ -66,7 +66,7 @@ class RobotBodies:
         return cls(cells, right, down, height)
 
     def split_nodes(self) -> np.ndarray:
-        """Return at which inner grid nodes two cells touch without being connected, bool ``[bodies, nodes]``."""
+        """Find the inner grid nodes where two cells touch without being connected, bool ``[bodies, nodes]``."""
         # The four cells around each inner node, bool [bodies, rows - 1, columns - 1]
         filled = self.cells != 0
         above_left = filled[:, :-1, :-1]
@@ -86,7 +86,7 @@ class RobotBodies:
         return split.reshape(len(filled), -1)
 
     def join(self, other: RobotBodies) -> RobotBodies:
-        """Return these bodies followed by others on a grid of the same size."""
+        """Append bodies that lie on a grid of the same size."""
         return RobotBodies(
             np.concatenate([self.cells, other.cells]),
             np.concatenate([self.right, other.right]),
@@ -95,12 +95,12 @@ class RobotBodies:
         )
 
     def take(self, kept: np.ndarray) -> RobotBodies:
-        """Return the bodies where ``kept``, bool ``[bodies]``, is True."""
+        """Select the bodies where the mask ``kept``, bool ``[bodies]``, is True."""
         return RobotBodies(self.cells[kept], self.right[kept], self.down[kept], self.height[kept])
 
 
 def most_points(rows: int, columns: int, cut: bool = False) -> int:
-    """Return the most points that a body on a grid may have; more if connections may be ``cut``.
+    """Return the largest number of points of a body on a grid; ``cut``: neighbours may be unconnected.
 
     An inner node then holds up to four points, else two.
     """
@@ -110,7 +110,7 @@ def most_points(rows: int, columns: int, cut: bool = False) -> int:
 
 
 def pack_bits(lanes: np.ndarray) -> np.ndarray:
-    """Return bool ``[..., lanes]`` as masks, int32 ``[...]``: bit k is lane k; -1 where all lanes are True."""
+    """Pack bool ``[..., lanes]`` into bit masks, int32 ``[...]``: bit k is lane k; -1 where all lanes are True."""
     width = lanes.shape[-1]
     padded = np.zeros((*lanes.shape[:-1], 32), bool)
     padded[..., :width] = lanes
@@ -120,7 +120,7 @@ def pack_bits(lanes: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Springs:
-    """Every spring that some body on a grid may have, in a fixed order: arrays with an entry for each spring.
+    """All springs that a body on a grid may have, in a fixed order, as arrays with an entry for each.
 
     A side between two cells stands twice: as ``first`` of the cell above (left of) it and as that of the cell below
     (right of) it. They are one where the cells share their corners, and two where they do not.
@@ -142,7 +142,7 @@ class _Springs:
 
 @functools.lru_cache(maxsize=64)
 def _springs(rows: int, columns: int) -> _Springs:
-    """Return the springs of a grid."""
+    """List the springs of a grid of cells."""
 
     def cell(row: int, column: int) -> int:
         inside = 0 <= row < rows and 0 <= column < columns
@@ -209,7 +209,7 @@ def _springs(rows: int, columns: int) -> _Springs:
 
 
 class GridMesh:
-    """The mesh of one robot in all lanes of packs: all that a body on the grid may have, and which lanes have it.
+    """The mesh of one robot in all lanes of the packs: all points and springs of the grid, with masks of lanes.
 
     The rows of arrays number what the grid may have at most: ``node * 4 + slot`` for points, the springs of
     :func:`_springs`, cells row by row. :mod:`warpvox.batch.packs` leaves out what no lane of a pack has.
@@ -251,13 +251,13 @@ class GridMesh:
         self._mark_surface()
 
     def _around(self, values: np.ndarray) -> list[np.ndarray]:
-        """Return the values ``[P, rows, columns, L]`` of the four cells around every node, ``[P, nodes, L]`` each."""
+        """Return the values of the four cells around every node, ``[P, nodes, L]`` each."""
         padded = np.pad(values, ((0, 0), (1, 1), (1, 1), (0, 0)))
         parts = padded[:, :-1, :-1], padded[:, :-1, 1:], padded[:, 1:, :-1], padded[:, 1:, 1:]
         return [part.reshape(len(part), -1, part.shape[-1]) for part in parts]
 
     def _share_points(self) -> None:
-        """Set ``owner`` [4, P, nodes, L]: which cell around a node has made the point that each cell has there."""
+        """Find the cell that creates each cell's corner point: ``owner`` ``[4, P, nodes, L]``."""
         filled = self._around(self.grid != Cell.EMPTY)
 
         # Connections between the four cells
@@ -284,7 +284,7 @@ class GridMesh:
         self.slot = _spread(self.owner)
 
     def _number_points(self) -> None:
-        """Set which points exist, their leaders, which are fixed, and their positions."""
+        """Decide which points exist, which lead and which are fixed, and set their positions."""
         packs, nodes, lanes = self.owner.shape[1:]
 
         # Whose point each slot of a node holds
@@ -321,7 +321,7 @@ class GridMesh:
         self._order_points(used, row, column)
 
     def _order_points(self, used: np.ndarray, row: np.ndarray, column: np.ndarray) -> None:
-        """Set ``order`` and ``count``: points sorted by the cell that made them and its corner; twins count once."""
+        """Sort the points by the cell and corner that created them into ``order`` and ``count``."""
         packs, nodes, _, lanes = used.shape
 
         # The key of the four cells around each node, int [nodes, 4]: the cell's number on a grid with a border, and
@@ -345,12 +345,12 @@ class GridMesh:
         self.order = np.where(np.arange(most) < self.count[..., None], order, NOBODY)
 
     def _of(self, values: np.ndarray, cells: np.ndarray, empty: int) -> np.ndarray:
-        """Return the values of ``cells`` from ``values`` [P, V, L]; ``empty`` where the cell is -1."""
+        """Look up the values of ``cells`` in ``values`` [P, V, L]; ``empty`` where the cell index is -1."""
         out = values[:, np.maximum(cells, 0)]
         return np.where((cells >= 0)[None, :, None], out, empty)
 
     def _place_springs(self) -> None:
-        """Set which springs exist, their ends, stiffness, actions, and the points they pull at; and rigid sides."""
+        """Decide which springs exist; set ends, stiffness, actions, pulled points and rigid sides."""
         springs = self.springs
 
         # Bool [P, E, L]: whether the spring's own cell exists, whether the cell beside it does, and both are connected
@@ -406,7 +406,7 @@ class GridMesh:
         self._drop_fixed()
 
     def _joined(self, connections: np.ndarray) -> np.ndarray:
-        """Return which sides have two connected cells, bool [P, E, L]."""
+        """Return a mask of the sides between two connected cells, bool [P, E, L]."""
         springs = self.springs
         first = np.where(springs.second, springs.other, springs.cell)  # the upper or left one
         return self._of(connections.reshape(self.cells.shape), first, False)
@@ -414,7 +414,7 @@ class GridMesh:
     def _stiffness(
         self, kind: np.ndarray, other_kind: np.ndarray, has_cell: np.ndarray, shared: np.ndarray
     ) -> np.ndarray:
-        """Return the stiffness of springs, [P, E, L], by the preset's rule for shared sides; 0 without a spring."""
+        """Compute spring stiffness [P, E, L] by the preset's rule for shared sides; 0 where no spring exists."""
         table = np.array([self.physics.stiffness(cell) for cell in Cell])  # of sides, of diagonals
         own = table[kind, 0]
         other = table[other_kind, 0]
@@ -430,7 +430,7 @@ class GridMesh:
         return np.where(self.spring, stiffness, 0.0)
 
     def _drop_fixed(self) -> None:
-        """Drop springs between two fixed points that no action drives: they give no force."""
+        """Remove springs between two fixed points that no action drives, as they exert no force."""
         begins_fixed = np.take_along_axis(self.fixed, self.ends[:, :, 0, None], axis=1)
         ends_fixed = np.take_along_axis(self.fixed, self.ends[:, :, 1, None], axis=1)
         at_rest = self.spring & begins_fixed & ends_fixed & (self.drive == NOBODY).all(axis=2)
@@ -441,7 +441,7 @@ class GridMesh:
             self.rigid = self.rigid & ~at_rest[:, self.springs.of_cell]
 
     def _link_springs(self) -> None:
-        """Set ``link``: which springs pull at each point."""
+        """List the springs at each point in ``link``."""
         packs, _, lanes = self.point.shape
         at_node = self.springs.at_node
         has_spring = self.spring[:, at_node] & (at_node >= 0)[None, :, :, None]  # [P, nodes, 12, L]
@@ -451,7 +451,7 @@ class GridMesh:
         self.link = link.reshape(packs, -1, 12, lanes)
 
     def _mark_surface(self) -> None:
-        """Set ``side`` and ``corner``: the surface sides and the corner points of each cell."""
+        """Find the surface sides and the corner points of each cell: ``side`` and ``corner``."""
         packs, _, lanes = self.cells.shape
 
         # Sides at which a cell is not connected
@@ -473,14 +473,14 @@ class GridMesh:
 
 
 def _spread(owner: np.ndarray) -> np.ndarray:
-    """Return the slot of a node's points for each cell around it, int8 [4, P, nodes]; -1: no lane has the cell.
+    """Choose the point slot of each cell around a node, int8 [4, P, nodes]; -1 where no lane has the cell.
 
     Cells that have different points in some lane lie on different ones. Two rows of cells on a point each are tried
     first, as this doubles the fewest springs, then two columns.
     """
 
     def apart(a: int, b: int) -> np.ndarray:
-        """Return at which nodes cells a and b have different points in some lane."""
+        """Return the nodes at which cells a and b have different points in some lane."""
         return ((owner[a] != owner[b]) & (owner[a] >= 0) & (owner[b] >= 0)).any(-1)
 
     # Which neighbours need points of their own, bool [P, nodes]

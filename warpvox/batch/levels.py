@@ -1,4 +1,4 @@
-"""The order in which a group of threads corrects the sides of rigid voxels."""
+"""Schedule of rigid sides in the group layout: sides of one level are corrected in parallel."""
 
 from collections.abc import Mapping
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def by_level(tables: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the tables ``rigid_spring`` and ``rigid_lanes`` with sides sorted by level.
+    """Sort the tables of rigid sides, ``rigid_spring`` and ``rigid_lanes``, by level.
 
     The last side s of a level is written as -1 - s.
 

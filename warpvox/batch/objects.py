@@ -1,4 +1,4 @@
-"""The objects of a batch by name: how many points they have, and where these lie in the simulation's arrays."""
+"""Objects of a batch by name: number of points, and their rows in the simulation's arrays."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ from warpvox.world import World
 
 
 class CompiledWorlds(Sequence):
-    """The worlds of a batch compiled one by one; in fast arithmetic a world is compiled when it is asked for."""
+    """Compiled worlds of a batch by index; in fast arithmetic a world is compiled on first access."""
 
     def __init__(self, batch: Batch) -> None:
         self._batch = batch
@@ -37,13 +37,13 @@ class CompiledWorlds(Sequence):
         return self._made[id(world)][1]
 
     def forget(self) -> None:
-        """Drop the compiled worlds that the batch no longer has."""
+        """Drop compiled worlds that the batch no longer uses."""
         used = {id(entry.world) for entry in self._batch.entries}
         self._made = {key: kept for key, kept in self._made.items() if key in used}
 
 
 class Objects:
-    """Names and points of the objects of a batch, and where an environment's points lie in the arrays.
+    """Names of a batch's objects, and the rows of their points in the simulation's arrays.
 
     Attributes:
         names: robots first, then by name.
@@ -66,7 +66,7 @@ class Objects:
         self.num_points = self._most_points()
 
     def refresh(self) -> None:
-        """Read again which points the environments have, after worlds have changed."""
+        """Update the rows of all points after environments were given other worlds."""
         # The tables of each environment
         state = self._state
         pack = wp.to_torch(state.env_pack).long()
@@ -88,7 +88,7 @@ class Objects:
         self._example = torch.as_tensor(first, device=order.device)  # an environment of every world
 
     def index(self, name: str) -> int:
-        """Return the index of an object in ``names``.
+        """Return the index of an object's name in ``names``.
 
         Raises:
             SimulationError: there is no such object.
@@ -99,7 +99,7 @@ class Objects:
         return self.names.index(name)
 
     def moving(self, name: str) -> int:
-        """Return the index in ``names`` of an object that can move.
+        """Return the index of a movable object's name in ``names``.
 
         Raises:
             SimulationError: there is no such object, or it never moves.
@@ -110,11 +110,11 @@ class Objects:
         return index
 
     def _still(self, name: str) -> list[Body | None]:
-        """Return the mesh of an object for every frame; None for a frame in which it can move or that lacks it."""
+        """Return the fixed mesh of an object in every frame; None where the object can move or is missing."""
         return [_named(compiled.statics, name) for compiled in self._batch.compiled]
 
     def counts(self, name: str) -> torch.Tensor:
-        """Return the number of an object's points in every world, int ``[worlds]``."""
+        """Count an object's points in every world, int ``[worlds]``."""
         points = self.point_range[self._example, self.index(name)]
         counts = points[:, 1] - points[:, 0]
         if name in self.terrain:
@@ -123,7 +123,7 @@ class Objects:
         return counts
 
     def _most_points(self) -> dict[str, int]:
-        """Return by name the most points that an object has in any world, or may have with ``batch.grid``."""
+        """Return, by name, the largest number of points of an object over all worlds, or up to ``batch.grid``."""
         moving = self.point_range[self._example]
         counts = (moving[..., 1] - moving[..., 0]).amax(0).tolist()
         most: dict[str, int] = dict(zip(self.names, counts, strict=True))
@@ -137,12 +137,12 @@ class Objects:
         return most
 
     def point_mask(self, name: str) -> torch.Tensor:
-        """Return which points an object has in every world, bool ``[worlds, points]``."""
+        """Return a mask of an object's real points in every world, bool ``[worlds, points]``."""
         counts = self.counts(name)[:, None]
         return (torch.arange(self.num_points[name], device=self.device) < counts).cpu()
 
     def still_points(self, name: str, dtype: torch.dtype, relative: bool) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return an object's points where it never moves, ``[num_envs, points, 2]``, and a bool mask of these."""
+        """Return the positions of an object's fixed points, ``[num_envs, points, 2]``, and their bool mask."""
         bodies = self._still(name)
         fixed = torch.zeros((len(bodies), self.num_points[name], 2), dtype=torch.float64)
         is_fixed = torch.zeros((len(bodies), self.num_points[name], 1), dtype=torch.bool)
@@ -155,7 +155,7 @@ class Objects:
         return fixed[frame].to(self.device, dtype), is_fixed[frame].to(self.device)
 
     def loose_points(self, names: Sequence[str]) -> tuple[torch.Tensor, ...]:
-        """Return the points of loose objects, ``[num_envs, points]``: index, object's cell and height, point's cell."""
+        """Return rows, object cells, object heights and point cells of loose objects, for shifting them."""
         # Of each frame: x, y and height of the object, column and row of its points
         tables: list[list[list[int]]] = []
         for compiled in self._batch.compiled:
@@ -188,7 +188,7 @@ class Objects:
         return rows, table[..., 0:2], table[..., 2], table[..., 3:5]
 
     def scan_tables(self, objects: tuple[str, ...] | None) -> tuple[wp.array, wp.array, wp.array]:
-        """Return the tables of a scan: fixed points in voxels by lattice column, and objects that move.
+        """Return the tables for a terrain scan: fixed points by lattice column, and movable objects.
 
         First where each column's points start, then the points, then the indices of listed objects that can move.
         """

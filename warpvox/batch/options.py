@@ -1,4 +1,4 @@
-"""Options of a simulation, checked and chosen: device, precision, arithmetic, physics, layout, lanes, threads."""
+"""Options of a simulation and their defaults: device, precision, arithmetic, physics, layout, lanes, threads."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _WIDTHS = (1, 8, 16, 32)
 
 @dataclass(frozen=True)
 class SimOptions:
-    """Options of a simulation, passed as ``sim`` or one by one by name.
+    """Options of a simulation, passed together as ``sim`` or as separate keyword arguments.
 
     Attributes:
         device: ``auto`` (CUDA where there is one, from 256 environments on), ``cpu``, ``cuda[:<index>]``.
@@ -62,7 +62,7 @@ class SimOptions:
 
     @classmethod
     def of(cls, sim: SimOptions | None, given: Mapping[str, Any], *functions: Callable[..., Any]) -> SimOptions:
-        """Return ``sim`` (None: the defaults) with the fields in ``given``, arguments by name of ``functions[0]``.
+        """Merge ``sim`` (None: defaults) with options ``given`` by keyword; other names are arguments of ``functions``.
 
         Raises:
             ConfigError: see :func:`check_known`; or ``sim`` is something else.
@@ -73,7 +73,7 @@ class SimOptions:
         return replace(sim or cls(), **given)
 
     def resolved(self, num_envs: int, preset: str = "evogym") -> ResolvedOptions:
-        """Return these options for ``num_envs`` environments with every default but that of ``lanes`` chosen.
+        """Replace None in all options but ``lanes`` by the value for ``num_envs`` environments.
 
         Args:
             preset: of the physics, if none is named.
@@ -118,7 +118,7 @@ class SimKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class ResolvedOptions(SimOptions):
-    """Options with every default but that of ``lanes`` chosen, see :meth:`SimOptions.resolved`."""
+    """Options of a simulation without None, except in ``lanes``; see :meth:`SimOptions.resolved`."""
 
     arithmetic: str = "fast"
     physics: Physics = field(default_factory=Physics)
@@ -127,7 +127,7 @@ class ResolvedOptions(SimOptions):
 
 
 def resolve_arithmetic(arithmetic: str | None, dtype: str) -> str:
-    """Return 'fast' or 'exact'; for None 'fast' in float32 and 'exact' in float64.
+    """Choose 'fast' or 'exact' arithmetic; None means 'fast' in float32 and 'exact' in float64.
 
     Raises:
         SimulationError: neither of them, or 'exact' in float32.
@@ -143,7 +143,7 @@ def resolve_arithmetic(arithmetic: str | None, dtype: str) -> str:
 
 
 def resolve_layout(layout: str | None, arithmetic: str, device: str, lanes: int | None) -> str:
-    """Return 'group' or 'lanes'; for None 'group' on CUDA in fast arithmetic, unless ``lanes`` are given.
+    """Choose the layout 'group' or 'lanes'; None means 'group' on CUDA in fast arithmetic without ``lanes``.
 
     Raises:
         SimulationError: neither of them, or a group for exact arithmetic or with lanes.
@@ -159,19 +159,19 @@ def resolve_layout(layout: str | None, arithmetic: str, device: str, lanes: int 
 
 
 def lanes_for(environments: int) -> int:
-    """Return the fewest lanes on the CPU that hold all ``environments``, which can share packs."""
+    """Return the smallest lane width on the CPU that holds ``environments`` environments in one pack."""
     return next(width for width in _WIDTHS if width >= min(environments, most_lanes()))
 
 
 def most_lanes() -> int:
-    """Return the most lanes of a pack on the CPU: 32 with AVX-512, else 16, which is faster with fewer registers."""
+    """Return the largest lane width on the CPU: 32 with AVX-512, else 16."""
     import torch
 
     return MAX_WIDTH if torch.backends.cpu.get_cpu_capability() == "AVX512" else 16
 
 
 def choose_lanes(index: np.ndarray, lanes: int | None, device: str) -> int:
-    """Return the lanes of a pack; environments with the same number in ``index`` can share packs."""
+    """Choose the lane width of packs; environments with equal ``index`` can share a pack."""
     if device != "cpu":  # one thread each
         if lanes is not None and (type(lanes) is not int or lanes != MAX_WIDTH):
             raise SimulationError(f"lanes must be {MAX_WIDTH} or None on CUDA, got {lanes!r}.")

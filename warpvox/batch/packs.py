@@ -1,4 +1,4 @@
-"""Which environment lies in which lane of which pack, and the tables of these packs."""
+"""Assignment of environments to packs and lanes, and the tables of these packs."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,11 +16,11 @@ from warpvox.errors import SimulationError
 from warpvox.world import World
 
 Actuators = tuple[tuple[str, int], ...]
-"""Names and numbers of actuators of the robots of a world."""
+"""Name and number of actuators of each robot in a world."""
 
 
 def group(worlds: Sequence[World]) -> tuple[dict[bytes, World], list[int]]:
-    """Return a copy of every distinct world by its key, and for each of ``worlds`` the index of its copy."""
+    """Deduplicate worlds: return the distinct ones by key, and the index of each world's key."""
     seen: dict[bytes, int] = {}
     by_id: dict[int, int] = {}
     different = {}
@@ -35,7 +35,7 @@ def group(worlds: Sequence[World]) -> tuple[dict[bytes, World], list[int]]:
 
 
 def _actuators(world: World) -> Actuators:
-    """Return names and numbers of actuators of a world's robots; SimulationError: there are too many."""
+    """Count the actuators of each robot of a world; SimulationError: there are too many."""
     found = tuple(sorted((obj.name, obj.num_actuators) for obj in world.objects.values() if obj.is_robot))
     total = sum(count for _, count in found)
     most = 0xFFFF  # the two actions of a spring share 32 bits (warpvox.compile.pack_drives)
@@ -45,7 +45,7 @@ def _actuators(world: World) -> Actuators:
 
 
 class Entry(NamedTuple):
-    """A distinct world of a batch.
+    """A distinct world of a batch, and the group of worlds that it may share packs with.
 
     Attributes:
         key: what :meth:`World.key` gives.
@@ -61,7 +61,7 @@ class Entry(NamedTuple):
 
 @dataclass
 class Batch:
-    """The world of every environment, and the pack and lane in which the environment lies.
+    """The worlds of all environments, and the pack and lane of each environment.
 
     Args:
         different: the worlds, by their keys. index: the number of each environment's world.
@@ -139,7 +139,7 @@ class Batch:
                 self._check_bodies(world, self.grid)
 
     def _check_bodies(self, world: World, grid: tuple[int, int]) -> None:
-        """Raise SimulationError unless the bodies of all robots of a world can be part of a batch with this ``grid``.
+        """Raise SimulationError if a robot of the world does not fit ``grid`` or lacks connections.
 
         A body must not be larger than ``grid`` (rows, columns). If every first body had all neighbouring cells
         connected, this one must, too.
@@ -157,9 +157,7 @@ class Batch:
                 )
 
     def _rank(self, group: int) -> np.ndarray:
-        """Return int ``[entries]``: the order in which the worlds of a group fill packs, similar bodies side by side.
-
-        A pack computes everything that one of its lanes needs, so that similar bodies in a pack save time.
+        """Return the order in which a group's worlds fill packs, similar bodies side by side, int ``[entries]``.
 
         A pack computes everything that one of its lanes needs, so that similar bodies in a pack save time.
         """
@@ -176,7 +174,7 @@ class Batch:
         return np.array([entry.group for entry in self.entries])
 
     def replace(self, envs: Sequence[int], worlds: Sequence[World]) -> np.ndarray:
-        """Give environments other worlds of the same frame; return the numbers of the packs whose worlds have changed.
+        """Give environments other worlds of the same frame; return the indices of the packs that changed.
 
         Raises:
             SimulationError: the batch has no ``grid``, or a world does not belong to it.
@@ -212,7 +210,7 @@ class Batch:
         return self._assign(envs, [place[key] for key in chosen])
 
     def _assign(self, envs: Sequence[int], worlds: Sequence[int]) -> np.ndarray:
-        """Assign entries to environments, drop entries that are no longer used; return the packs that have changed."""
+        """Assign worlds to environments and drop unused worlds; return the packs that changed."""
         index = np.array(self.index)
         index[list(envs)] = worlds
         packs = np.unique(self.env_pack[list(envs)])
@@ -235,11 +233,11 @@ class Batch:
         return packs
 
     def frame_of_envs(self) -> np.ndarray:
-        """Return int ``[num_envs]``: the index in ``compiled`` for each environment's group of worlds."""
+        """Return the index of each environment's frame in ``compiled``, int ``[num_envs]``."""
         return self.groups[self.index]
 
     def tables(self, packs: np.ndarray | None = None) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return the tables of the distinct packs among ``packs`` (None: all), and for each pack which it has."""
+        """Make the tables of ``packs`` (None: all), without duplicates; return the index of each pack's tables too."""
         packs = np.arange(len(self.pack_group)) if packs is None else packs
         groups = np.asarray(self.pack_group)[packs]
         if self.arithmetic == "exact":
@@ -268,7 +266,7 @@ class Batch:
         return tables, which.reshape(-1)
 
     def _spans(self, counts: np.ndarray, names: list[list[str]]) -> np.ndarray:
-        """Return int ``[tables, objects, lanes, 2]``: begin and end of each object's points in the order of points."""
+        """Return the first and last-plus-one point of each object, int ``[tables, objects, lanes, 2]``."""
         stop = np.cumsum(counts, axis=1)
         start = stop - counts
         spans = np.zeros((len(counts), len(self.object_names), counts.shape[2], 2), np.int32)
@@ -280,13 +278,13 @@ class Batch:
         return spans
 
     def frame_tables(self) -> dict[str, np.ndarray]:
-        """Return the tables of the terrain of all frames; empty in exact arithmetic, where :meth:`tables` has them."""
+        """Return the terrain tables of all frames; empty in exact arithmetic (see :meth:`tables`)."""
         names = ("fixed_at", "terrain", "terrain_side", "terrain_box")
         parts = [{name: frame.arrays[name][None] for name in names} for frame in self.frames]
         return join(parts) if parts else {}
 
     def capacities(self) -> dict[str, int]:
-        """Return the sizes of arrays that hold any bodies up to ``grid``, by name; empty without ``grid``."""
+        """Return the array sizes, by name, that any bodies up to ``grid`` need; empty without ``grid``."""
         if self.grid is None:
             return {}
         most = [capacities(frame, *self.grid, self.cut) for frame in self.frames]

@@ -116,7 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _complain(error: WarpvoxError | str) -> int:
-    """Print an error as one line on standard error; return the exit code 2."""
+    """Print an error as one line on standard error, and return exit code 2."""
     from warpvox.io.text import escaped
 
     # one line, with the blanks of paths as they are

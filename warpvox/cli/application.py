@@ -33,9 +33,7 @@ OPTIONS: dict[tuple[str, str], dict[str, Any]] = {
 
 
 def read_command(command: str, summary: str, words: list[str]) -> tuple[Any, Collection[str]] | None:
-    """Return the settings that a command line gives, and the keys in it; None: nothing is left to do.
-
-    That is so for ``--help``, ``--cfg`` and ``--multirun``.
+    """Parse a command line into settings and the keys given; None after ``--help``, ``--cfg`` and ``--multirun``.
 
     Args:
         summary: what the command does.
@@ -64,7 +62,7 @@ def read_command(command: str, summary: str, words: list[str]) -> tuple[Any, Col
 
 
 def read_options(command: str, words: list[str]) -> argparse.Namespace:
-    """Separate options from KEY=VALUE words. ConfigError: an unknown option, or one that lacks its value."""
+    """Separate options such as ``--multirun`` from KEY=VALUE words; ConfigError: unknown or incomplete option."""
     parser = _parser(command, "")
     parser.add_argument("overrides", nargs="*")
     options, unknown = parser.parse_known_intermixed_args(words)
@@ -83,7 +81,7 @@ def read_options(command: str, words: list[str]) -> argparse.Namespace:
 
 
 def _parser(command: str, description: str) -> argparse.ArgumentParser:
-    """Return the parser of a command's options."""
+    """Build the argparse parser of a command."""
     parser = argparse.ArgumentParser(
         usage=f"warpvox {command} [KEY=VALUE ...]",
         description=description,
@@ -99,5 +97,5 @@ def _parser(command: str, description: str) -> argparse.ArgumentParser:
 
 
 def _complain(message: str) -> NoReturn:
-    """Raise ConfigError with an error of argparse."""
+    """Raise a ConfigError with the message of argparse."""
     raise ConfigError(f"{message[0].upper()}{message[1:]}.")

@@ -1,4 +1,4 @@
-"""Settings from the words of a command line: parsed by Hydra's grammar, composed by Hydra, checked at the end."""
+"""Settings from a command line: words are parsed and composed by Hydra, then validated."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -26,12 +26,12 @@ from warpvox.runs import CODESIGN, CONFIG, TRAINING, ZOO, as_now, without_servic
 
 
 def load(command: str, words: Sequence[str], config_dir: Path | None = None) -> Any:
-    """Return the settings that the words of a command line give, see :func:`settings_of`."""
+    """Parse, compose and validate the words of a command line; return the settings."""
     return settings_of(command, read_words(command, words), config_dir)
 
 
 def settings_of(command: str, overrides: Mapping[str, Override], config_dir: Path | None = None) -> Any:
-    """Compose the settings of a command: defaults, overridden by a stored configuration, then by ``overrides``.
+    """Compose the settings of a command: defaults, then a stored configuration, then ``overrides``.
 
     A group that is given takes the place of its section in the stored configuration.
 
@@ -93,7 +93,7 @@ def settings_of(command: str, overrides: Mapping[str, Override], config_dir: Pat
 
 
 def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
-    """Parse the words of a command line by Hydra's grammar; return them by key. Keys may still be unknown.
+    """Parse KEY=VALUE words by Hydra's grammar into overrides by key; keys may still be unknown.
 
     Texts that the grammar cannot read, or would read as numbers, and existing paths are quoted first.
 
@@ -146,7 +146,7 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
 
 
 def _parsed(word: str) -> Override | None:
-    """Parse a word by Hydra's grammar; None: it is not valid."""
+    """Parse one KEY=VALUE word by Hydra's grammar; return None if it is not valid."""
     try:
         return OverridesParser.create().parse_override(word)
     except (
@@ -158,7 +158,7 @@ def _parsed(word: str) -> Override | None:
 
 
 def _stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path | None]:
-    """Read the stored configuration that ``config`` or ``resume`` names; return it and its file, or empty and None.
+    """Read the stored configuration named by ``config`` or ``resume``; return it with its path, or ({}, None).
 
     ``resume`` becomes the folder or checkpoint that it names.
     """
@@ -189,7 +189,7 @@ def _stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path |
 
 
 def _set(command: str, config: DictConfig, key: str, value: Any) -> None:
-    """Set a key of a composed configuration. ConfigError: there is no such key, or it does not take the value."""
+    """Set a key of a composed configuration; ConfigError: unknown key or invalid value."""
     with hydras_errors(f"{key}={value!s:.40}: "):
         try:
             if key not in keys_of(command):
@@ -200,7 +200,7 @@ def _set(command: str, config: DictConfig, key: str, value: Any) -> None:
 
 
 def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
-    """Return the error for an unknown key, with the best hint that can be given."""
+    """Build the error for an unknown key, with a suggestion."""
     keys = keys_of(command)
     known = [name for name in flat(cast(Any, OmegaConf.to_container(config))) if name in keys]
     last = key.split(".")[-1]

@@ -1,4 +1,4 @@
-"""Recording of rollouts, and the files and tables made from them."""
+"""Recording of rollouts for commands, and the files and tables written from them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LARGE = (960, 540)
 def record_run(
     run: Run, env: Any, controller: Any, steps: int | None, stochastic: bool = False, protocol: str = NOMINAL
 ) -> Rollout:
-    """Record one episode of every environment; of several bodies the best comes first.
+    """Record one episode of a run's policy in every environment; several bodies are sorted by return.
 
     ``stochastic``: whether ``controller`` samples its actions; ``protocol``: by which it is disturbed.
     """
@@ -47,7 +47,7 @@ def record_run(
 
 
 def record_agent(config: Any) -> Rollout:
-    """Record one episode of every environment under an agent that needs no training."""
+    """Record one episode of an untrained agent in every environment."""
     from warpvox.algos.training.bodies import load_bodies
     from warpvox.algos.training.playing import SHOWN
     from warpvox.envs.vec_env import make_vec
@@ -72,14 +72,14 @@ def record_agent(config: Any) -> Rollout:
 
 
 def tiles_of(rollout: Rollout, most: int = 36) -> list[int]:
-    """Return the indices of environments that a picture shows: the first ones, or evenly spaced named ones."""
+    """Choose the environments shown in a picture: the first ones, or evenly spaced ones if they have names."""
     if "names" not in rollout.metadata:
         return list(range(min(rollout.num_envs, _TILES)))
     return np.linspace(0, rollout.num_envs - 1, min(rollout.num_envs, most)).round().astype(int).tolist()
 
 
 def check_exports(formats: list[str], size: Any) -> None:
-    """Raise RolloutError for a format that cannot be written, before anything is simulated."""
+    """Raise RolloutError if an export format cannot be written; called before any simulation."""
     if "mp4" in formats:
         from warpvox.view.render import check_mp4
 
@@ -89,7 +89,7 @@ def check_exports(formats: list[str], size: Any) -> None:
 def write_exports(
     rollout: Rollout, folder: Path, formats: list[str], console: Console, size: list[int] | None = None, every: int = 1
 ) -> None:
-    """Write the rollout in each format to ``folder``, and print the files, the rollout's own first.
+    """Export a rollout in each format to ``folder``, and print the paths.
 
     ``every``: show every n-th control step only; films then run n times as fast.
     """
@@ -135,7 +135,7 @@ def write_exports(
 
 
 def print_returns(rollout: Rollout, console: Console) -> None:
-    """Print a table with the returns of the environments (the first ones of many) and their mean."""
+    """Print a table of the first environments' returns and the mean over all."""
     returns = rollout.returns[-1]
     lengths = rollout.lengths
     several = len(rollout.scenes) > 1 and "names" not in rollout.metadata
@@ -176,7 +176,7 @@ def print_returns(rollout: Rollout, console: Console) -> None:
 
 
 def _reason_of_end(rollout: Rollout, env: int) -> str:
-    """Return in words why the episode of an environment ended."""
+    """Return, as text, why the episode of an environment ended."""
     if not rollout.num_steps or not rollout.done[-1, env]:
         return "still going"
     if rollout.metadata.get("diverged"):

@@ -1,4 +1,4 @@
-"""Keys of the commands and their help, made from the dataclasses of their settings."""
+"""Keys of the commands and their ``--help``, generated from the dataclasses of settings."""
 
 import argparse
 import dataclasses
@@ -23,7 +23,7 @@ class Key:
 
     @property
     def is_text(self) -> bool:
-        """True if the value is a text, or null."""
+        """True if the value is a string or null."""
         return self.type in (str, str | None)
 
     @property
@@ -33,13 +33,13 @@ class Key:
 
     @property
     def takes_text(self) -> bool:
-        """True if the value, or an entry of the list, may be a text."""
+        """True if the value, or an entry of the list, may be a string."""
         return self.type is Any or "str" in str(self.type)
 
 
 @functools.cache
 def keys_of(command: str) -> dict[str, Key]:
-    """Return the keys of a command by dotted name; a group comes before its own keys.
+    """Return the keys of a command by dotted name, each group before its own keys.
 
     The parts of a group are those of all its nodes.
     """
@@ -47,7 +47,7 @@ def keys_of(command: str) -> dict[str, Key]:
 
 
 def _keys(schema: type, prefix: str) -> Iterator[tuple[str, Key]]:
-    """Yield the keys of a dataclass and of its nested dataclasses, with names that begin with ``prefix``."""
+    """Yield the keys of a dataclass and its nested dataclasses; ``prefix`` begins their names."""
     types = get_type_hints(schema)
     for item in dataclasses.fields(schema):
         name = prefix + item.name
@@ -62,14 +62,14 @@ def _keys(schema: type, prefix: str) -> Iterator[tuple[str, Key]]:
 
 
 def groups_of(command: str) -> list[str]:
-    """Return the keys of a command that choose a dataclass or a YAML file by name, without the preset."""
+    """Return the keys of a command that select a dataclass or a YAML file by name, except the preset."""
     names = [item.name for item in dataclasses.fields(schema_of(command))]
     # ppo and training take the name of a YAML file in the folder of the same name, and of nothing else.
     return [name for name in names if name in nodes_of(command) or name in ("ppo", "training")]
 
 
 def options_of(command: str, key: str) -> list[str]:
-    """Return the names that a key takes: dataclasses, YAML files, or choices."""
+    """List the names that a key accepts: dataclasses, YAML files, or choices."""
     folder = files("warpvox.configs") / (f"{PRESET}/{command}" if key == PRESET else key)
     known = [file.name.removesuffix(".yaml") for file in folder.iterdir() if file.is_file()] if folder.is_dir() else []
     choices = keys_of(command)[key].choices if key in keys_of(command) else ()
@@ -77,12 +77,12 @@ def options_of(command: str, key: str) -> list[str]:
 
 
 def flat_values(command: str, values: dict[str, Any]) -> dict[str, Any]:
-    """Flatten nested values to dotted keys; a mapping stays whole if its key takes any value."""
+    """Flatten nested values to dotted keys, except mappings under a key that accepts any value."""
     return flat(values, {name for name, key in keys_of(command).items() if key.type is Any})
 
 
 def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str | None, str]]:
-    """Yield name, default and meaning of each key of a command; a group has no default.
+    """Yield name, default and meaning of each key of a command; groups have no default.
 
     Args:
         values: the composed defaults by dotted key, for those that the schema leaves open.
@@ -99,7 +99,7 @@ def help_rows(command: str, values: dict[str, Any]) -> Iterator[tuple[str, str |
 
 
 def add_keys(parser: argparse.ArgumentParser, command: str, values: dict[str, Any]) -> None:
-    """Add the keys of a command to the help of a parser; ``values``: see :func:`help_rows`."""
+    """Add the keys of a command to the help of an argparse parser."""
     part = parser.add_argument_group("keys")
     for name, value, meaning in help_rows(command, values):
         if value is None:
@@ -108,7 +108,7 @@ def add_keys(parser: argparse.ArgumentParser, command: str, values: dict[str, An
 
 
 def as_typed(value: Any) -> str:
-    """Return a value as it is typed on a command line."""
+    """Format a value as a user types it on the command line."""
     if isinstance(value, Mapping):
         return f"{{{','.join(f'{name}:{as_typed(one)}' for name, one in value.items())}}}"
     if isinstance(value, list):

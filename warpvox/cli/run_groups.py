@@ -1,4 +1,4 @@
-"""Groups of runs that differ only in their seed, with labels that distinguish the groups."""
+"""Grouping of runs that differ only in their seed, with a label for each group."""
 
 import hashlib
 import json
@@ -14,7 +14,7 @@ from warpvox.runs import Run
 
 
 def group_runs(runs: Sequence[Run]) -> list[Group]:
-    """Group runs with the same settings, in the order in which they are given.
+    """Group runs whose settings differ only in the seed, in the order given.
 
     A label says what differs between the groups, of a single one the task.
     """
@@ -38,7 +38,7 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
 
 
 def settings(run: Run) -> dict[str, Any]:
-    """Return a run's settings by dotted key, without those that only say where and how it was computed.
+    """Return a run's settings by dotted key, without seed, folders and other keys that do not affect results.
 
     They include the named checkpoint, because several checkpoints of one run are not repetitions.
     """
@@ -54,7 +54,7 @@ def settings(run: Run) -> dict[str, Any]:
 
 
 def _with_presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
-    """Replace the settings that a preset sets by the name of the preset."""
+    """Replace settings that come from a preset by the name of the preset."""
     result = dict(values)
 
     # Name the physics preset instead of its constants.
@@ -74,7 +74,7 @@ def _with_presets(values: dict[str, Any], keys: list[str]) -> dict[str, Any]:
 
 
 def _label(values: dict[str, Any], keys: list[str]) -> str:
-    """Return a label with the first few settings that distinguish a group from others."""
+    """Build a label from the first few settings that distinguish a group from the others."""
     parts = []
     for key in [key for key in keys if key in values][:SHOWN]:  # a robot of the zoo has only some of the keys
         value = values[key]
@@ -89,7 +89,7 @@ def _label(values: dict[str, Any], keys: list[str]) -> str:
 
 
 def _design(body: Any) -> str:
-    """Return the name of an example body, or the size of a body and a short hash."""
+    """Return the name of an example body, or the size and a short hash of any other body."""
     for name in example_designs():
         if example_design(name).tolist() == body:
             return name

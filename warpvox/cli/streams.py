@@ -1,4 +1,4 @@
-"""Standard output that survives a closed reader (``| head``, a closed terminal) and a closed stream (``>&-``)."""
+"""Standard output that survives a closed pipe (``| head``), a closed terminal and a closed stream (``>&-``)."""
 
 import errno
 import io
@@ -12,7 +12,7 @@ from warpvox.system import GONE
 
 
 class _Lasting:
-    """Text stream that switches to the null device once its reader has gone."""
+    """Text stream that switches to the null device when its pipe or terminal is closed."""
 
     def __init__(self, stream: Any, message: str | None = None) -> None:
         self._stream = stream
@@ -23,7 +23,7 @@ class _Lasting:
             self._gone = GONE | {errno.EIO, errno.ENXIO, errno.EBADF}
 
     def __getattr__(self, name: str) -> Any:
-        """Return any other attribute of the wrapped stream."""
+        """Return an attribute of the wrapped stream."""
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
@@ -37,7 +37,7 @@ class _Lasting:
         self._try(self._stream.flush)
 
     def _try(self, function: Any, *words: Any) -> None:
-        """Call a method of the stream; switch to the null device if the reader has gone."""
+        """Call a method of the wrapped stream; switch to the null device if the pipe is closed."""
         try:
             function(*words)
         except OSError as error:
@@ -50,7 +50,7 @@ class _Lasting:
 
 @contextmanager
 def lasting_output(message: str | None = None) -> Iterator[None]:
-    """Within the block, let standard output and errors survive readers that close; replace unknown letters by ?.
+    """Keep standard output and errors usable within the block if the pipe or terminal is closed.
 
     Args:
         message: a line that is written to standard error when the reader of standard output has gone.
@@ -74,7 +74,7 @@ def lasting_output(message: str | None = None) -> Iterator[None]:
 
 
 def redirect(stream: Any) -> None:
-    """Send what is left in a stream's buffers to the null device, or Python would complain at its exit."""
+    """Discard the buffered text of a closed stream, so that Python does not complain at exit."""
     with suppress(OSError, ValueError, AttributeError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())

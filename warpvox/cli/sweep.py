@@ -24,13 +24,13 @@ from warpvox.runs import STAMP, as_name, check_output, label, read_summary
 from warpvox.system import safe_start
 
 LONGEST_LABEL = 80
-"""Maximum length of the part of a folder's name that says what its run differs by."""
+"""Maximum length of a run's label in the name of its folder."""
 _OWN = "++words."
-"""Prefix of our words for Hydra, which adds them to an empty configuration: it only expands their values."""
+"""Prefix of the keys passed to Hydra: they start as an empty configuration, and Hydra expands their values."""
 
 
 def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
-    """Run all combinations of the values that the words list, by Hydra's sweeper and launcher.
+    """Run all combinations of values on the command line with Hydra's sweeper and launcher.
 
     Hydra expands the words and launches the runs; each composes its own settings. Every value that is listed is
     checked before the first run begins, those of several keys not in all combinations.
@@ -78,7 +78,7 @@ def sweep(command: str, words: Sequence[str], config_dir: Path | None) -> None:
 
 
 def _run(command: str, config_dir: Path | None, fixed: Collection[str], _: Any) -> float | None:
-    """Make one run of a sweep from Hydra's words; return its best return or fitness for optimising sweepers."""
+    """Run one job of a sweep; return its best return or fitness, for sweepers that optimise."""
     job = HydraConfig.get()
     words = [word.removeprefix(_OWN) for word in job.overrides.task]
     given = read_words(command, words)
@@ -103,12 +103,12 @@ def _run(command: str, config_dir: Path | None, fixed: Collection[str], _: Any) 
 
 
 def label_of(varied: Mapping[str, str]) -> str:
-    """Return the part of a folder's name that says what a run differs by, such as ``seed-1_ppo.gamma-0.9``."""
+    """Build the part of a folder's name that identifies a run of a sweep, such as ``seed-1_ppo.gamma-0.9``."""
     return as_name("_".join(f"{key}-{value}" for key, value in varied.items() if key != "task"))[:LONGEST_LABEL]
 
 
 def _run_hydra(words: Sequence[str], task: Callable[[Any], Any] = lambda _: None) -> None:
-    """Run Hydra as ``@hydra.main`` does, with these words and an empty configuration.
+    """Run Hydra as ``@hydra.main`` does, on these words and an empty configuration.
 
     ConfigError: what Hydra says of a word or plugin. Exception: what ``task`` raises.
     """
@@ -125,7 +125,7 @@ def _run_hydra(words: Sequence[str], task: Callable[[Any], Any] = lambda _: None
 
 
 def complete(words: Sequence[str], commands: Collection[str]) -> None:
-    """Print completions of the line in ``COMP_LINE`` (``query=SHELL``), or print code that installs completion.
+    """Print shell completions of the line in ``COMP_LINE``, or the script that installs completion.
 
     Args:
         words: what follows ``-sc``: ``query=SHELL``, ``install=SHELL`` or ``uninstall=SHELL``.

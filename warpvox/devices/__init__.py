@@ -1,1 +1,1 @@
-"""Devices: their names, their memory, the start of Warp and its cache of kernels."""
+"""Devices: their names, free memory, the start of Warp and its kernel cache."""

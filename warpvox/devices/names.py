@@ -1,4 +1,4 @@
-"""Devices by name."""
+"""Device names: ``auto``, ``cpu``, ``cuda:<index>``."""
 
 import re
 
@@ -14,7 +14,7 @@ host launches for 0.1 s an iteration, however many environments there are (docs/
 
 
 def missing_cuda() -> str | None:
-    """Return why torch or Warp has no CUDA device, or None if both have one."""
+    """Return why torch or Warp cannot use a CUDA device; None if both can."""
     start_warp()
     torch_has = torch.cuda.is_available()
     warp_has = wp.is_cuda_available()
@@ -46,7 +46,7 @@ def missing_cuda() -> str | None:
 
 
 def resolve_device(device: str, num_envs: int | None = None) -> str:
-    """Return torch's name for a device: 'auto', 'cpu', 'cuda' or 'cuda:<index>'.
+    """Return torch's name of a device given as 'auto', 'cpu', 'cuda' or 'cuda:<index>'.
 
     Args:
         device: 'auto': CUDA where there is one, if there are environments enough for it (:data:`ENOUGH`).

@@ -1,4 +1,4 @@
-"""Messages for when memory runs out, on a GPU or in the machine."""
+"""Error messages for running out of memory, on a GPU or in the machine."""
 
 import re
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from warpvox.system import available_memory
 
 
 def shortage(error: BaseException) -> str | None:
-    """Return which allocation failed according to an error, as part of a sentence; None for another kind of error."""
+    """Describe the failed allocation behind an error as part of a sentence; None if memory was not the cause."""
     if not isinstance(error, (MemoryError, RuntimeError)):
         return None
     text = " ".join(str(error).split())
@@ -36,7 +36,7 @@ def shortage(error: BaseException) -> str | None:
 
 
 def free_memory(device: str) -> int | None:
-    """Return the bytes that can still be allocated on a device (``cpu``, ``cuda:<index>``); None if unknown."""
+    """Return the free memory of a device (``cpu``, ``cuda:<index>``) in bytes; None if unknown."""
     if device == "cpu":
         return available_memory()
     import torch
@@ -47,14 +47,14 @@ def free_memory(device: str) -> int | None:
 
 
 def fewer(num_envs: int) -> str:
-    """Return advice for :func:`enough_memory`: how many environments to take instead."""
+    """Return the advice to halve ``num_envs``, as a sentence for :func:`enough_memory`."""
     half = f"num_envs={num_envs // 2} instead of {num_envs}" if num_envs > 1 else "a smaller body"
     return f"Take {half}, or free memory that other programs or tensors hold on the device."
 
 
 @contextmanager
 def enough_memory(advice: str) -> Iterator[None]:
-    """Turn an error within the block that memory has run out into a DeviceError with ``advice``, a sentence."""
+    """Convert out-of-memory errors within the block to a DeviceError that ends with ``advice``, a sentence."""
     try:
         yield
     except (MemoryError, RuntimeError) as error:

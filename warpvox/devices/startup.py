@@ -1,4 +1,4 @@
-"""Starts Warp without its banner, and announces compilation; settings of a command's process.
+"""Start of Warp and torch in a process: no banner, a message when kernels compile, threads and seed.
 
 Warp prints a banner when it starts and a line for every module that it loads, but nothing when it begins to compile,
 which takes 10 to 40 seconds. Who has set ``warp.config.log_level``, or started Warp, before the first simulation gets
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     import torch
 
 LOGGER = logging.getLogger("warpvox")
-"""Takes the line about compilation, as a warning: it shows without any configuration."""
+"""Logger of the message about compilation; a warning, because those show without configuration."""
 _PROCESS = threading.RLock()
-"""Held by the thread that changes what all threads of the process share."""
+"""Lock held by the thread that changes settings of the whole process."""
 
 
 def start_warp() -> None:
@@ -41,7 +41,7 @@ def start_warp() -> None:
 
 @functools.cache
 def _start_warp() -> None:
-    """Initialise Warp, and have it announce the compilation of kernels."""
+    """Initialise Warp and make it announce kernel compilation."""
     import warp as wp
     from warp._src import build, context
 
@@ -63,7 +63,7 @@ def _start_warp() -> None:
 
 
 def _announced(build: Callable[..., Any], where: str) -> Callable[..., Any]:
-    """Return ``build`` with a message before its first call by this package."""
+    """Wrap ``build`` so that its first call by this package prints a message about compilation."""
     announced = False
 
     @functools.wraps(build)
@@ -78,7 +78,7 @@ def _announced(build: Callable[..., Any], where: str) -> Callable[..., Any]:
 
 
 def _is_ours() -> bool:
-    """Return whether a module of this package has led to the present call, not another user of Warp."""
+    """Return whether the present call comes from this package, not from another user of Warp."""
     frame = sys._getframe(2)  # above the function that asks
     while frame is not None:
         name = str(frame.f_globals.get("__name__", ""))
@@ -89,7 +89,7 @@ def _is_ours() -> bool:
 
 
 def _init_without_complaint() -> None:
-    """Initialise Warp, and print what it wrote to stderr except the message about a missing GPU."""
+    """Initialise Warp and print its messages, except the one about a missing GPU."""
     import warp as wp
 
     sys.stderr.flush()
@@ -114,14 +114,14 @@ def _init_without_complaint() -> None:
 
 
 class _Console(logging.Handler):
-    """Prints the library's log messages to the standard output."""
+    """Logging handler that prints the library's messages to standard output."""
 
     def emit(self, record: logging.LogRecord) -> None:
         print(record.getMessage(), flush=True)
 
 
 def prepare(torch_threads: int, seed: int) -> None:
-    """Set up the process: show messages, start Warp, set torch's threads and seed."""
+    """Set up a command's process: log messages, Warp, torch's threads and seed."""
     if not LOGGER.handlers:
         LOGGER.addHandler(_Console())
     import torch
@@ -133,7 +133,7 @@ def prepare(torch_threads: int, seed: int) -> None:
 
 @contextmanager
 def own_torch(threads: int | None = None, seed: int | None = None, dtype: torch.dtype | None = None) -> Iterator[None]:
-    """Give torch to this thread alone within the block, with the settings of :func:`ambient`; others wait.
+    """Give this thread exclusive use of torch within the block, with the settings of :func:`ambient`.
 
     Nothing inside may wait for another thread. torch's global generators are the caller's again afterwards.
 
@@ -152,7 +152,7 @@ def own_torch(threads: int | None = None, seed: int | None = None, dtype: torch.
 
 @contextmanager
 def ambient(threads: int | None = None, dtype: torch.dtype | None = None) -> Iterator[None]:
-    """Give torch the settings of a new process within the block: float32, the CPU as default device, gradients.
+    """Set torch to its defaults within the block: float32, CPU as default device, gradients on.
 
     Neither inference mode nor autocast are on. Several threads may be inside at the same time.
 
@@ -183,7 +183,7 @@ def ambient(threads: int | None = None, dtype: torch.dtype | None = None) -> Ite
 
 
 class _Shared:
-    """A context that several threads enter; the last one that leaves restores torch's process-wide settings."""
+    """A reentrant context for several threads; the last thread to leave restores torch's process-wide settings."""
 
     def __init__(self) -> None:
         self._inside = 0
@@ -207,7 +207,7 @@ _shared = _Shared()
 
 @contextmanager
 def _restored() -> Iterator[None]:
-    """Restore torch's default type and global generators after the block."""
+    """Restore torch's default type and global random generators after the block."""
     import torch
 
     dtype = torch.get_default_dtype()

@@ -1,4 +1,4 @@
-"""The design editor: paint a body or a world in the browser, see at once whether it is valid, save it, try it out.
+"""The design editor: paint a body or a world in the browser, validate, save and simulate it.
 
 ``documents`` says what is drawn, ``trials`` simulates it, ``page`` is what the browser gets, ``server`` answers it.
 """

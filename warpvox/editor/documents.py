@@ -23,21 +23,21 @@ from warpvox.types import Cell
 from warpvox.world import World, WorldObject
 
 BODY_SIDE = 32
-"""Rows and columns that a body may have in the editor."""
+"""Maximum number of rows and of columns of a body in the editor."""
 WORLD_SIZE = (400, 100)
-"""Columns and rows that a world may have in the editor."""
+"""Maximum number of columns and rows of a world in the editor."""
 _OBJECTS = 64
 _FILE_NAME = re.compile(r"[^\W_][\w.-]{0,63}")
 
 
 def design_of(document: Mapping[str, Any]) -> Design:
-    """Return the body in a document, without empty rows and columns around it."""
+    """Convert a document to a body, cropped to its filled cells."""
     cells = _cells(document, BODY_SIDE, BODY_SIDE)
     return check_design(cells[_box(cells)] if cells.any() else cells)
 
 
 def world_of(document: Mapping[str, Any]) -> World:
-    """Return the world in a document.
+    """Convert a document to a world.
 
     Objects are added from the largest to the smallest: the bounding box of an object must lie on cells that are
     free of those before it, and terrain may well reach around a robot.
@@ -79,7 +79,7 @@ def world_of(document: Mapping[str, Any]) -> World:
 
 
 def document_of(content: Design | World) -> dict[str, Any]:
-    """Return the document that shows a body or a world."""
+    """Convert a body or a world to a document of the editor."""
     if not isinstance(content, World):
         grid = np.asarray(content)
         return _document("body", ["robot"], grid, np.zeros_like(grid))
@@ -103,7 +103,7 @@ def document_of(content: Design | World) -> dict[str, Any]:
 
 
 def check(document: Mapping[str, Any]) -> str:
-    """Return a sentence that describes a document; DesignError, WorldError: it is not valid."""
+    """Validate a document and describe it in a sentence; DesignError, WorldError: it is not valid."""
     if _kind(document) == "body":
         body = design_of(document)
         cells = counted((body > 0).sum(), "cells")
@@ -120,7 +120,7 @@ def check(document: Mapping[str, Any]) -> str:
 
 
 def check_file_name(name: object) -> str:
-    """Return ``name`` as a file name with its suffix; WorldError: it cannot be one."""
+    """Return ``name`` as a file name with its suffix; WorldError if it cannot be a file name."""
     stem = name.removesuffix(".json") if isinstance(name, str) else ""
     # The file system takes it with its suffix and a temporary one beside it.
     if not _FILE_NAME.fullmatch(stem) or len(stem.encode()) > 200:
@@ -134,12 +134,12 @@ def check_file_name(name: object) -> str:
 
 
 def file_names(folder: Path) -> list[str]:
-    """Return the names of the JSON files in a folder that the editor may open."""
+    """List the JSON files in a folder that the editor can open."""
     return sorted(path.name for path in folder.glob("*.json") if _FILE_NAME.fullmatch(path.stem) and _is_here(path))
 
 
 def _is_here(path: Path) -> bool:
-    """Return whether a file exists in its folder, not by a link to another folder."""
+    """Return whether a file lies in its folder itself, not behind a link to another folder."""
     return path.is_file() and path.resolve().parent == path.parent.resolve()
 
 
@@ -164,7 +164,7 @@ def save_file(document: Mapping[str, Any], folder: Path, name: object, overwrite
 
 
 def read_file(path: Path) -> dict[str, Any]:
-    """Return the document of a file: a body (rows of cells, or ``{"body": rows}``) or a world of EvoGym's format."""
+    """Read a document from a file: a body (rows of cells, or ``{"body": rows}``) or a world in EvoGym's format."""
     if not _is_here(path):
         near = did_you_mean(path.stem, (name.removesuffix(".json") for name in file_names(path.parent)))
         raise WorldError(f"There is no file '{path.name}' in {path.parent}.{near}")
@@ -192,7 +192,7 @@ def _kind(document: Mapping[str, Any]) -> str:
 
 
 def _cells(document: Mapping[str, Any], rows: int, columns: int, error: type[WarpvoxError] = DesignError) -> np.ndarray:
-    """Return the cells of a document as an array; raise ``error`` if they are not valid or too many."""
+    """Return the cells of a document as an array; raise ``error`` if they are invalid or too many."""
     value = document.get("types")
     # Before numpy looks at it: what is not a rectangle of a modest size is not worth an array.
     if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
@@ -203,7 +203,7 @@ def _cells(document: Mapping[str, Any], rows: int, columns: int, error: type[War
 
 
 def _box(filled: np.ndarray) -> tuple[slice, slice]:
-    """Return the slices of rows and columns that hold all filled cells."""
+    """Return the row and column slices of the bounding box of all filled cells."""
     rows = np.flatnonzero(filled.any(1))
     columns = np.flatnonzero(filled.any(0))
     return slice(*rows[[0, -1]] + (0, 1)), slice(*columns[[0, -1]] + (0, 1))

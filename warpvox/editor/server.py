@@ -1,4 +1,4 @@
-"""The server of the design editor: this machine only, for those who have the token.
+"""The design editor's web server: reachable from this machine only, with a secret token.
 
 It listens on the loopback address. Every address begins with a token that is drawn at each start, so that
 other users of the machine and pages of other sites cannot guess it. A request whose Host is not this server's is
@@ -42,11 +42,11 @@ from warpvox.view.rollout import AGENTS
 
 _ADDRESS = "127.0.0.1"
 LARGEST = 1_000_000
-"""Bytes of a request."""
+"""Maximum size of a request in bytes."""
 
 
 class EditorServer(ThreadingHTTPServer):
-    """A web server for the editor's page, on this machine only.
+    """A web server for the editor's page, reachable from this machine only.
 
     Args:
         port: 0 takes a free one.
@@ -76,24 +76,24 @@ class EditorServer(ThreadingHTTPServer):
         return read_file(self.folder / check_file_name(name))
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Print an error of a request, unless the browser has closed its connection."""
+        """Print an error in a request, unless the browser closed its connection."""
         if not isinstance(sys.exc_info()[1], ConnectionError):
             super().handle_error(request, client_address)
 
     def check(self, ask: dict[str, Any]) -> dict[str, Any]:
-        """Return a sentence that describes the document in the request ``ask``."""
+        """Validate the document in the request ``ask``, and describe it in a sentence."""
         return {"message": check(_document(ask))}
 
     def files(self, ask: dict[str, Any]) -> dict[str, Any]:
-        """Return the names of the files that can be opened."""
+        """List the files that the editor can open."""
         return {"files": file_names(self.folder)}
 
     def open(self, ask: dict[str, Any]) -> dict[str, Any]:
-        """Return the document of a file."""
+        """Read a document from the file named in the request."""
         return self._read(ask.get("name"))
 
     def save(self, ask: dict[str, Any]) -> dict[str, Any]:
-        """Write the document; replace an existing file only if ``overwrite`` is set."""
+        """Write the document to a file; replace an existing file only if ``overwrite`` is set."""
         try:
             path = save_file(_document(ask), self.folder, ask.get("name"), ask.get("overwrite") is True)
         except FileExistsError as error:
@@ -103,7 +103,7 @@ class EditorServer(ThreadingHTTPServer):
         return {"message": f"Saved as {path}.", "path": str(path)}
 
     def sample(self, ask: dict[str, Any]) -> dict[str, Any]:
-        """Return a document with a random valid body."""
+        """Return a document with a randomly sampled valid body."""
         rows = ask.get("rows", 0)
         columns = ask.get("columns", 0)
         if not all(type(n) is int and 1 <= n <= 10 for n in (rows, columns)):
@@ -111,7 +111,7 @@ class EditorServer(ThreadingHTTPServer):
         return document_of(sample_design((rows, columns)))
 
     def rollout(self, ask: dict[str, Any]) -> dict[str, Any]:
-        """Simulate the document and keep the page of the rollout; return its number and a message with the return.
+        """Simulate the document and store the rollout's page; return its number and a message with the return.
 
         Raises:
             ConfigError: another rollout is being simulated.
@@ -141,7 +141,7 @@ def _document(ask: dict[str, Any]) -> dict[str, Any]:
 
 
 class _Refused(Exception):
-    """Raised for a request whose only answer is a status and a reason."""
+    """Raised to answer a request with an HTTP error status and a reason."""
 
     def __init__(self, status: HTTPStatus, reason: str) -> None:
         super().__init__(reason)
@@ -149,7 +149,7 @@ class _Refused(Exception):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers one request."""
+    """HTTP request handler of the editor."""
 
     # Seconds without a byte from a client, or without one taken by it, after which its connection is closed.
     timeout = 15.0
@@ -159,18 +159,18 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
     def log_message(self, format: str, *args: object) -> None:
-        """Print nothing: addresses hold the token."""
+        """Suppress the access log, because addresses contain the token."""
 
     def do_GET(self) -> None:
-        """Answer with the editor's page or the page of a rollout."""
+        """Serve the editor's page or the page of a rollout."""
         self._answer(self._page)
 
     def do_POST(self) -> None:
-        """Run an action of the server, JSON in and JSON out; an error of warpvox is returned as ``error``."""
+        """Run an action of the server, JSON in and JSON out; warpvox errors are returned as ``error``."""
         self._answer(self._act)
 
     def _answer(self, make: Callable[[], tuple[bytes, str]]) -> None:
-        """Send what ``make`` returns, or the reason of a refusal."""
+        """Send the result of ``make``, or the HTTP error that it raised."""
         try:
             self._send(*make())
         except _Refused as refusal:
@@ -178,7 +178,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(str(refusal).encode(), "text/plain; charset=utf-8", refusal.status)
 
     def _page(self) -> tuple[bytes, str]:
-        """Return the page of the address, and its type."""
+        """Return the page at the requested address, and its content type."""
         path = self._path()
         number = path.removeprefix("rollout/")
         page = self.server.rollouts.get(int(number)) if re.fullmatch("[0-9]{1,9}", number) else None
@@ -188,7 +188,7 @@ class _Handler(BaseHTTPRequestHandler):
         return page, "text/html; charset=utf-8"
 
     def _act(self) -> tuple[bytes, str]:
-        """Run the action of the address; return its result as JSON, and the type of that."""
+        """Run the action at the requested address; return its result as JSON, and the content type."""
         name = self._path()
         # Only these methods are for pages to call.
         if name not in ("check", "files", "open", "sample", "save", "rollout"):
@@ -201,7 +201,7 @@ class _Handler(BaseHTTPRequestHandler):
         return json.dumps(answer).encode(), "application/json"
 
     def _path(self) -> str:
-        """Check host, origin and token of the request; return the part of the address after the token."""
+        """Verify host, origin and token of the request; return the path after the token."""
         if self.headers.get("Host", "") not in self.server.hosts:
             raise _Refused(HTTPStatus.FORBIDDEN, "This server answers to its own name only.")
         origin = self.headers.get("Origin")
@@ -216,7 +216,7 @@ class _Handler(BaseHTTPRequestHandler):
         return rest
 
     def _body(self) -> dict[str, Any]:
-        """Return the JSON object in the request; _Refused: there is none, or it is too long."""
+        """Parse the JSON object in the request; _Refused if it is missing or too long."""
         if self.headers.get_content_type() != "application/json":
             raise _Refused(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "Expected JSON.")
         length = self.headers.get("Content-Length", "")
@@ -233,7 +233,7 @@ class _Handler(BaseHTTPRequestHandler):
         return ask
 
     def _send(self, content: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
-        """Send ``content`` with headers that forbid other sites to use it."""
+        """Send ``content`` with headers that keep other sites from using it."""
         self.send_response(status)
         headers = {
             "Cache-Control": "no-store",
@@ -253,7 +253,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _editor_page(start: dict[str, Any] | None, folder: Path, tasks: list[str]) -> str:
-    """Return the editor's page as text.
+    """Build the editor's HTML page.
 
     Args:
         start: a document with a ``name``, to begin with; None: an example.

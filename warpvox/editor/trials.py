@@ -1,4 +1,4 @@
-"""Open-loop rollouts of what the editor draws."""
+"""Trial runs of the editor's documents: open-loop rollouts without a policy."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec
 
 LONGEST = 20.0
-"""Seconds that a rollout may last."""
+"""Maximum simulated seconds of a trial rollout."""
 MOST_MOVING = 1000
-"""Cells that may move in a world that is tried out."""
+"""Maximum number of movable cells in a world that is simulated."""
 TIME_LIMIT = 60.0
-"""Seconds of real time after which a rollout is given up."""
+"""Seconds of real time after which a rollout is aborted."""
 
 
 def try_out(
@@ -31,7 +31,7 @@ def try_out(
     task: object,
     tasks: Mapping[str, TaskSpec],
 ) -> Rollout:
-    """Record an episode of a body in a task, or of a world without a task.
+    """Record an open-loop episode of a body in a task, or of a world without a task.
 
     In a world the reward of a step is how far the centre of mass of the first robot has moved to the right, in
     simulator units (0.1 a voxel); without a robot it is 0.
@@ -83,7 +83,7 @@ def try_out(
 
 
 class _OpenWorld:
-    """A simulation of one world with the methods of an environment that recording calls."""
+    """A simulation of one world behind an environment's interface, so that it can be recorded."""
 
     def __init__(self, sim: Any, seed: int) -> None:
         self.sim = sim
@@ -99,13 +99,13 @@ class _OpenWorld:
         return self.sim.unstable * 0.0 if self._robot is None else self.sim.com(self._robot)[:, 0]
 
     def reset(self) -> tuple[None, dict[str, Any]]:
-        """Put the world back to its start."""
+        """Reset the world to its start."""
         self.sim.reset()
         self._where = self._place()
         return None, {}
 
     def step(self, actions: Any) -> tuple[Any, ...]:
-        """Do a control step: no observation, progress as reward, terminated if the simulation stopped the step."""
+        """Do a control step; the reward is the progress to the right, and there are no observations."""
         self.sim.step(actions)
         before = self._where
         self._where = self._place()

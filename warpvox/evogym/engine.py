@@ -1,4 +1,4 @@
-"""One environment of the simulator with numpy views of its points, and a record of all control steps.
+"""One simulated environment with numpy views of its points, and a record of all control steps.
 
 As in the release, positions and velocities of any control step since the reset can be read.
 """
@@ -21,7 +21,7 @@ __all__ = ["Engine"]
 
 
 class Engine:
-    """A world that is stepped in float64 with the release's physics.
+    """One world, stepped in float64 with the physics of EvoGym's release, and the record of its control steps.
 
     Points come object by object, robots first, then the others, each by name; an object's points in the order of its
     cells, row by row from the top. Positions are in simulator units (0.1 a voxel).
@@ -36,7 +36,7 @@ class Engine:
     """
 
     def __init__(self, world: World) -> None:
-        """Build the simulation and record time 0."""
+        """Build the simulation and record the state at time 0."""
         self.world = world
         # Objects that may be moved although none of their cells can: a simulation needs something that can move.
         self._loose = tuple(world.objects) if all(obj.is_static for obj in world.objects.values()) else ()
@@ -48,7 +48,7 @@ class Engine:
         self._record()
 
     def _build(self) -> None:
-        """Make the simulation and the views on its arrays."""
+        """Create the simulation and numpy views of its arrays."""
         options = SimOptions("cpu", "float64", lanes=1, threads=1)
         # EvoGym takes actions beyond its own range, too.
         anything = (-np.inf, np.inf)
@@ -82,8 +82,7 @@ class Engine:
         self._rows = np.concatenate([np.arange(begin)[self._spans[name]] for name in self._bodies])
 
     def step(self, history: int | None = None) -> bool:
-        """Do one control step; return True if it was stopped and undone: by self-folding or numbers that are not
-        finite.
+        """Do one control step; return True if the step was undone, after self-folding or divergence.
 
         Args:
             history: how many of the last times are kept, besides time 0; None: all.
@@ -111,7 +110,7 @@ class Engine:
         now[1, : self._moving] = self._views["vel"]
 
     def revert(self, time: int) -> None:
-        """Go back to a recorded time and drop the records of later times."""
+        """Restore the state at a recorded time and drop later records."""
         self._set(self._at(time))
         self.time = time
         self._past = {then: kept for then, kept in self._past.items() if then <= time}
@@ -124,7 +123,7 @@ class Engine:
         self._moved()
 
     def _moved(self) -> None:
-        """Discard what was sensed, after points have moved."""
+        """Invalidate cached centres of mass after points have moved."""
         self.changes += 1
         self.sensors.moved = True
 
@@ -147,7 +146,7 @@ class Engine:
         self._views["rest_pos"][:] = self._past[0][0, : self._moving]  # what turns are measured from
 
     def _at(self, time: int) -> np.ndarray:
-        """Return the record of a time; raise ArgumentError if there is none."""
+        """Return the recorded state at a time; ArgumentError if there is none."""
         if not isinstance(time, int | np.integer):
             raise ArgumentTypeError(f"time must be an integer, got {time!r} of type {type(time).__name__}.")
         if time not in self._past:
@@ -157,28 +156,28 @@ class Engine:
         return self._past[time]
 
     def _check(self, name: object, kind: str = "object") -> None:
-        """Raise ArgumentError unless ``name`` is an object or, with ``kind="robot"``, a robot."""
+        """Raise ArgumentError unless ``name`` is an object (``kind="robot"``: a robot)."""
         names = self.goals if kind == "robot" else self._spans
         if not isinstance(name, str) or name not in names:
             why = " It has no actuator (cells 3, 4)." if str(name) in self._spans else did_you_mean(name, names)
             raise ArgumentError(f"{name!r:.80} is not a valid {kind} name; {kind}s are {listing(sorted(names))}.{why}")
 
     def _span(self, name: str | None) -> slice | np.ndarray:
-        """Return the indices in a record of the points of an object (None: of all)."""
+        """Return the slice of an object's points in a recorded state (None: all points)."""
         if name is not None:
             self._check(name)
         return self._rows if name is None else self._spans[name]
 
     def positions(self, time: int, name: str | None = None) -> np.ndarray:
-        """Return the positions of an object's points (None: of all), ``[points, 2]``; do not write to them."""
+        """Return positions of an object's points (None: of all objects), ``[points, 2]``, read-only."""
         return self._at(time)[0, self._span(name)]
 
     def velocities(self, time: int, name: str | None = None) -> np.ndarray:
-        """Return the velocities of an object's points (None: of all), ``[points, 2]``; do not write to them."""
+        """Return velocities of an object's points (None: of all objects), ``[points, 2]``, read-only."""
         return self._at(time)[1, self._span(name)]
 
     def orientation(self, time: int, name: str) -> float:
-        """Return how far an object has turned since time 0, counter-clockwise in [0, 2 pi]."""
+        """Return the rotation of an object since time 0, counter-clockwise in [0, 2 pi]."""
         self._check(name)
         then, _ = self._at(time)
         if self._spans[name].start >= self._moving:
@@ -195,7 +194,7 @@ class Engine:
         return angle
 
     def goals_of(self, robot: str) -> np.ndarray:
-        """Return the :attr:`goals` of a robot; ArgumentError: there is no such robot."""
+        """Return the actuators' goal lengths of a robot, see :attr:`goals`; ArgumentError: no such robot."""
         self._check(robot, "robot")
         return self.goals[robot]
 
@@ -212,7 +211,7 @@ class Engine:
 
     @cached_property
     def corners(self) -> np.ndarray:
-        """Indices of each cell's points at top left, top right, bottom right and bottom left: int ``[voxels, 4]``."""
+        """Point indices of each cell: top left, top right, bottom right and bottom left, int ``[voxels, 4]``."""
         bodies = list(self._bodies.values())
         firsts = np.cumsum([0, *(len(body.points) for body in bodies[:-1])])
         corners = [np.array(list(body.corners.values())) for body in bodies]
@@ -220,7 +219,7 @@ class Engine:
 
     @cached_property
     def outlines(self) -> np.ndarray:
-        """Indices of the end points of sides that no other cell shares, int ``[sides, 2]``."""
+        """Point indices of the two ends of each outer side, int ``[sides, 2]``."""
         sides = np.stack([self.corners, np.roll(self.corners, -1, axis=1)], axis=-1).reshape(-1, 2)
         _, first, counts = np.unique(np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True)
         return sides[first[counts == 1]]

@@ -1,4 +1,4 @@
-"""Errors of the drop-in: of our tree, and of the builtin kinds that scripts written for EvoGym catch."""
+"""Errors of the drop-in; they are also the builtin errors that scripts written for EvoGym catch."""
 
 from warpvox.errors import WarpvoxError
 
@@ -10,11 +10,11 @@ class ArgumentError(WarpvoxError, ValueError):
 
 
 class ArgumentTypeError(WarpvoxError, TypeError):
-    """An argument of another type than the one asked for."""
+    """An argument of the wrong type."""
 
 
 class RangeError(ArgumentError, AssertionError):
-    """An argument out of range, where the release asserts that it is within."""
+    """An argument out of range, where EvoGym has an assertion."""
 
 
 class InstallError(WarpvoxError, ImportError):

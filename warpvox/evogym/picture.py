@@ -1,4 +1,4 @@
-"""Pictures of a running simulation, from any place and with any shape of view; without a display."""
+"""Pictures of a running simulation for any camera, without a display."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def paint(
     hide_edges: bool = False,
     hide_voxels: bool = False,
 ) -> np.ndarray:
-    """Return a picture of the present state, uint8 ``[height, width, 3]``.
+    """Render the present state as a picture, uint8 ``[height, width, 3]``.
 
     Args:
         middle: the centre of the picture, in simulator units.

@@ -1,4 +1,4 @@
-"""The simulation under the names of EvoGym's module ``evogym.sim``. Lengths are in voxels here."""
+"""The simulation under the names of EvoGym's module ``evogym.sim``, with lengths in voxels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["EvoSim"]
 
 
 def _in_voxels(method: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
-    """Return a method whose result is that of ``method`` in voxels instead of simulator units (0.1 a voxel)."""
+    """Decorate a method so that its result is in voxels instead of simulator units (0.1 a voxel)."""
 
     @functools.wraps(method)
     def scaled(*args: object, **options: object) -> np.ndarray:
@@ -49,7 +49,7 @@ class EvoSim(Sim):
             self._plan.add_object(obj.to_core())
 
     def reset(self) -> None:
-        """Go back to time 0. Targets of actuators stay as they are."""
+        """Reset to time 0; targets of actuators are kept."""
         self.revert(0)
 
     def get_actuator_indices(self, robot_name: str) -> np.ndarray:
@@ -57,11 +57,11 @@ class EvoSim(Sim):
         return self._engine.actuators(robot_name)
 
     def get_dim_action_space(self, robot_name: str) -> int:
-        """Return the number of a robot's actuators; ArgumentError (a ValueError): there is no such robot."""
+        """Return the number of a robot's actuators; ArgumentError (a ValueError): no such robot."""
         return len(self.get_actuator_indices(robot_name))
 
     def set_action(self, robot_name: str, action: np.ndarray) -> None:
-        """Set targets of a robot's actuators from the next step on: lengths of their sides in units of rest length.
+        """Set the target lengths of a robot's actuators, relative to rest length, from the next step on.
 
         ``action``: ``[actuators]``, not clipped. ArgumentError: no such robot, or another number of values.
         """

@@ -1,4 +1,4 @@
-"""The lower layer of the release, its module ``evogym.simulator_cpp``: ``Sim``, ``Camera`` and ``Viewer``.
+"""EvoGym's low-level module ``evogym.simulator_cpp``: ``Sim``, ``Camera`` and ``Viewer``.
 
 Lengths are in simulator units here (0.1 a voxel); :class:`warpvox.evogym.EvoSim` speaks of voxels.
 """
@@ -24,7 +24,7 @@ __all__ = ["Camera", "Sim", "Viewer"]
 
 
 class Sim:
-    """A simulation that objects are read into, and that is then stepped.
+    """A simulation: add objects first, then step.
 
     The order of objects does not depend on the order of reading: robots first, then the others, each by name.
 
@@ -41,7 +41,7 @@ class Sim:
 
     @property
     def _engine(self) -> Engine:
-        """The running simulation; from its first use on no object can be added."""
+        """The running simulation; objects cannot be added after its first use."""
         if self._running is None:
             import warp  # and torch, which worlds alone do not need
 
@@ -53,18 +53,18 @@ class Sim:
         return self._running
 
     def init(self, x: int, y: int) -> None:
-        """Begin with an empty grid of ``x`` by ``y`` cells."""
+        """Start with an empty grid of ``x`` by ``y`` cells."""
         self._plan = World(int(x), int(y))
         self._running = None
 
     def get_version(self) -> None:
-        """Print which simulator this is."""
+        """Print the version of the simulator."""
         print("warpvox, with the physics of Evolution Gym Simulator v2.2.5")
 
     def read_object_from_array(
         self, grid: np.ndarray, connections: np.ndarray, object_name: str, x: float, y: float
     ) -> bool:
-        """Add an object of cells ``[rows, columns]``, row 0 on top, and pairs of flat indices ``[2, k]``; return True.
+        """Add an object from cells ``[rows, columns]``, row 0 on top, and index pairs ``[2, k]``; return True.
 
         ``x``, ``y``: cell of its lower left corner.
 
@@ -80,11 +80,11 @@ class Sim:
     def read_robot_from_array(
         self, grid: np.ndarray, connections: np.ndarray, robot_name: str, x: float, y: float
     ) -> bool:
-        """Add a robot; arguments are those of :meth:`read_object_from_array`."""
+        """Add a robot; arguments as in :meth:`read_object_from_array`."""
         return self.read_object_from_array(grid, connections, robot_name, x, y)
 
     def read_object_from_file(self, file_name: str, object_name: str, x: float, y: float) -> bool:
-        """Add an object from a file of integers: columns, rows, the cells from the top row on, pairs of indices."""
+        """Add an object from a file of integers: columns, rows, cells from the top row on, index pairs."""
         try:
             words = read_text(file_name, LARGEST_FILE).split()
         except Missing:
@@ -104,18 +104,18 @@ class Sim:
         return self.read_object_from_array(grid, pairs, object_name, x, y)
 
     def read_robot_from_file(self, file_name: str, robot_name: str, x: float, y: float) -> bool:
-        """Add a robot; arguments are those of :meth:`read_object_from_file`."""
+        """Add a robot from a file; arguments as in :meth:`read_object_from_file`."""
         return self.read_object_from_file(file_name, robot_name, x, y)
 
     def step(self) -> bool:
-        """Do a control step of 30 sub-steps; return True if it was undone, as a robot folded into itself.
+        """Do a control step of 30 sub-steps; return True if a robot folded into itself and the step was undone.
 
         ArgumentError: :attr:`history` is neither None nor an integer from 1 on.
         """
         return self._engine.step(self.history)
 
     def set_action(self, robot_name: str, action: np.ndarray) -> None:
-        """Set targets of actuators from the next step on; they hold until others are set.
+        """Set the targets of a robot's actuators; they hold until set again.
 
         ``action``: ``[k, 2]``, the flat index of an actuator's cell and the target length of its sides in units of
         their rest length (1.0 before anything is set). Not clipped. ArgumentError: no such robot, or no actuator there.
@@ -128,15 +128,15 @@ class Sim:
         self._engine.goals[robot_name][np.searchsorted(known, action[:, 0])] = action[:, 1]
 
     def revert(self, sim_time: int) -> None:
-        """Go back to a recorded time and drop later records; ArgumentError: it is not recorded. Targets stay."""
+        """Restore the state at a recorded time; targets stay, later records are dropped. ArgumentError: no record."""
         self._engine.revert(sim_time)
 
     def translate_object(self, x: float, y: float, object_name: str) -> None:
-        """Move an object by (x, y) at once; overlaps are not checked. ArgumentError: no such object."""
+        """Shift an object by (x, y) without checking for overlaps; ArgumentError: no such object."""
         self._engine.translate(object_name, x, y)
 
     def get_time(self) -> int:
-        """Return the number of complete control steps."""
+        """Return the number of completed control steps."""
         return self._engine.time
 
     def pos_at_time(self, sim_time: int) -> np.ndarray:
@@ -147,11 +147,11 @@ class Sim:
         return _rows(self._engine.positions(sim_time))
 
     def vel_at_time(self, sim_time: int) -> np.ndarray:
-        """Return the velocities of all points ``[2, points]``, simulator units per inner time (30 x 1e-4 a step)."""
+        """Return the velocities of all points ``[2, points]``, in simulator units per inner time (30 x 1e-4 a step)."""
         return _rows(self._engine.velocities(sim_time))
 
     def object_pos_at_time(self, sim_time: int, object_name: str) -> np.ndarray:
-        """Return the positions of an object's points ``[2, points]``; ArgumentError also for an unknown object."""
+        """Return the positions of an object's points ``[2, points]``; ArgumentError: no such object or time."""
         return _rows(self._engine.positions(sim_time, object_name))
 
     def object_vel_at_time(self, sim_time: int, object_name: str) -> np.ndarray:
@@ -159,7 +159,7 @@ class Sim:
         return _rows(self._engine.velocities(sim_time, object_name))
 
     def object_orientation_at_time(self, time: int, object_name: str) -> float:
-        """Return the turn of an object since time 0, counter-clockwise, radians in [0, 2 pi]."""
+        """Return the rotation of an object since time 0, counter-clockwise, radians in [0, 2 pi]."""
         return self._engine.orientation(time, object_name)
 
     def get_indices_of_actuators(self, robot_name: str) -> np.ndarray:
@@ -168,12 +168,12 @@ class Sim:
 
 
 def _rows(points: np.ndarray) -> np.ndarray:
-    """Return a copy of ``[n, 2]`` as ``[2, n]``, point by point in memory as in the release."""
+    """Transpose ``[n, 2]`` to ``[2, n]`` in a copy with the release's memory layout, point by point."""
     return points.T.copy(order="F")
 
 
 class Camera:
-    """The view of a picture; ``is_renderable``, as released: True for a camera of images, False for one of windows."""
+    """A camera: position, size and resolution of a picture, and the last image."""
 
     def __init__(self, is_renderable: bool) -> None:
         self.is_renderable = is_renderable
@@ -183,11 +183,11 @@ class Camera:
         self._image = np.zeros(0, np.uint8)
 
     def set_pos(self, x: float, y: float) -> None:
-        """Set the middle of the picture, in simulator units."""
+        """Set the centre of the picture, in simulator units."""
         self.pos = (float(x), float(y))
 
     def set_size(self, x: float, y: float) -> None:
-        """Set how much the picture shows, width and height in simulator units."""
+        """Set the width and height of the visible area, in simulator units."""
         self.size = (float(x), float(y))
 
     def set_resolution(self, x: float, y: float) -> None:
@@ -208,7 +208,7 @@ class Camera:
 
 
 class Viewer:
-    """Paints ``sim``, which may be exchanged, for cameras, or in a window."""
+    """Paints the simulation ``sim`` for cameras or in a window; ``sim`` may be replaced."""
 
     def __init__(self, sim: Sim) -> None:
         self.sim = sim
@@ -216,7 +216,7 @@ class Viewer:
         self._window = None
 
     def init(self) -> None:
-        """Do nothing: kept because scripts may call it."""
+        """Do nothing; exists for scripts that call it."""
 
     def render(
         self,
@@ -227,7 +227,7 @@ class Viewer:
         hide_boxels: bool = False,
         dont_clear: bool = False,
     ) -> None:
-        """Paint the view of a camera: into its image if it is renderable, else into the window if that is visible.
+        """Paint a camera's view: into the camera's image if renderable, else into the window if visible.
 
         Raises:
             ArgumentError: ``dont_clear``, which is not available.
@@ -245,7 +245,7 @@ class Viewer:
                 self._window.show(picture)
 
     def show_debug_window(self) -> None:
-        """Let pictures of window cameras be shown; the window opens with the first. DisplayError: there can be none."""
+        """Open a window for the next picture; DisplayError: this machine cannot show one."""
         reason = why_no_window()
         if reason is not None:
             raise DisplayError(f"The modes 'screen' and 'human' show a window, but {reason}. {OTHERWISE}")
@@ -254,7 +254,7 @@ class Viewer:
             self._window.unhide()
 
     def hide_debug_window(self) -> None:
-        """Take the window off the screen."""
+        """Hide the window."""
         self.shown = False
         if self._window is not None:
             self._window.hide()
@@ -267,5 +267,5 @@ class Viewer:
             self._window = None
 
     def get_debug_window_pos(self) -> list[int]:
-        """Return x and y of the window on the screen; [0, 0] without a window."""
+        """Return the position (x, y) of the window on the screen; [0, 0] without a window."""
         return [0, 0] if self._window is None else list(self._window.place)

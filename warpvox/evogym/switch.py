@@ -1,4 +1,4 @@
-"""``install()``: from then on ``import evogym`` means this package."""
+"""``install()`` makes ``import evogym`` mean this package."""
 
 import importlib.util
 import multiprocessing.spawn
@@ -16,16 +16,16 @@ __all__ = ["install"]
 
 THEIRS, OURS = "evogym", "warpvox.evogym"
 CHILDREN = str(Path(__file__).resolve().parent / "children")
-"""Folder on the path of processes that this one starts; its package ``evogym`` calls :func:`install`."""
+"""Folder added to the import path of child processes; its package ``evogym`` calls :func:`install`."""
 
 
 class _Alias(MetaPathFinder, Loader):
-    """Import finder that gives the modules of this package under the name ``evogym``."""
+    """Import finder that serves this package's modules under the name ``evogym``."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the specification of a module ``evogym...`` that this package has, else None."""
+        """Return the import specification of a module ``evogym...`` of this package, else None."""
         if fullname == THEIRS or fullname.startswith(THEIRS + "."):
             try:
                 here = importlib.util.find_spec(OURS + fullname[len(THEIRS) :])
@@ -42,13 +42,13 @@ class _Alias(MetaPathFinder, Loader):
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        """Give the module its own specification back, which the import system has replaced."""
+        """Restore the module's own specification, which the import system replaced."""
         # The import system has set these to those of the alias.
         module.__spec__, module.__loader__, module.__package__ = self._own
 
 
 def install() -> None:
-    """Make ``import evogym``, ``import evogym.envs`` and so on give the modules of :mod:`warpvox.evogym`.
+    """Make ``import evogym`` and its submodules load the modules of :mod:`warpvox.evogym`.
 
     This holds for the present process and for those that it starts, unless they are started without its environment
     variables. An installed EvoGym stays as it is, but they can no longer import it. Harmless to repeat.
@@ -74,7 +74,7 @@ def install() -> None:
 
 
 def install_everywhere() -> None:
-    """Call :func:`install` here and, before they import the script, in processes that spawn or forkserver starts.
+    """Call :func:`install` here and in child processes started by spawn or forkserver.
 
     The script may put a folder with another evogym first on their path.
     """
@@ -86,7 +86,7 @@ def install_everywhere() -> None:
 
 
 class _Everywhere:
-    """An object that calls :func:`install_everywhere` in the process that unpickles it."""
+    """An object that calls :func:`install_everywhere` when unpickled in a child process."""
 
     def __reduce__(self) -> tuple:
         return install_everywhere, ()  # called where it is unpickled

@@ -39,19 +39,19 @@ BASELINE_ENV_NAMES = [
 
 
 def get_uniform(x: int) -> np.ndarray:
-    """Return the uniform distribution over ``x`` outcomes, float64 ``[x]``; RangeError unless ``x`` is positive."""
+    """Return the uniform distribution over ``x`` outcomes, float64 ``[x]``; RangeError: ``x`` is not positive."""
     if x <= 0:
         raise RangeError(f"A distribution needs at least one outcome, got size {x}.")
     return np.full(x, 1.0) / x
 
 
 def draw(pd: np.ndarray) -> int:
-    """Draw an index with relative weights ``pd`` from Python's generator ``random``; errors as of ``_drawer``."""
+    """Sample an index with relative weights ``pd`` from Python's generator ``random``; errors as of ``_drawer``."""
     return _drawer(pd)()
 
 
 def _drawer(pd: object) -> Callable[[], int]:
-    """Return a function that draws indices; the same numbers of ``random`` give the same indices as in the release.
+    """Return a function that samples indices exactly as the release does from the same state of ``random``.
 
     RangeError: no weights, a negative one, or all 0.
     """
@@ -64,7 +64,7 @@ def _drawer(pd: object) -> Callable[[], int]:
 
 
 def sample_robot(robot_shape: tuple[int, int], pd: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Draw a valid robot (one piece, with an actuator) by rejection, from Python's global generator ``random``.
+    """Sample a valid robot (connected, with an actuator) by rejection, from Python's global generator ``random``.
 
     Args:
         robot_shape: rows and columns.
@@ -91,7 +91,7 @@ def sample_robot(robot_shape: tuple[int, int], pd: np.ndarray | None = None) -> 
 
 
 def is_connected(robot: np.ndarray) -> bool:
-    """Return whether all cells that are not empty hang together along edges; False for an empty body."""
+    """Return whether all non-empty cells are connected along edges; False for an empty body."""
     return bool(design.count_pieces(design.as_grid(robot)) == 1)
 
 
@@ -101,18 +101,18 @@ def has_actuator(robot: np.ndarray) -> bool:
 
 
 def get_full_connectivity(robot: np.ndarray) -> np.ndarray:
-    """Return all pairs of neighbouring cells that are not empty as flat indices, ``[2, k]``."""
+    """List all pairs of adjacent non-empty cells as flat indices, ``[2, k]``."""
     pairs = design.full_connections(robot)
     return pairs.T.astype(np.int64) if len(pairs) else np.empty((2, 0))
 
 
 def hashable(robot: np.ndarray) -> str:
-    """Return the cells as a string of digits, row by row from the top."""
+    """Encode the cells as a string of digits, row by row from the top."""
     return "".join(str(int(cell)) for cell in np.ravel(robot))
 
 
 class Timer:
-    """Keeps a loop from running more often than a target says.
+    """Limits a loop to a target number of rounds per second.
 
     Args:
         target_step_frequency: steps per second; None: as often as possible.
@@ -124,12 +124,12 @@ class Timer:
         self._steps = self._all_steps = self.total_count = 0
 
     def should_step(self) -> bool:
-        """Return whether the target allows another step now."""
+        """Return whether enough time has passed for the next step."""
         # As released, one step a second less than asked for.
         return self._target is None or self._steps < (self._target - 1) * (time.monotonic() - self._begin)
 
     def step(self, verbose: bool = False) -> None:
-        """Count a step; once a second print the rate if ``verbose``."""
+        """Count a step; once a second, print the rate if ``verbose``."""
         self._steps += 1
         if time.monotonic() - self._begin > 1:
             self._all_steps = self._all_steps + self._steps
@@ -141,7 +141,7 @@ class Timer:
 
 
 def _in_parallel(verb: str, result: Callable[[int, int], int]) -> Callable[[Pair, int | Pair], Pair]:
-    """Return an operator of pairs that applies ``result`` to x and to y."""
+    """Build an operator of pairs that applies ``result`` to x and to y separately."""
 
     def calculate(self: Pair, other: int | Pair) -> Pair:
         x, y = (other.x, other.y) if isinstance(other, Pair) else (other, other)
@@ -153,7 +153,7 @@ def _in_parallel(verb: str, result: Callable[[int, int], int]) -> Callable[[Pair
 
 
 class Pair:
-    """Two integers, x and y, that are added, subtracted, multiplied and divided (rounding down) in parallel.
+    """Two integers, x and y, with element-wise arithmetic (division rounds down).
 
     ArgumentTypeError: other than integers.
     """
@@ -188,11 +188,11 @@ class Pair:
         return hash((self.x, self.y))
 
     def abs(self) -> Pair:
-        """Return the absolute values."""
+        """Return the pair of absolute values."""
         return Pair(abs(self.x), abs(self.y))
 
     def copy(self) -> Pair:
-        """Return a copy."""
+        """Copy the pair."""
         return Pair(self.x, self.y)
 
     __copy__ = copy

@@ -1,4 +1,4 @@
-"""Pictures and a window, under the names of EvoGym's module ``evogym.viewer``. Lengths are in voxels here."""
+"""Pictures and a window, under the names of EvoGym's module ``evogym.viewer``, with lengths in voxels."""
 
 import time
 
@@ -18,7 +18,7 @@ _LOCKS = ("lock_x", "lock_y", "lock_width", "lock_height")
 
 
 class EvoViewer:
-    """A camera on a simulation, fixed or following objects.
+    """A camera on a simulation, at a fixed position or following objects.
 
     Args:
         sim_to_view: the simulation.
@@ -53,15 +53,15 @@ class EvoViewer:
         self.set_resolution(resolution)
 
     def look_at(self, sim: EvoSim) -> None:
-        """Show another simulation from now on, in the same window and with the same camera."""
+        """Show another simulation in the same window and with the same camera."""
         self._viewer.sim = sim
 
     def set_pos(self, pos: tuple[float, float]) -> None:
-        """Set the middle of the picture; ArgumentTypeError if it is no tuple, ArgumentError for other than numbers."""
+        """Set the centre of the picture; ArgumentTypeError: no tuple. ArgumentError: not two numbers."""
         self.pos = _checked("pos", pos)
 
     def set_view_size(self, view_size: tuple[float, float]) -> None:
-        """Set the width and height of what is seen, 0.001 or more; errors as of :meth:`set_pos`."""
+        """Set the width and height of the visible area, 0.001 or more; errors as of :meth:`set_pos`."""
         self.view_size = _checked("view_size", view_size, least=1e-3)
 
     def set_resolution(self, resolution: tuple[int, int]) -> None:
@@ -69,17 +69,17 @@ class EvoViewer:
         self.resolution = _checked("resolution", resolution, least=1)
 
     def set_target_rps(self, target_rps: int | None) -> None:
-        """Set how many pictures are made per second at most, 2 or more (else RangeError); None: no limit."""
+        """Limit the pictures per second to 2 or more (else RangeError); None: no limit."""
         if target_rps is not None and int(target_rps) < 2:
             raise RangeError(f"The lowest target rps is 2, got {target_rps}.")
         self._timer = Timer(None if target_rps is None else int(target_rps))
 
     def track_objects(self, *objects: str) -> None:
-        """Follow objects, given by name: ``pos`` and ``view_size`` are then set before every picture."""
+        """Follow objects with the camera; ``pos`` and ``view_size`` are then set before every picture."""
         self._tracked = list(objects)
 
     def set_tracking_settings(self, **settings: object) -> None:
-        """Set how tracked objects are followed.
+        """Set how the camera follows tracked objects.
 
         Args:
             padding: (x, y), voxels left free around the objects.
@@ -102,7 +102,7 @@ class EvoViewer:
                 self._tracking[name] = _checked(name, value)
 
     def _box(self) -> np.ndarray:
-        """Return x, y, width and height of a box around the tracked objects, with padding and scale."""
+        """Return x, y, width and height of the padded and scaled box around the tracked objects."""
         sim = self._viewer.sim
         padding = self._tracking["padding"]
         scale = np.array(self._tracking["scale"])
@@ -115,7 +115,7 @@ class EvoViewer:
         return np.concatenate([(low + high) / 2, high - low])
 
     def _follow(self) -> None:
-        """Move the camera by one step of its filter."""
+        """Move the camera towards the tracked objects by one step of its smoothing filter."""
         target = self._box()
         if self._target is None:
             self.pos = tuple(target[:2].tolist())
@@ -149,7 +149,7 @@ class EvoViewer:
         hide_edges: bool = False,
         hide_voxels: bool = False,
     ) -> np.ndarray | None:
-        """Show or return a picture of the present state.
+        """Show a picture of the present state in the window, or return it as an array.
 
         Args:
             mode: ``screen`` or ``human`` show it in a window and return None; ``img`` or ``rgb_array`` return it, uint8
@@ -180,7 +180,7 @@ class EvoViewer:
         return picture
 
     def _catch_up(self) -> None:
-        """Move the camera as often as the simulation has stepped since the last picture."""
+        """Move the camera once for each simulated step since the last picture."""
         now = self._viewer.sim.get_time()
         if now < self._last_rendered:
             # After time has gone back the camera makes 50 steps in one go.
@@ -190,11 +190,11 @@ class EvoViewer:
         self._last_rendered = now
 
     def show_debug_window(self) -> None:
-        """Show the window; DisplayError where there is no display."""
+        """Show the window; DisplayError if the machine has no display."""
         self._viewer.show_debug_window()
 
     def hide_debug_window(self) -> None:
-        """Take the window off the screen."""
+        """Hide the window."""
         self._viewer.hide_debug_window()
 
     def close(self) -> None:
@@ -203,7 +203,7 @@ class EvoViewer:
 
 
 def _checked(name: str, value: object, least: float = -np.inf) -> tuple:
-    """Return ``value`` if it is a tuple of two finite numbers of ``least`` or more, else raise an ArgumentError."""
+    """Return ``value`` if it is a tuple of two finite numbers of at least ``least``, else raise an ArgumentError."""
     if not isinstance(value, tuple) or len(value) != 2:
         raise ArgumentTypeError(f"{name} must be a tuple of two numbers, got {value!r} of type {type(value).__name__}.")
     if not all(isinstance(each, int | float | np.number) and abs(each) < np.inf and each >= least for each in value):

@@ -1,4 +1,4 @@
-"""Worlds under the names of EvoGym's module ``evogym.world``: made in cells, read from its world files.
+"""Worlds made of cells or read from world files, under the names of EvoGym's module ``evogym.world``.
 
 Here rows count upward, as in the release: row 0 of ``grid`` is the lowest. Arrays that users give and get
 (``structure``) have row 0 on top.
@@ -24,7 +24,7 @@ __all__ = ["EvoWorld", "WorldObject"]
 
 
 class EvoWorld:
-    """Named objects on a grid of cells, which grows to hold them.
+    """Named objects on a grid of cells that grows when objects are added.
 
     Attributes:
         grid: int ``[height, width]``, row 0 at the bottom.
@@ -43,13 +43,13 @@ class EvoWorld:
 
     @classmethod
     def from_json(cls, file_path: str) -> EvoWorld:
-        """Read a file of EvoGym's design tool; errors as of :meth:`add_from_json`."""
+        """Read a world from a file of EvoGym's design tool; errors as of :meth:`add_from_json`."""
         world = cls()
         world.add_from_json(file_path)
         return world
 
     def add_from_json(self, file_path: str) -> None:
-        """Add all objects of a file of EvoGym's design tool.
+        """Add all objects in a file of EvoGym's design tool.
 
         FileNotFoundError: no such file. WorldError (a ValueError): it is not a world, or an object cannot be added.
         """
@@ -59,7 +59,7 @@ class EvoWorld:
     def add_from_array(
         self, name: str, structure: np.ndarray, x: int, y: int, connections: np.ndarray | None = None
     ) -> None:
-        """Add an object.
+        """Add an object made of cells ``[rows, columns]``.
 
         Args:
             name: unique in the world.
@@ -75,7 +75,7 @@ class EvoWorld:
         self.add_object(obj)
 
     def add_object(self, obj: WorldObject) -> None:
-        """Add an object at its position; WorldError: its name or cells are taken, or the world is too large."""
+        """Add an object at its position; WorldError: name or cells are taken, or the world is too large."""
         if obj.name in self.objects:
             raise WorldError(f"The world has an object named '{obj.name}' already; names must differ.")
         x, y = obj.get_pos()
@@ -97,7 +97,7 @@ class EvoWorld:
         self.objects[obj.name] = obj
 
     def remove_object(self, obj_name: str) -> WorldObject:
-        """Remove an object; return a copy of it. The grid keeps its size. WorldError: there is no such object."""
+        """Remove an object and return a copy of it; the grid keeps its size. WorldError: no such object."""
         obj = self._find(obj_name).copy()
         x, y = obj.get_pos()
         columns, rows = obj.grid.shape[::-1]
@@ -106,12 +106,12 @@ class EvoWorld:
         return obj
 
     def translate_object(self, obj_name: str, dx: int, dy: int) -> None:
-        """Move an object by some cells; errors as of :meth:`move_object`."""
+        """Shift an object by some cells; errors as of :meth:`move_object`."""
         pos = self._find(obj_name).pos + Pair(dx, dy)
         self.move_object(obj_name, pos.x, pos.y)
 
     def move_object(self, obj_name: str, x: int, y: int) -> None:
-        """Move an object so that (x, y) is the cell of its lower left corner.
+        """Move an object's lower left corner to cell (x, y).
 
         WorldError: no such object, a negative position, or one where it cannot be added; it then stays where it was.
         """
@@ -126,7 +126,7 @@ class EvoWorld:
             raise
 
     def pretty_print(self, voxels_per_line: int = 50) -> None:
-        """Print the world in letters, a block for every ``voxels_per_line`` columns: R, S, H, V, F, a dot for empty."""
+        """Print the world in letters (R, S, H, V, F; a dot for empty), ``voxels_per_line`` columns at a time."""
         for begin in range(0, self.grid_size.x, voxels_per_line):
             block = self.grid[:, begin : begin + voxels_per_line]
             for y in reversed(range(len(block))):
@@ -164,13 +164,13 @@ class WorldObject:
 
     @classmethod
     def from_json(cls, file_path: str) -> WorldObject:
-        """Return the object of a file; see :meth:`load_from_json`."""
+        """Read an object from a file; see :meth:`load_from_json`."""
         obj = cls()
         obj.load_from_json(file_path)
         return obj
 
     def load_from_json(self, file_path: str) -> None:
-        """Replace this object by the only object of a file of EvoGym's design tool.
+        """Replace this object by the single object in a file of EvoGym's design tool.
 
         Raises:
             FileNotFoundError: no such file. WorldError: it is not a world, or not of one object.
@@ -184,13 +184,13 @@ class WorldObject:
 
     @classmethod
     def from_array(cls, name: str, structure: np.ndarray, connections: np.ndarray | None = None) -> WorldObject:
-        """Return an object at (0, 0); see :meth:`load_from_array`."""
+        """Create an object at (0, 0); see :meth:`load_from_array`."""
         obj = cls()
         obj.load_from_array(name, structure, connections)
         return obj
 
     def load_from_array(self, name: str, structure: np.ndarray, connections: np.ndarray | None = None) -> None:
-        """Replace this object by one at (0, 0) made of cells ``[rows, columns]``, row 0 on top.
+        """Replace this object by cells ``[rows, columns]`` at (0, 0), row 0 on top.
 
         ``connections``: ``[2, k]`` pairs of flat indices into ``structure``; None connects all neighbours.
 
@@ -201,7 +201,7 @@ class WorldObject:
         self.grid = self.grid.astype(np.asarray(structure).dtype)
 
     def load_from_parsed_json(self, name: str, json_data: Any, grid_size: Pair) -> None:
-        """Replace this object by one of a parsed world file of the width ``grid_size.x``.
+        """Replace this object by an entry of a parsed world file of width ``grid_size.x``.
 
         ``json_data`` has ``indices``, ``types`` and ``neighbors``. WorldError: they contradict each other.
         """
@@ -210,13 +210,13 @@ class WorldObject:
 
     @classmethod
     def from_core(cls, obj: core.WorldObject) -> WorldObject:
-        """Return the object ``obj``, a :class:`warpvox.world.WorldObject`, as one of this class."""
+        """Convert a :class:`warpvox.world.WorldObject` to this class."""
         made = cls()
         made._become(obj)
         return made
 
     def _become(self, obj: core.WorldObject) -> None:
-        """Replace this object by ``obj``."""
+        """Replace name, position and cells of this object by those of ``obj``."""
         self.name = obj.name
         self.pos = Pair(obj.x, obj.y)
         self.grid = np.flipud(obj.grid).astype(int)
@@ -230,12 +230,12 @@ class WorldObject:
 
     @functools.cached_property
     def voxels(self) -> list[Pair]:
-        """Column and row of the cells that are not empty, row 0 at the bottom."""
+        """Column and row of the non-empty cells, row 0 at the bottom."""
         return _filled(self._made_of)
 
     @functools.cached_property
     def neighbors(self) -> dict[Pair, list[Pair]]:
-        """The connected cells of every cell that is not empty."""
+        """Connected cells of every non-empty cell."""
         rows, columns = self._made_of.grid.shape
         neighbors: dict[Pair, list[Pair]] = {voxel: [] for voxel in _filled(self._made_of)}
         for pair in self._made_of.connections.tolist():
@@ -245,7 +245,7 @@ class WorldObject:
         return neighbors
 
     def to_core(self) -> core.WorldObject:
-        """Return this object as a :class:`warpvox.world.WorldObject`."""
+        """Convert this object to a :class:`warpvox.world.WorldObject`."""
         structure = self.get_structure()
         if "neighbors" not in self.__dict__:  # nobody can have changed them
             made_of = self._made_of
@@ -254,22 +254,22 @@ class WorldObject:
         return core.WorldObject.from_array(self.name, structure, *self.get_pos(), self.get_connections())
 
     def translate(self, dx: int, dy: int) -> None:
-        """Move by some cells; WorldError if a coordinate becomes negative."""
+        """Shift the object by some cells; WorldError if a coordinate becomes negative."""
         self.set_pos(self.pos.x + dx, self.pos.y + dy)
 
     def set_pos(self, x: int, y: int) -> None:
-        """Move so that (x, y) is the cell of the lower left corner; WorldError if one is negative."""
+        """Move the object's lower left corner to cell (x, y); WorldError if a coordinate is negative."""
         pos = Pair(x, y)
         if min(pos.x, pos.y) < 0:
             raise WorldError(f"The position of '{self.name}' must not be negative, got {pos}.")
         self.pos = pos
 
     def get_structure(self) -> np.ndarray:
-        """Return the cells ``[rows, columns]``, row 0 on top, of the type of ``grid``."""
+        """Return the cells ``[rows, columns]``, row 0 on top, with the dtype of ``grid``."""
         return np.flipud(self.grid)
 
     def get_connections(self) -> np.ndarray:
-        """Return the connections as pairs of flat indices, ``[2, k]``, each in both directions."""
+        """Return connections as pairs of flat indices, ``[2, k]``, each in both directions."""
         rows, columns = self.grid.shape
         pairs = [
             [(rows - 1 - cell.y) * columns + cell.x for cell in (voxel, near)]
@@ -279,11 +279,11 @@ class WorldObject:
         return np.array(pairs, int).reshape(-1, 2).T
 
     def get_pos(self) -> tuple[int, int]:
-        """Return the cell of the lower left corner."""
+        """Return the position (x, y) of the lower left corner."""
         return self.pos.x, self.pos.y
 
     def rename(self, name: str) -> None:
-        """Set the name."""
+        """Change the name."""
         self.name = name
 
     def get_name(self) -> str:
@@ -291,7 +291,7 @@ class WorldObject:
         return self.name
 
     def copy(self) -> WorldObject:
-        """Return an independent copy."""
+        """Copy the object."""
         return deepcopy(self)
 
     __copy__ = copy
@@ -304,7 +304,7 @@ class WorldObject:
 
 
 def _filled(obj: core.WorldObject) -> list[Pair]:
-    """Return column and row (0 at the bottom) of the cells that are not empty, from the lowest row on."""
+    """List column and row (0 at the bottom) of the non-empty cells, from the lowest row on."""
     return [Pair(x, y) for y, x in np.argwhere(np.flipud(obj.grid)).tolist()]
 
 

@@ -1,1 +1,1 @@
-"""Reading files that others have made, and writing files whole or not at all."""
+"""Safe reading of files from others, and atomic writing of our own."""

@@ -9,13 +9,13 @@ from warpvox.io.text import escaped
 
 
 def echo(console: Console, text: str) -> None:
-    """Print ``text`` as it is: neither coloured, nor folded, nor searched for markup such as ``[gif,html]``."""
+    """Print ``text`` to the console verbatim: no colours, no line breaks, no markup such as ``[gif,html]``."""
     lines = "\n".join(escaped(line) for line in text.split("\n"))
     console.print(lines, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
 
 def make_console() -> Console:
-    """Return a rich console that is wide enough for tables without a terminal, for which rich has 80 columns."""
+    """Create a rich console that is wide enough for tables when the output is not a terminal."""
     console = Console()
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = 200
@@ -23,5 +23,5 @@ def make_console() -> Console:
 
 
 def literal(text: object, style: str = "") -> Text:
-    """Return ``text`` for a table, a title or a rule: no markup, no control characters."""
+    """Wrap ``text`` for a rich table or title, with markup and control characters disabled."""
     return Text(escaped(text), style)

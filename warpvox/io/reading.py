@@ -1,4 +1,4 @@
-"""Files that somebody else has made, read with a limit in bytes and without pickle.
+"""Reading of files from others, with a size limit and without pickle.
 
 A reader has a limit in bytes, which files must fit as they lie on disk, and the arrays of an ``.npz`` as they unpack.
 Arrays consist of plain numbers and are read without pickle.
@@ -27,17 +27,17 @@ import yaml
 from warpvox.errors import RunError, did_you_mean, listing
 
 CONFIG, SUMMARY = "config.yaml", "summary.json"
-"""Files in the folder of a run: its settings, and what came of it."""
+"""Names of a run's settings file and summary file."""
 LARGEST_CONFIG = 100_000
-"""Bytes that the configuration may have: reading as much takes seconds."""
+"""Maximum size of a configuration in bytes; larger YAML takes seconds to parse."""
 END = "...\n"
-"""The last line of a run's configuration, YAML's own mark of an end: what lacks it has been cut short."""
+"""Last line of a run's configuration, YAML's end marker; a file without it was cut short."""
 DEEPEST = 32
-"""Levels of lists and mappings that a YAML text may have."""
+"""Maximum nesting depth of a YAML text."""
 
 
 class Unreadable(ValueError):
-    """Raised for a file or text that is not what it should be; the message is the reason, without a full stop."""
+    """Raised for an invalid file or text; the message is the reason, without a full stop."""
 
 
 class Missing(Unreadable):
@@ -45,7 +45,7 @@ class Missing(Unreadable):
 
 
 def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
-    """Return the content of a file of at most ``limit`` bytes.
+    """Read a file of at most ``limit`` bytes.
 
     Unreadable: no such file, none that can be read, or a longer one.
     """
@@ -54,7 +54,7 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
 
 
 def read_text(path: str | os.PathLike[str], limit: int) -> str:
-    """Return the UTF-8 text of a file of at most ``limit`` bytes; Unreadable: as :func:`read_bytes`, or not UTF-8."""
+    """Read a UTF-8 text file of at most ``limit`` bytes; Unreadable: as :func:`read_bytes`, or not UTF-8."""
     try:
         return read_bytes(path, limit).decode("utf-8-sig")  # some editors begin a file with a byte order mark
     except UnicodeDecodeError as error:
@@ -62,7 +62,7 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
 
 
 def read_table(path: str | os.PathLike[str], limit: int = 1 << 24) -> list[dict[str, str]]:
-    """Return the rows of a CSV file by the names of its columns; none without the file; see :func:`read_text`."""
+    """Read the rows of a CSV file as dictionaries by column; empty if the file does not exist."""
     try:
         return list(csv.DictReader(io.StringIO(read_text(path, limit), newline="")))
     except Missing:
@@ -70,7 +70,7 @@ def read_table(path: str | os.PathLike[str], limit: int = 1 << 24) -> list[dict[
 
 
 def parse_json(text: str, allow_nan: bool = False) -> Any:
-    """Return the value of a JSON text.
+    """Parse a JSON text.
 
     Stricter than :func:`json.loads`: NaN and Infinity are refused (JSON has none), and so are names that occur twice
     in one object (the first would be dropped without a word) and halves of characters (no file or page can hold them).
@@ -98,7 +98,7 @@ def parse_json(text: str, allow_nan: bool = False) -> Any:
 
 
 def parse_yaml(text: str) -> Any:
-    """Return the value of a YAML text of mappings, lists, texts, numbers, true, false and null.
+    """Parse a YAML text of mappings, lists, strings, true, false, null and numbers.
 
     No tag makes an object. Aliases are refused (ten of them can stand for a billion entries once the value is copied),
     and so is ``${...}``, which OmegaConf would look up elsewhere.
@@ -126,7 +126,7 @@ def parse_yaml(text: str) -> Any:
 
 
 def read_facts(path: str | os.PathLike[str], limit: int = 1 << 24) -> dict[str, Any]:
-    """Return the object in a JSON file; an empty one if there is no such file, or it cannot be read.
+    """Read the object in a JSON file; empty if the file is missing or unreadable.
 
     Its numbers are finite: None stands in the place of others.
     """
@@ -139,7 +139,7 @@ def read_facts(path: str | os.PathLike[str], limit: int = 1 << 24) -> dict[str, 
 
 
 def read_config(folder: Path) -> dict[str, Any]:
-    """Return the settings in a run's ``config.yaml``; empty if it is no mapping. RunError: it is damaged."""
+    """Read the settings in a run's ``config.yaml``; empty if it is no mapping. RunError: the file is damaged."""
     config = folder / CONFIG
     try:
         text = read_text(config, LARGEST_CONFIG)
@@ -155,7 +155,7 @@ def read_config(folder: Path) -> dict[str, Any]:
 
 
 def read_npy(path: str | os.PathLike[str], limit: int) -> np.ndarray:
-    """Return the array of an ``.npy`` file of plain numbers.
+    """Read an ``.npy`` file of plain numbers.
 
     Unreadable: no such file, no such array, or a file of more than ``limit`` bytes.
     """
@@ -164,7 +164,7 @@ def read_npy(path: str | os.PathLike[str], limit: int) -> np.ndarray:
 
 
 class ArrayFile:
-    """An ``.npz`` archive of plain arrays; a context manager that closes it.
+    """An ``.npz`` archive of plain arrays; a context manager that closes the file.
 
     Args:
         limit: bytes of the file, and of all arrays together.
@@ -199,7 +199,7 @@ class ArrayFile:
         return list(self._members)
 
     def read(self, name: str, limit: int | None = None) -> np.ndarray:
-        """Return the array ``name``, of at most ``limit`` bytes (None: the limit of the archive).
+        """Read the array ``name``, of at most ``limit`` bytes (None: the limit of the archive).
 
         Unreadable: there is none, or it is damaged.
         """
@@ -217,7 +217,7 @@ class ArrayFile:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return pairs as a dictionary; raise Unreadable if a name occurs twice."""
+    """Build a dictionary from pairs; Unreadable if a name occurs twice."""
     result = dict(pairs)
     if len(result) < len(pairs):
         seen: set[str] = set()
@@ -254,7 +254,7 @@ def _opened(path: str | os.PathLike[str], limit: int) -> IO[bytes]:
 
 @contextmanager
 def _as_unreadable(reason: str) -> Iterator[None]:
-    """Turn every error in the block into Unreadable: zipfile, zlib and numpy raise nearly anything for a bad file."""
+    """Convert any error in the block to Unreadable, because zipfile and numpy raise many kinds for a bad file."""
     try:
         yield
     except Unreadable:

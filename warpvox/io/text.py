@@ -1,4 +1,4 @@
-"""Text from files, made fit to be shown: it can neither command a terminal nor look like our own markup."""
+"""Untrusted text made safe to show: without control characters and markup."""
 
 import html
 import math
@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def shown(path: Path) -> str:
-    """Return ``path`` as text: relative to the current folder where that is shorter."""
+    """Format ``path`` for a message: relative to the current folder if that is shorter."""
     try:
         relative = os.path.relpath(path)
     except ValueError:  # another drive of Windows
@@ -18,7 +18,7 @@ def shown(path: Path) -> str:
 
 
 def escaped(text: object) -> str:
-    """Return ``text`` with control characters, such as escapes and line ends, written as codes: ``\\x1b``."""
+    """Replace control characters in ``text``, such as escapes and line ends, by codes: ``\x1b``."""
     written = []
     for character in str(text):
         number = ord(character)
@@ -36,12 +36,12 @@ def escaped(text: object) -> str:
 
 
 def in_html(text: object) -> str:
-    """Return ``text`` for an HTML page or an SVG: markup is quoted, and all is on one line (:func:`escaped`)."""
+    """Escape ``text`` for HTML or SVG, on one line."""
     return html.escape(escaped(text))
 
 
 def shell_argument(key: str, path: str | os.PathLike[str]) -> str:
-    """Return ``KEY=PATH`` quoted for a shell; the path is relative if it lies in a subfolder of the current folder."""
+    """Quote ``KEY=PATH`` for a shell; a path in a subfolder of the current folder becomes relative."""
     place = Path(path).absolute()
     here = Path.cwd()
     below = str(place.relative_to(here)) if place.is_relative_to(here) else ""
@@ -50,11 +50,11 @@ def shell_argument(key: str, path: str | os.PathLike[str]) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return ``seconds``, rounded, as text ``H:MM:SS``."""
+    """Format ``seconds`` as ``H:MM:SS``, rounded."""
     minutes, seconds = divmod(round(seconds), 60)
     return f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"
 
 
 def figure(value: float, digits: int = 3) -> str:
-    """Return ``value`` as text with ``digits`` decimals; a dash for NaN and infinity."""
+    """Format ``value`` with ``digits`` decimals; a dash for NaN and infinity."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"

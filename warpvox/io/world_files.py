@@ -1,4 +1,4 @@
-"""EvoGym's world files: where the cells of their objects lie.
+"""EvoGym's world files: cells and connections of their objects.
 
 A file is ``{"grid_width": W, "grid_height": H, "objects": {name: object}}``, an object ``{"indices": [...], "types":
 [...], "neighbors": {index: [index, ...]}}`` with ``index = y * W + x``, where y counts upward from the lowest row. The
@@ -18,14 +18,14 @@ from warpvox.errors import WorldError, listing
 from warpvox.types import Cell
 
 LARGEST_GRID = 1_000_000
-"""Cells that an object of a world, or a world, may have, empty ones included."""
+"""Maximum number of cells of a world or object, empty ones included."""
 MOST_OBJECTS = 1000
-"""Objects that a world file may hold."""
+"""Maximum number of objects in a world file."""
 
 
 @dataclass(frozen=True)
 class ObjectCells:
-    """The cells of one object of a world file.
+    """The cells and connections of one object in a world file.
 
     Attributes:
         grid: int8 ``[rows, columns]``, row 0 on top.
@@ -40,7 +40,7 @@ class ObjectCells:
 
 
 def read_objects(world: Mapping[str, Any]) -> dict[str, ObjectCells]:
-    """Return the objects of a parsed world file by name, in the order of the file.
+    """Read the objects of a parsed world file by name, in the order of the file.
 
     Raises:
         WorldError: an entry is missing or contradicts another; the message names the object.
@@ -71,7 +71,7 @@ def read_objects(world: Mapping[str, Any]) -> dict[str, ObjectCells]:
 
 
 def read_object(name: str, entry: Any, grid_width: object) -> ObjectCells:
-    """Return the cells of one entry of ``objects`` of a world file ``grid_width`` cells wide.
+    """Read the cells of one object of a world file ``grid_width`` cells wide.
 
     As in EvoGym, a cell of type 0 is empty and makes the box larger, and neighbors that do not touch are not connected.
     An entry ``box`` ``[x, y, width, height]`` makes the box larger, too.
@@ -156,7 +156,7 @@ def _check_width(value: object) -> int:
 
 
 def _is_one_of(value: object, options: Collection[int]) -> bool:
-    """Return whether a number, which may be written as 3.0, is one of ``options``; True is not 1."""
+    """Return whether a number, possibly written as 3.0, is one of ``options``; True does not count as 1."""
     return (is_integer(value) or isinstance(value, float)) and value in options
 
 

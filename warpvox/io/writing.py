@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and what to say when the disk will not have them.
+"""Atomic writing of files, and error messages for full or failing disks.
 
 A file is written beside its final name, flushed to the disk and then renamed, so that a crash of the process, of the
 machine or of the disk's space leaves either the old file or the new one. What a killed process has left beside it bears
@@ -25,7 +25,7 @@ from warpvox.errors import RunError, StorageError, listing
 from warpvox.system import flush_to_disk, path_lock
 
 MARK = ".part-"
-"""Beginning of the names of files that are being written."""
+"""Prefix of the names of temporary files."""
 
 ADVICE = {
     errno.ENOSPC: "no space is left on its disk; free some, or use a folder on another disk",
@@ -38,16 +38,16 @@ ADVICE = {
     errno.ENOTDIR: "a file stands where its folder should be; move that file away, or use another folder",
     errno.EIO: "the disk has failed (input/output error); use another disk",
 }
-"""Errors of a disk, and what to do about them."""
+"""What to do about an error of a disk, by errno."""
 OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
-"""Errors of the system that are no defect of ours, wherever they appear: in a log, a cache, a library's own file."""
+"""Error numbers that mean a disk is full, read-only or failing."""
 LOGGERS = {"wandb"}
-"""Folders that loggers make in that of a run."""
+"""Folders that loggers create in a run's folder."""
 
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str], make_folders: bool = True, follow: bool = False) -> Iterator[Path]:
-    """Yield an absolute temporary path beside ``path``; rename it to ``path`` when the block ends without an error.
+    """Yield a temporary path beside ``path``, and rename it to ``path`` if the block ends without an error.
 
     If the block raises (an interrupt included), the temporary file is removed and whatever stood at ``path`` before
     stays as it was. The temporary name keeps the suffix, by which some writers choose their format.
@@ -82,7 +82,7 @@ def atomic_path(path: str | os.PathLike[str], make_folders: bool = True, follow:
 
 
 def check_suffix(what: str, path: str | os.PathLike[str], suffixes: Sequence[str], error: type[Exception]) -> str:
-    """Return the suffix of ``path`` in lower case; raise ``error`` unless it is one of ``suffixes``.
+    """Return the lower-case suffix of ``path``; raise ``error`` unless it is one of ``suffixes``.
 
     Args:
         what: subject of the sentence, such as "The file of a GIF".
@@ -111,7 +111,7 @@ def write_text(path: str | os.PathLike[str], text: str, make_folders: bool = Tru
 
 
 def write_table(path: str | os.PathLike[str], columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
-    """Write a table as CSV, atomically; None is an empty cell."""
+    """Write rows as a CSV file atomically; None is an empty cell."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([columns, *rows])
     write_text(path, text.getvalue())
@@ -119,7 +119,7 @@ def write_table(path: str | os.PathLike[str], columns: Iterable[str], rows: Iter
 
 @contextmanager
 def writing(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Turn errors of the disk within the block into a StorageError that names ``path``."""
+    """Convert disk errors within the block to a StorageError that names ``path``."""
     try:
         yield
     except StorageError:
@@ -129,18 +129,18 @@ def writing(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def complaint(error: OSError) -> str:
-    """Return what the system says about an error, and what to do about it, as the end of a sentence."""
+    """Describe a disk error and what to do about it, as the end of a sentence."""
     return ADVICE.get(error.errno or 0) or error.strerror or str(error) or type(error).__name__
 
 
 def check_folder(folder: Path) -> None:
-    """Raise StorageError if ``folder`` has vanished: nothing should be written into a new one."""
+    """Raise StorageError if ``folder`` has vanished, so that no second one is created in its place."""
     if not folder.is_dir():
         raise StorageError(f"The folder {folder} has vanished: was it removed or renamed, or its disk detached?")
 
 
 def check_encodable(path: str | os.PathLike[str]) -> None:
-    """Raise StorageError unless a path can be written as UTF-8, which TensorBoard, USD and others need."""
+    """Raise StorageError if a path is no valid UTF-8, which TensorBoard, USD and others need."""
     try:
         os.path.abspath(path).encode("utf-8")
     except UnicodeEncodeError:
@@ -152,7 +152,7 @@ def check_encodable(path: str | os.PathLike[str]) -> None:
 
 
 def check_writable(folder: str | os.PathLike[str]) -> None:
-    """Raise StorageError if ``folder``, which need not be there yet, clearly cannot be written to."""
+    """Raise StorageError if ``folder``, which may not exist yet, clearly cannot be written to."""
     check_encodable(folder)
     place = Path(folder).absolute()
     while not place.exists() and place != place.parent:
@@ -164,7 +164,7 @@ def check_writable(folder: str | os.PathLike[str]) -> None:
 
 
 def check_links(folder: Path, names: Collection[str] = ()) -> None:
-    """Raise RunError if a link in ``folder`` leads out of it: what is written into the folder has to lie in it.
+    """Raise RunError if ``folder`` contains a symbolic link that points outside.
 
     Whoever unpacks or clones a folder gets its links, too. Pipes and devices are refused as well. What loggers make in
     folders of their own (:data:`LOGGERS`) is left to them.
@@ -193,7 +193,7 @@ def check_links(folder: Path, names: Collection[str] = ()) -> None:
 
 @contextmanager
 def claimed(folder: Path, wait: bool = False) -> Iterator[None]:
-    """Hold a lock on ``folder`` within the block, so that no other process writes there.
+    """Lock ``folder`` within the block, so that no other process writes there.
 
     The system releases it when the process ends.
 
@@ -210,14 +210,14 @@ def claimed(folder: Path, wait: bool = False) -> Iterator[None]:
 
 
 def sweep(folder: Path) -> None:
-    """Remove unfinished files of processes that have ended from ``folder`` and below."""
+    """Delete temporary files that ended processes left in ``folder`` and its subfolders."""
     for file in folder.rglob(f"{MARK}*"):
         with suppress(OSError), path_lock(file):
             file.unlink()
 
 
 def to_json(content: Any) -> str:
-    """Return ``content`` as JSON, with null for infinite numbers and NaN, which JSON lacks."""
+    """Serialise ``content`` to JSON, with null for infinity and NaN."""
     return json.dumps(_finite(content), indent=2, allow_nan=False)
 
 
@@ -230,12 +230,12 @@ def _finite(value: Any) -> Any:
 
 
 def to_yaml(config: Any) -> str:
-    """Return a configuration as YAML; lists of plain values take one line."""
+    """Serialise a configuration to YAML; lists of plain values take one line."""
     return yaml.dump(dataclasses.asdict(config), Dumper=_Dumper, sort_keys=False, width=110)
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes rows of a body on one line each."""
+    """YAML dumper that writes each row of a body on one line."""
 
 
 def _represent_list(dumper: _Dumper, values: list) -> yaml.Node:

@@ -1,1 +1,1 @@
-"""Listeners that show the progress of trainings and searches: on a terminal, in a notebook, at Weights & Biases."""
+"""Progress of trainings and searches: on a terminal, in a notebook, and at Weights & Biases."""

@@ -31,14 +31,14 @@ QUIET_SECONDS = 30.0
 
 
 def with_tracker(settings: Codesign, listeners: Sequence[Listener]) -> list[Listener]:
-    """Return ``listeners``, and before them one for Weights & Biases if the search logs there."""
+    """Prepend a listener for Weights & Biases to ``listeners`` if the search uses it."""
     if settings.logger != "wandb":
         return list(listeners)
     return [_TrackedSearch(settings), *listeners]
 
 
 class _TrackedSearch(Listener):
-    """Sends a search to Weights & Biases: fitness and best bodies of each generation, a film at the end."""
+    """Logs a search to Weights & Biases: fitness and best bodies of each generation, a film at the end."""
 
     def __init__(self, settings: Any) -> None:
         self._settings = settings
@@ -50,7 +50,7 @@ class _TrackedSearch(Listener):
         self._tracker = Tracker(run.folder, "codesign", self._settings.search.algorithm)
 
     def told(self, generation: int, fresh: bool) -> None:
-        """Send fitness, evaluations and the picture of a newly finished generation."""
+        """Log fitness, evaluations and the picture of a new generation."""
         if fresh:
             archive = self._run.archive
             rows = archive.generations()
@@ -64,7 +64,7 @@ class _TrackedSearch(Listener):
 
 
 class SearchProgress(Listener):
-    """Shows the progress of a search: a live display on a terminal, else a line now and then."""
+    """Shows the progress of a search: a live display on a terminal, else occasional lines."""
 
     def __init__(self, console: Console) -> None:
         self.console = console
@@ -91,7 +91,7 @@ class SearchProgress(Listener):
             self._show()
 
     def _print_start(self) -> None:
-        """Print algorithm, task, device and folder, and what a resumed search lacks."""
+        """Print algorithm, task, device and folder, and the remaining work of a resumed search."""
         run = self.run
         settings = self.run.settings
         where = f"{run.workers} workers of Ray" if run.workers else settings.device
@@ -108,7 +108,7 @@ class SearchProgress(Listener):
             echo(self.console, spent + more)
 
     def ended(self, summary: Mapping[str, Any]) -> None:
-        """Print the result and the commands to look at it or to resume."""
+        """Print the result, and the commands to view or resume the search."""
         if self._live is not None:
             self._live.stop()
         if not summary:
@@ -135,7 +135,7 @@ class SearchProgress(Listener):
             echo(self.console, f"go on: warpvox codesign {shell_argument('resume', folder)}{keys}")
 
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
-        """Reset the work of the generation, and print how many designs are to be evaluated."""
+        """Start a generation, and print the number of designs to evaluate."""
         self._generation = generation
         self._work = {}
         last = any(candidate.origin == FINALIST for candidate in waiting)
@@ -147,7 +147,7 @@ class SearchProgress(Listener):
         self._show()
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
-        """Note the progress of a batch, and print a line now and then without a terminal."""
+        """Record the progress of a batch, and print an occasional line without a terminal."""
         self._work[batch[0].id] = _Training(len(batch), event)
         now = time.monotonic()
         self._first = self._first or (now, self._steps)
@@ -163,7 +163,7 @@ class SearchProgress(Listener):
         self._show()
 
     def told(self, generation: int, fresh: bool) -> None:
-        """Print the best and mean fitness of a newly finished generation."""
+        """Print the best and mean fitness of a new generation."""
         if not fresh:
             return
         row = self.archive.generations()[generation]
@@ -177,7 +177,7 @@ class SearchProgress(Listener):
         self._show()
 
     def _counts(self) -> str:
-        """Return in words how many designs, and finalists once they have begun, are evaluated."""
+        """Format the numbers of evaluated designs and finalists."""
         finalists = self.archive.finalists()
         text = f"{self.archive.trained() - finalists}/{self.run.total - self.run.finalists} designs"
         if self._last or finalists:
@@ -186,12 +186,12 @@ class SearchProgress(Listener):
 
     @property
     def done(self) -> float:
-        """Number of evaluated designs, with fractions for those in training."""
+        """Number of evaluated designs, plus fractions for those in training."""
         return self.archive.trained() + sum(training.share * training.designs for training in self._work.values())
 
     @property
     def _steps(self) -> int:
-        """Control steps of trainings since this run of the search began."""
+        """Control steps trained since this process started or resumed the search."""
         return self._spent + sum(training.steps for training in self._work.values())
 
     def _figures(self) -> str:
@@ -199,7 +199,7 @@ class SearchProgress(Listener):
         return f"{rate:,.0f} steps/s  left {self._time_left()}"
 
     def _time_left(self) -> str:
-        """Return in words the time until the search, or its part before the finalists, is done."""
+        """Format the estimated time until the search, or its part before the finalists, is done."""
         if self._first is None or self._steps <= self._first[1]:
             return "-"
         began, before = self._first
@@ -215,7 +215,7 @@ class SearchProgress(Listener):
         return left if self._last or not self.run.finalists else f"{left}, then {self.run.finalists} finalists"
 
     def _training_text(self) -> str:
-        """Return in words the progress of the trainings in the present generation."""
+        """Format the progress of the trainings in this generation."""
         events = [training.event for training in self._work.values()]
         if not events:
             return "starting"
@@ -229,7 +229,7 @@ class SearchProgress(Listener):
         return f"iteration {done}/{total}, {active} in training{diverged}, best of them {figure(best)}"
 
     def _show(self) -> None:
-        """Update the live display, if there is one."""
+        """Refresh the live display, if there is one."""
         if self._live is None:
             return
         best = self.archive.best()
@@ -250,7 +250,7 @@ class SearchProgress(Listener):
 
 @dataclass
 class _Training:
-    """A batch in evaluation: number of designs, and the last event reported."""
+    """A batch being evaluated: number of designs, and the last progress event."""
 
     designs: int
     event: dict[str, Any]

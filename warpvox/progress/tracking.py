@@ -1,4 +1,4 @@
-"""Runs at Weights & Biases: configuration, metrics during the run, a film of the result."""
+"""Logging to Weights & Biases: configuration, metrics, and a film of the result."""
 
 import os
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from warpvox.view.rollout import record
 
 
 class Tracker:
-    """A run at Weights & Biases; ``folder`` has its configuration, ``tags`` are added to the task."""
+    """A run at Weights & Biases, created from the configuration in ``folder``."""
 
     def __init__(self, folder: Path, *tags: str) -> None:
         self._wandb: Any = import_module("wandb")
@@ -44,14 +44,14 @@ class Tracker:
         write_text(file, self._run.id)
 
     def log(self, values: Mapping[str, Any], step: int, picture: Path | None = None) -> None:
-        """Send values (None: left out), and a picture if its file exists."""
+        """Log values (None: left out), and a picture if its file exists."""
         known = {name: value for name, value in values.items() if value is not None}
         if picture is not None and picture.is_file():
             known["bodies"] = self._wandb.Image(str(picture))
         self._run.log(known, step=step)
 
     def end(self, summary: Mapping[str, Any], settings: Any) -> None:
-        """Send the summary and, if a policy was left, a film of one episode, and finish the run."""
+        """Log the summary and a film of one episode, and finish the run."""
         status = summary.get("status", "failed")
         try:
             self._run.summary.update(dict(summary))
@@ -65,7 +65,7 @@ class Tracker:
 
 
 class TrackedTraining(Listener):
-    """Sends a training to Weights & Biases: metrics of each iteration, a film of the policy at the end."""
+    """Logs a training to Weights & Biases: metrics of each iteration, a film of the policy at the end."""
 
     def begun(self, run: Job) -> None:
         self._job = run

@@ -1,4 +1,4 @@
-"""Progress of a training: lines and a live display on a terminal, an element in a notebook."""
+"""Progress of a training: lines or a live display on a terminal, an element in a notebook."""
 
 import html
 import math
@@ -25,7 +25,7 @@ QUIET_SECONDS = 10.0
 
 
 def with_tracker(logger: str, listeners: Sequence[Listener]) -> list[Listener]:
-    """Return ``listeners``, and before them one for Weights & Biases if ``logger`` is ``wandb``."""
+    """Prepend a listener for Weights & Biases to ``listeners`` if ``logger`` is ``wandb``."""
     if logger != "wandb":
         return list(listeners)
     from warpvox.progress.tracking import TrackedTraining
@@ -34,13 +34,13 @@ def with_tracker(logger: str, listeners: Sequence[Listener]) -> list[Listener]:
 
 
 class Figures:
-    """Figures of a progress line; keeps the last known returns from row to row."""
+    """Formats metrics as a progress line, and remembers the last known returns."""
 
     exploring = last_eval = math.nan
     diverged = 0
 
     def text(self, row: Mapping[str, float]) -> str:
-        """Return the figures of a row of metrics as text."""
+        """Format a row of metrics as text."""
         if math.isfinite(row["return_mean"]):
             self.exploring = row["return_mean"]
         if math.isfinite(row["eval_return"]):
@@ -55,7 +55,7 @@ class Figures:
 
 
 class Terminal(Listener):
-    """Shows iterations, speed, returns and time left: a live line on a terminal, else a line now and then."""
+    """Shows iterations, speed, returns and time left: a live line on a terminal, else occasional lines."""
 
     def __init__(self, console: Console | None = None) -> None:
         self.console = console or Console()
@@ -65,7 +65,7 @@ class Terminal(Listener):
         return self.console.status(what)
 
     def begun(self, run: Job) -> None:
-        """Print what begins, and start the live line on a terminal."""
+        """Print the announcement, and start the live line on a terminal."""
         echo(self.console, _announcement(run))
         self._job = run
         self._figures = Figures()
@@ -90,7 +90,7 @@ class Terminal(Listener):
             self._bar.start()
 
     def iterated(self, row: Mapping[str, float]) -> None:
-        """Update the live line, or print a line after an evaluation or some seconds."""
+        """Update the live line, or print a line after an evaluation or every few seconds."""
         figures = self._figures.text(row)
         done = row["iteration"]
         if self._bar is not None:
@@ -110,7 +110,7 @@ class Terminal(Listener):
 
 
 class Notebook(Listener):
-    """Shows the progress of a training in one element of a notebook that changes in place, without widgets."""
+    """Shows the progress of a training in one notebook element, updated in place without widgets."""
 
     def begun(self, run: Job) -> None:
         """Create the notebook element that shows the progress."""
@@ -140,7 +140,7 @@ class Notebook(Listener):
 
 
 def _announcement(job: Job) -> str:
-    """Return the lines that say what training begins or resumes, and where."""
+    """Compose the lines that announce a training: task, device and folder."""
     config = job.written
     runner = job.runner
     done = runner.current_learning_iteration
@@ -162,7 +162,7 @@ def _announcement(job: Job) -> str:
 
 
 def _conclusion(job: Job, seconds: float) -> str:
-    """Return the lines that say how a training ended, and the commands to go on."""
+    """Compose the lines at the end of a training: status, best return, and commands to continue."""
     runner = job.runner
     folder = job.folder
     status = job.summary["status"]

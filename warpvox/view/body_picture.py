@@ -1,4 +1,4 @@
-"""Bodies and worlds as they begin, as pictures: nothing is simulated."""
+"""Pictures of bodies and worlds before any simulation."""
 
 import math
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ def draw_bodies(
     shades: Sequence[float] | None = None,
     columns: int = 5,
 ) -> Image.Image:
-    """Return a picture of bodies in rows, each above its caption.
+    """Draw bodies in a grid with a caption below each, as one picture.
 
     Args:
         bodies: int8 ``[rows, columns]`` each.
@@ -91,11 +91,11 @@ def draw_bodies(
 
 
 AIR = 2
-"""Voxels above the world in its picture."""
+"""Rows of empty space above the world in its picture, in voxels."""
 
 
 def scene_of_world(world: World) -> tuple[Scene, np.ndarray]:
-    """Return a world as a scene, and its points at the start, float64 ``[P, 2]`` in simulator units.
+    """Convert a world to a scene and its initial points, float64 ``[P, 2]`` in simulator units.
 
     SimulationError: the world has nothing that can move.
     """
@@ -104,7 +104,7 @@ def scene_of_world(world: World) -> tuple[Scene, np.ndarray]:
 
 
 def draw_world(world: World) -> Image.Image:
-    """Return a picture of the whole world, with the distance in voxels below.
+    """Draw a whole world with a ruler in voxels below.
 
     SimulationError: the world has nothing that can move.
     """

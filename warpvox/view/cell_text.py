@@ -1,4 +1,4 @@
-"""Bodies and worlds on the terminal: cells in colours, letters where there are none."""
+"""Bodies and worlds as text on the terminal: coloured cells, or letters without colours."""
 
 from collections.abc import Sequence
 from itertools import groupby
@@ -18,7 +18,7 @@ UPPER, LOWER = "▀", "▄"
 
 
 def body_rows(bodies: Sequence[np.ndarray], captions: Sequence[str], console: Console) -> Text:
-    """Return drawings of bodies side by side, as many as there is room for, with a caption below each."""
+    """Draw bodies as text side by side, as many as the console is wide, with a caption below each."""
     colour = _has_colour(console)
     wide = 2 if colour else 1
     gap = 3
@@ -40,7 +40,7 @@ def body_rows(bodies: Sequence[np.ndarray], captions: Sequence[str], console: Co
 
 
 def print_world(world: World, console: Console) -> None:
-    """Print a world as coloured cells; one that is wider than the console is printed in pieces."""
+    """Print a world as coloured cells; a world wider than the console is split into pieces."""
     cells = world.grid()
     colour = _has_colour(console) and not console.options.ascii_only
     fold = max(console.width - 1, 10)
@@ -77,7 +77,7 @@ def _style(front: int, back: int = 0) -> Style:
 
 
 def _blocks(cells: np.ndarray) -> list[Text]:
-    """Return a line of text for every two rows of cells: half blocks with the colours of both cells."""
+    """Draw cells as half-block characters, two rows of cells in a line of text."""
     if len(cells) % 2:
         cells = np.concatenate([np.zeros_like(cells[:1]), cells])
     lines = []

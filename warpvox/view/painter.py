@@ -1,4 +1,4 @@
-"""Scenes as pictures: camera, terrain, voxels; of a rollout, or of anything that gives positions.
+"""Painting of scenes: camera, terrain and voxels, for any positions of the points.
 
 Everything that does not move is painted once, as a wide sprite from which each frame is cut: an integer number
 of pixels to a voxel and a camera that moves by whole pixels keep terrain and grid sharp without any
@@ -29,27 +29,27 @@ SKY = (249, 250, 252)
 GRID = (233, 237, 242)
 INK = (28, 30, 36)
 BELOW = 1.25
-"""Voxels that the camera shows below and beside the world."""
+"""Margin of the camera below and beside the world, in voxels."""
 
 
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Load the font that comes with Pillow: no files, no surprises."""
+    """Load Pillow's built-in font."""
     return ImageFont.load_default(size)
 
 
 PNG_SUFFIXES = (".png",)
-"""Suffixes of what :func:`save_png` writes."""
+"""File name suffixes that :func:`save_png` accepts."""
 
 
 def save_png(image: Image.Image, path: str | os.PathLike[str], optimize: bool = False) -> Path:
-    """Write a picture as PNG, whole or not at all; return the path."""
+    """Write a picture as PNG atomically; return the path."""
     with atomic_path(path, follow=True) as temporary:
         image.save(temporary, "PNG", optimize=optimize)
     return Path(path)
 
 
 def camera_path(scene: Scene, positions: np.ndarray, view: tuple[float, float]) -> np.ndarray:
-    """Return the lower left corner of the picture in voxels for every frame, float64 ``[T, 2]``.
+    """Return the camera's lower left corner in voxels for every frame, float64 ``[T, 2]``.
 
     The camera follows the robot's centre, smoothed over past and future alike, so that it neither shakes nor
     lags. It shows no more of what lies beyond the world than it must to keep the robot in view.
@@ -91,7 +91,7 @@ def camera_path(scene: Scene, positions: np.ndarray, view: tuple[float, float]) 
 
 
 def _fitting_scale(scene: Scene, size: tuple[int, int], voxels: float | None = None) -> int:
-    """Return the pixels of a voxel: ``voxels`` fit from bottom to top; None: as many as suit the robots."""
+    """Return the scale in pixels per voxel: ``voxels`` fit the picture's height; None fits the robots."""
     if voxels is None:
         # Twelve, or as many as leave the robot less than half of the picture
         rows = [obj.y + obj.grid.shape[0] - obj.places[:, 0] for obj in scene.robots]  # upper edges of cells
@@ -102,7 +102,7 @@ def _fitting_scale(scene: Scene, size: tuple[int, int], voxels: float | None = N
 
 @dataclass(frozen=True)
 class Mesh:
-    """The painted parts of a moving object: cells and their sides; a side between two cells is listed once."""
+    """A moving object's cells and sides for painting; a side shared by two cells is listed once."""
 
     corners: np.ndarray  # [cells, 4]
     columns: np.ndarray  # [cells] where the object's cells lie among all that move
@@ -113,7 +113,7 @@ class Mesh:
 
     @classmethod
     def of(cls, scene: Scene, number: int) -> Mesh:
-        """Return the mesh of the moving object with this index."""
+        """Build the mesh of a scene's moving object."""
         obj = scene.moving[number]
         begin = sum(len(other.cells) for other in scene.moving[:number])
 
@@ -138,7 +138,7 @@ class Mesh:
 
 
 class Canvas:
-    """Paints pictures of one scene, for any positions of its points and any camera.
+    """Paints pictures of one scene for any point positions and any camera.
 
     Args:
         size: width and height of the picture in pixels.
@@ -155,7 +155,7 @@ class Canvas:
         self._sprite: Image.Image | None = None
 
     def picture(self, positions: np.ndarray, corner: tuple[int, int]) -> Image.Image:
-        """Return a picture of the scene with points at ``positions`` ``[P, 2]``.
+        """Paint the scene with its points at ``positions`` ``[P, 2]``.
 
         Args:
             positions: in simulator units; points beyond those of the scene are ignored.
@@ -171,7 +171,7 @@ class Canvas:
         return image
 
     def _paint(self, image: Image.Image, points: np.ndarray, mesh: Mesh, colours: np.ndarray) -> None:
-        """Paint an object onto the picture, with smooth edges: it is drawn larger and scaled down."""
+        """Paint an object onto the picture with smooth edges, by drawing it larger and scaling down."""
         # The box around the object, as far as it lies in the picture
         own = points[mesh.points]
         low = np.maximum(np.floor(own.min(axis=0)) - 2, 0).astype(int)
@@ -211,7 +211,7 @@ class Canvas:
         image.paste(large.reduce(smooth), box[:2])
 
     def cover(self, low: np.ndarray, high: np.ndarray) -> Image.Image:
-        """Paint, keep and return the terrain that cameras with corners from ``low`` to ``high`` (pixels) see."""
+        """Paint and cache the terrain for all cameras with corners between ``low`` and ``high`` (pixels)."""
         low = np.asarray(low) // self.scale
         high = -(-(np.asarray(high) + self.size) // self.scale)
         self._low = low
@@ -220,7 +220,7 @@ class Canvas:
         return self._sprite
 
     def _backdrop(self, left: int, bottom: int) -> Image.Image:
-        """Return the terrain behind a picture, painted before if :meth:`cover` has done so."""
+        """Crop the terrain behind a picture from the cached terrain, which is painted if needed."""
         corner = np.array([left, bottom])
         is_covered = np.all(self._low * self.scale <= corner) and np.all(corner + self.size <= self._high * self.scale)
         sprite = self._sprite
@@ -232,7 +232,7 @@ class Canvas:
         return sprite.crop((x, y, x + self.size[0], y + self.size[1]))
 
     def _terrain(self) -> Image.Image:
-        """Return a picture of all cells from ``_low`` to ``_high`` that never move."""
+        """Paint all fixed cells between ``_low`` and ``_high``."""
         scale = self.scale
         columns = np.arange(self._low[0], self._high[0])
         rows = np.arange(self._low[1], self._high[1])[::-1]
@@ -318,12 +318,12 @@ class Painter:
             self._canvas.cover(low, high)
 
     def frame(self, frame: int) -> Image.Image:
-        """Return the picture of a frame."""
+        """Paint one frame of the rollout."""
         return self._canvas.picture(self.rollout.positions[frame, self.env], self.camera[frame])
 
 
 def seen(shapes: np.ndarray, size: tuple[int, int], rim: int = 0) -> np.ndarray:
-    """Return which shapes ``[k, corners, 2]`` may lie partly in the picture, ``rim`` pixels wider: bool ``[k]``.
+    """Return a mask of the shapes ``[k, corners, 2]`` that may overlap the picture plus a margin ``rim``, bool ``[k]``.
 
     Bridges are longer than it.
     """
@@ -331,7 +331,7 @@ def seen(shapes: np.ndarray, size: tuple[int, int], rim: int = 0) -> np.ndarray:
 
 
 def check_size(size: tuple[int, int]) -> tuple[int, int]:
-    """Return the ``size`` of a picture as integers; RolloutError: it cannot be drawn."""
+    """Return a picture's ``size`` as integers; RolloutError: too small, too large or no size."""
     try:
         width, height = map(operator.index, size)
     except (TypeError, ValueError):
@@ -342,7 +342,7 @@ def check_size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 class LiveView:
-    """Makes pictures of environments of a simulation in their present state.
+    """Paints environments of a running simulation.
 
     Args:
         sim: a :class:`warpvox.Simulation`; bodies other than those of ``worlds``, its world_numbers, need another view.
@@ -360,7 +360,7 @@ class LiveView:
         self._canvases = [canvases[design] for design in sim.design_index.tolist()]
 
     def pictures(self, envs: Sequence[int] | None = None) -> list[np.ndarray]:
-        """Return a picture of each environment, or of those numbered ``envs``: uint8 ``[height, width, 3]``."""
+        """Paint the present state of all environments, or of ``envs``: uint8 ``[height, width, 3]`` each."""
         positions = self._positions().cpu().numpy()
         pictures = []
         for env in range(len(positions)) if envs is None else envs:

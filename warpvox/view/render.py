@@ -1,4 +1,4 @@
-"""Pictures, strips and films of rollouts; made on the CPU by Pillow, without a display or OpenGL."""
+"""Pictures, film strips and videos of rollouts, made on the CPU by Pillow, without a display or OpenGL."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from warpvox.view.painter import INK, PNG_SUFFIXES, Painter, check_size, font, s
 from warpvox.view.rollout import Rollout
 
 MARGIN = 2
-"""Pixels between tiles."""
+"""Pixels between pictures of several environments."""
 
 
 class Film:
-    """Pictures of one environment, or of several in tiles, by frame.
+    """Pictures of a rollout by frame: one environment, or several in a grid of tiles.
 
     Args:
         rollout: what was recorded.
@@ -60,7 +60,7 @@ class Film:
         self._painters = [Painter(rollout, env, self._tile, voxels) for env in self.envs]
 
     def image(self, frame: int) -> Image.Image:
-        """Return the picture of a frame; negative numbers count from the end.
+        """Paint a frame; negative numbers count from the end.
 
         Raises:
             RolloutError: no such frame.
@@ -86,7 +86,7 @@ class Film:
     def frames(
         self, numbers: Sequence[int], on_frame: Callable[[int, int], None] | None = None
     ) -> Iterator[Image.Image]:
-        """Yield the pictures of frames one after the other.
+        """Yield pictures of the given frames.
 
         Args:
             on_frame: called with the number of pictures that were taken and of all there are.
@@ -97,11 +97,11 @@ class Film:
                 on_frame(done, len(numbers))
 
     def array(self, frame: int) -> np.ndarray:
-        """Return the picture of a frame, uint8 ``[height, width, 3]``."""
+        """Paint a frame as an array, uint8 ``[height, width, 3]``."""
         return np.array(self.image(frame))
 
     def _write_hud(self, picture: Image.Image, frame: int) -> None:
-        """Write task, time and return on a light panel in the upper left corner."""
+        """Draw task, time and return on a light panel in the upper left corner."""
         unit = max(8, round(min(self.size[1] / 22, self.size[0] / 34)))
         large = font(unit)
         small = font(round(unit * 0.86))
@@ -124,7 +124,7 @@ class Film:
         draw.text((x + unit * 9.6, y), f"{gained:.2f}", INK, small, "rm")
 
     def _write_label(self, tile: Image.Image, env: int, frame: int) -> None:
-        """Write the environment's name and return on its tile."""
+        """Draw the environment's name and return on its tile."""
         unit = max(8, round(self._tile[1] / 14))
         letters = font(unit)
         draw = ImageDraw.Draw(tile, "RGBA")
@@ -136,7 +136,7 @@ class Film:
         draw.text((3 + unit / 2, 3 + unit * 0.76), text, INK, letters, "lm")
 
     def _write_band(self, picture: Image.Image, frame: int) -> None:
-        """Write task, time and mean return above the tiles."""
+        """Draw task, time and mean return above the tiles."""
         unit = round(self._band * 0.62)
         letters = font(unit)
         middle = self._band / 2
@@ -155,7 +155,7 @@ def draw_frame(
     hud: bool = True,
     voxels: float | None = None,
 ) -> np.ndarray:
-    """Return a picture of one frame, uint8 ``[height, width, 3]``; arguments and errors are those of :class:`Film`."""
+    """Paint one frame of a rollout as uint8 ``[height, width, 3]``; arguments as in :class:`Film`."""
     return Film(rollout, env, size, hud, voxels).array(frame)
 
 
@@ -168,7 +168,7 @@ def write_png(
     hud: bool = True,
     voxels: float | None = None,
 ) -> Path:
-    """Write the picture of one frame as PNG; return the path. Arguments are those of :class:`Film`.
+    """Write one frame of a rollout as PNG; return the path. Arguments as in :class:`Film`.
 
     Raises:
         RolloutError: another suffix than .png, or as for :class:`Film`.
@@ -185,7 +185,7 @@ def write_filmstrip(
     size: tuple[int, int] = (1440, 200),
     voxels: float | None = None,
 ) -> Path:
-    """Write pictures of an episode side by side, with their times, as PNG; return the path.
+    """Write frames of an episode side by side, with their times, as one PNG; return the path.
 
     Args:
         rollout, env: what to show.
@@ -240,7 +240,7 @@ def write_gif(
     on_frame: Callable[[int, int], None] | None = None,
     every: int = 1,
 ) -> Path:
-    """Write an animated GIF that loops.
+    """Write a rollout as an animated GIF that loops.
 
     Args:
         rollout, envs, size, hud, voxels: as for :class:`Film`.
@@ -285,7 +285,7 @@ def write_gif(
 
 
 def write_pictures(file: BinaryIO, pictures: Iterable[Image.Image], pause: int, part_bytes: int = 1 << 24) -> None:
-    """Write pictures as a GIF that loops, while they are made.
+    """Write a sequence of pictures as an animated GIF that loops, one picture in memory at a time.
 
     Pillow keeps all pictures of an animation until the last is there. Here it encodes some at a time; a GIF is a header
     with one palette and a row of blocks, so that the blocks of each part follow those of the part before.
@@ -333,7 +333,7 @@ def write_mp4(
     on_frame: Callable[[int, int], None] | None = None,
     every: int = 1,
 ) -> Path:
-    """Write an H.264 film; arguments are those of :func:`write_gif`. Needs the extra ``view`` (imageio-ffmpeg).
+    """Write a rollout as H.264 video; arguments as in :func:`write_gif`. Needs the extra ``view`` (imageio-ffmpeg).
 
     Raises:
         RolloutError: another suffix than .mp4, or as for write_gif and :func:`check_mp4`.
@@ -364,7 +364,7 @@ def write_mp4(
 
 
 def check_mp4(size: tuple[int, int]) -> None:
-    """Raise RolloutError unless imageio-ffmpeg is installed and width and height are even, as H.264 needs."""
+    """Raise RolloutError unless imageio-ffmpeg is installed and the size is even, as H.264 needs."""
     if find_spec("imageio_ffmpeg") is None:
         raise RolloutError(
             "MP4 needs imageio-ffmpeg, which is not installed: pip install 'warpvox[view]', or write a GIF."
@@ -380,7 +380,7 @@ def _check_rate(fps: float, most: int) -> None:
 
 
 def _frames(rollout: Rollout, fps: float, start: int, stop: int | None, every: int) -> list[int]:
-    """Return the frames to show so that time runs as in the simulation, or ``every`` times as fast."""
+    """Choose frames so that playback runs in simulated time, or ``every`` times as fast."""
     check_integer("every", every, 1, error=RolloutError)
     if stop is None:
         stop = int(rollout.lengths.max()) + 1
@@ -392,7 +392,7 @@ def _frames(rollout: Rollout, fps: float, start: int, stop: int | None, every: i
 
 
 def _gif_palette(sample: Sequence[Image.Image]) -> tuple[bytes, np.ndarray]:
-    """Return a palette for all frames, and its entry for each colour of 5 bits a channel, uint8 [32768].
+    """Compute one palette for all frames, and its entry for each 15-bit colour, uint8 [32768].
 
     One palette means that a pixel that does not change keeps its number, which is what makes the file small;
     a table is many times faster than asking for the nearest entry pixel by pixel.
@@ -420,7 +420,7 @@ def _gif_palette(sample: Sequence[Image.Image]) -> tuple[bytes, np.ndarray]:
 
 
 def _layout(count: int, size: tuple[int, int]) -> tuple[int, tuple[int, int]]:
-    """Return the number of columns and the size of tiles, which come as near to 16:9 as possible."""
+    """Choose columns and tile size so that the whole picture is close to 16:9."""
 
     def tile(columns: int) -> tuple[int, int]:
         rows = math.ceil(count / columns)

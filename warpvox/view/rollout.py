@@ -1,4 +1,4 @@
-"""Rollouts: what environments did, step by step, in memory and in one file.
+"""Rollouts: recorded positions, actions and rewards of environments, in memory and in one file.
 
 Pictures, USD and the page of the browser player are all made from a :class:`Rollout`, so that an episode is
 simulated once and can be looked at anywhere later.
@@ -30,11 +30,11 @@ from warpvox.view.scene import Scene, check_scene, scene_from_json, scene_of, sc
 
 _FORMAT, _VERSION = "warpvox-rollout", 1
 LARGEST = 1 << 32
-"""Bytes that the arrays of a file may have together (4 GiB)."""
+"""Maximum size of a rollout file's arrays in bytes (4 GiB)."""
 LARGEST_HEADER = 1 << 26
-"""Bytes of a file's header (64 MiB)."""
+"""Maximum size of a rollout file's header in bytes (64 MiB)."""
 AGENTS = ("zero", "random", "sine")
-"""Agents that need no training: all actuators at rest, uniformly random actions, a steady gait."""
+"""Agents without training: all actuators at rest, uniformly random actions, or sine waves."""
 _ARRAYS = {
     "positions": np.float32,
     "design_index": np.int32,
@@ -47,7 +47,7 @@ _ARRAYS = {
 
 @dataclass(eq=False)
 class Rollout:
-    """Recorded episodes of environments: the arrays and metadata of a file, and the distinct worlds as ``scenes``.
+    """Recorded episodes of environments: arrays, metadata, and the distinct worlds as ``scenes``.
 
     Raises:
         RolloutError: parts that do not fit together.
@@ -63,7 +63,7 @@ class Rollout:
     metadata: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Convert the arrays to the types of a file; raise RolloutError unless all parts fit together."""
+        """Convert the arrays to their file types; RolloutError if parts do not fit together."""
         for name, dtype in _ARRAYS.items():
             setattr(self, name, np.ascontiguousarray(getattr(self, name), dtype=dtype))
         self.scenes = tuple(self.scenes)
@@ -79,7 +79,7 @@ class Rollout:
         return f"Rollout({self.title}, {size}, {returns})"
 
     def _repr_html_(self) -> str:
-        """Return the player as HTML, for notebooks; of many environments it shows the first 16."""
+        """Build the browser player for notebooks; shows the first 16 of many environments."""
         from warpvox.view.player import page_of
 
         page = html.escape(page_of(self, range(min(self.num_envs, 16))))
@@ -87,7 +87,7 @@ class Rollout:
 
     @property
     def num_frames(self) -> int:
-        """Number of recorded states: one more than steps."""
+        """Number of recorded states: one more than control steps."""
         return self.positions.shape[0]
 
     @property
@@ -102,12 +102,12 @@ class Rollout:
 
     @property
     def title(self) -> str:
-        """The task's id, or "rollout" without one."""
+        """Id of the task, or "rollout" if unknown."""
         return str(self.metadata.get("task") or "rollout")
 
     @property
     def done(self) -> np.ndarray:
-        """Whether the episode has ended in this step or before, bool ``[T, E]``."""
+        """Mask of steps in or after which the episode has ended, bool ``[T, E]``."""
         return self.terminated | self.truncated
 
     @property
@@ -123,13 +123,13 @@ class Rollout:
 
     @property
     def names(self) -> list[str]:
-        """Names of the environments in pictures: ``metadata["names"]`` if there is one for each, else their indices."""
+        """Names of the environments in pictures: ``metadata["names"]``, or their indices without these."""
         names: Any = self.metadata.get("names")
         known = isinstance(names, list) and len(names) == self.num_envs
         return [str(name) for name in (names if known else range(self.num_envs))]
 
     def best_first(self) -> Rollout:
-        """Return a rollout with the environments sorted by return, the highest first; each keeps its name."""
+        """Sort the environments by return, the highest first; each keeps its name."""
         order = np.argsort(-self.returns[-1], kind="stable")
         arrays = {}
         for name in _ARRAYS:
@@ -143,7 +143,7 @@ class Rollout:
         return self.scenes[self.design_index[env]]
 
     def check_envs(self, envs: int | Iterable[int] | None) -> list[int]:
-        """Return ``envs`` as a list of indices; None: all environments.
+        """Return ``envs`` as a list of valid indices; None means all environments.
 
         Raises:
             RolloutError: there is no such environment, or none was chosen.
@@ -157,7 +157,7 @@ class Rollout:
         return [int(env) for env in chosen]
 
     def check_frame(self, frame: int) -> int:
-        """Return the index of a frame, where a negative ``frame`` counts from the end.
+        """Return a frame's index; negative numbers count from the end.
 
         Raises:
             RolloutError: there is no such frame.
@@ -168,7 +168,7 @@ class Rollout:
         return int(frame) % count
 
     def stretch(self, frame: int | slice, env: int) -> np.ndarray:
-        """Return each cell's length relative to rest, along the axis of actuation.
+        """Return each cell's length along its axis of actuation, relative to rest length.
 
         Cells that are no actuators have the mean of both axes.
 
@@ -180,7 +180,7 @@ class Rollout:
         return stretch(scene.cells, self.positions[frame, env][..., scene.corners, :])
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the rollout to ``path`` (``.npz``), whole or not at all; return the path.
+        """Write the rollout to ``path`` (``.npz``) atomically; return the path.
 
         Raises:
             RolloutError: another suffix than .npz, metadata that JSON cannot hold, or more than a file may have
@@ -210,7 +210,7 @@ class Rollout:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Rollout:
-        """Read a rollout that :meth:`save` wrote.
+        """Read a rollout written by :meth:`save`.
 
         Raises:
             RolloutError: no such file, a file that is truncated, damaged or no rollout, or a newer version.
@@ -233,7 +233,7 @@ def record(
     *,
     metadata: Mapping[str, Any] | None = None,
 ) -> Rollout:
-    """Record one episode of every environment; the policy is a function of observations or one of :data:`AGENTS`.
+    """Record one episode in every environment; ``policy`` is a function of observations or one of :data:`AGENTS`.
 
     Arguments are those of :func:`warpvox.record`.
     """
@@ -270,7 +270,7 @@ def record(
 
 
 def facts_of(env: Any) -> dict[str, Any]:
-    """Return task, rules, physics and the like of environments as JSON values, for the metadata of a rollout."""
+    """Collect task, rules, physics and seed of environments for a rollout's metadata."""
     return {
         "task": getattr(getattr(env, "spec", None), "id", None),
         "rules": getattr(env, "rules", None),
@@ -282,7 +282,7 @@ def facts_of(env: Any) -> dict[str, Any]:
 
 
 def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], Any]) -> dict[str, np.ndarray]:
-    """Step until all episodes have ended; return positions, actions, rewards and ends as arrays, steps first."""
+    """Step until all episodes have ended; return stacked positions, actions, rewards and ends, steps first."""
     import torch
 
     obs, _ = env.reset()
@@ -305,7 +305,7 @@ def _run(env: Any, act: Callable[[Any], Any], limit: int, gather: Callable[[], A
 
 
 def scenes_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], Any]]:
-    """Return the scenes of a simulation, one for each distinct world, and a function that returns all points.
+    """Return a scene for each distinct world of a simulation, and a function that returns all points.
 
     The points are float32 ``[E, P, 2]``, a tensor on the simulation's device, which nothing waits for.
     """
@@ -329,7 +329,7 @@ def scenes_of(sim: Any) -> tuple[tuple[Scene, ...], Callable[[], Any]]:
 
 
 def agent_of(name: str, env: Any) -> Callable[[Any], Any]:
-    """Return the agent ``name``, one of :data:`AGENTS`, as a policy for ``env``; ConfigError: another name."""
+    """Return one of :data:`AGENTS` as a policy for ``env``; ConfigError: unknown agent."""
     import torch
 
     check_choice("agent", name, AGENTS)
@@ -345,7 +345,7 @@ def agent_of(name: str, env: Any) -> Callable[[Any], Any]:
 
 
 def _draws(env: Any) -> Callable[[], Any]:
-    """Return a function that draws numbers in [0, 1), ``[num_envs, num_actions]``, seeded by the seed of ``env``.
+    """Return a random number generator for ``env``: a function that returns ``[num_envs, num_actions]`` in [0, 1).
 
     With several seeds, each for an equal block of environments, a block draws as if it were alone.
     """
@@ -369,14 +369,14 @@ def _draws(env: Any) -> Callable[[], Any]:
 
 
 def _plain_seed(seed: Any) -> int | list[int] | None:
-    """Return a seed, or the list of seeds of several blocks of environments, as Python integers; None stays None."""
+    """Convert a seed, or a list of seeds, to Python integers; None stays None."""
     if isinstance(seed, Sequence | np.ndarray):
         return [int(one) for one in seed]
     return None if seed is None else int(seed)
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the header and the arrays of a rollout's file; raise RolloutError if it is none or damaged."""
+    """Read header and arrays of a rollout file; RolloutError: another kind of file, or a damaged one."""
     try:
         with ArrayFile(path, LARGEST) as archive:
             if "header" not in archive.names:
@@ -408,7 +408,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 
 def _check_shapes(rollout: Rollout) -> None:
-    """Raise RolloutError unless the arrays of a rollout have matching shapes and finite values."""
+    """Raise RolloutError unless a rollout's arrays have matching shapes and finite values."""
     shape = rollout.positions.shape
     if len(shape) != 4 or shape[0] < 1 or shape[1] < 1 or shape[3] != 2:
         raise RolloutError(f"positions must be [frames, envs, points, 2] with a frame or more, got {list(shape)}.")

@@ -1,4 +1,4 @@
-"""Scenes: the worlds of a rollout as meshes, everything that pictures need besides positions."""
+"""Scenes: the worlds of a rollout as meshes for pictures, without positions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class SceneObject:
 
     @property
     def is_static(self) -> bool:
-        """Whether the object is terrain, which never moves."""
+        """Whether the object is fixed terrain."""
         return self.num_points == 0
 
     @property
@@ -48,18 +48,18 @@ class SceneObject:
 
     @property
     def cells(self) -> np.ndarray:
-        """Types of the cells that are not empty, in the order of ``corners``: int8 ``[cells]``."""
+        """Types of the non-empty cells, in the order of ``corners``: int8 ``[cells]``."""
         return self.grid[self.grid != Cell.EMPTY]
 
     @property
     def places(self) -> np.ndarray:
-        """Row and column in ``grid`` of the cells in :attr:`cells`, int ``[cells, 2]``."""
+        """Row and column in ``grid`` of the non-empty cells, int ``[cells, 2]``."""
         return np.argwhere(self.grid != Cell.EMPTY)
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A distinct world of a rollout: its objects and their meshes.
+    """A distinct world of a rollout as meshes of its objects.
 
     Attributes:
         objects: in the order of the simulator: robots, then the rest, each by name.
@@ -71,22 +71,22 @@ class Scene:
 
     @property
     def moving(self) -> tuple[SceneObject, ...]:
-        """Objects that can move; they have points."""
+        """Movable objects; only these have points."""
         return tuple(obj for obj in self.objects if not obj.is_static)
 
     @property
     def robots(self) -> tuple[SceneObject, ...]:
-        """Objects with actuators; without any, all objects that can move."""
+        """Objects with actuators, or all movable objects if there are none."""
         return tuple(obj for obj in self.moving if obj.is_robot) or self.moving
 
     @cached_property
     def corners(self) -> np.ndarray:
-        """Corner points of all cells that can move, object after object: int32 ``[cells, 4]``."""
+        """Point indices of the corners of all movable cells, object after object: int32 ``[cells, 4]``."""
         return np.concatenate([obj.corners for obj in self.moving])
 
     @cached_property
     def cells(self) -> np.ndarray:
-        """Types of all cells that can move, in the order of ``corners``: int8 ``[cells]``."""
+        """Types of all movable cells, in the order of ``corners``: int8 ``[cells]``."""
         return np.concatenate([obj.cells for obj in self.moving])
 
     @cached_property
@@ -101,7 +101,7 @@ class Scene:
 
     @cached_property
     def terrain(self) -> np.ndarray:
-        """Types of all cells that never move, int8 ``[height, width]``, row 0 on top."""
+        """Types of all fixed cells, int8 ``[height, width]``, row 0 on top."""
         cells = np.zeros((self.height, self.width), np.int8)
         for obj in self.objects:
             if obj.is_static:
@@ -111,7 +111,7 @@ class Scene:
 
 
 def scene_of(world: CompiledWorld) -> Scene:
-    """Return the scene of a compiled world."""
+    """Convert a compiled world to a scene."""
     objects = []
     moving = {body.name for body in world.bodies}
     for body in sorted(world.bodies + world.statics, key=lambda body: (not body.source.is_robot, body.name)):
@@ -127,7 +127,7 @@ def scene_of(world: CompiledWorld) -> Scene:
 
 
 def stretch(cells: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return each cell's length relative to rest, along the axis of actuation.
+    """Compute each cell's length along its axis of actuation, relative to rest length.
 
     Cells that are no actuators have the mean of both axes.
 
@@ -146,14 +146,14 @@ def stretch(cells: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def scene_to_json(scene: Scene) -> dict[str, Any]:
-    """Return a scene as JSON values, which ``docs/formats.md`` describes."""
+    """Convert a scene to JSON values (format: ``docs/formats.md``)."""
     arrays = [{"grid": obj.grid.tolist(), "corners": obj.corners.tolist()} for obj in scene.objects]
     objects = [vars(obj) | parts for obj, parts in zip(scene.objects, arrays, strict=True)]
     return {"width": scene.width, "height": scene.height, "objects": objects}
 
 
 def scene_from_json(scene: Mapping[str, Any]) -> Scene:
-    """Return the scene of JSON values; KeyError, TypeError, ValueError, OverflowError: they are not one."""
+    """Build a scene from JSON values; KeyError, TypeError, ValueError, OverflowError: not a valid scene."""
     objects = []
     for obj in scene["objects"]:
         name = obj["name"]
@@ -177,7 +177,7 @@ def scene_from_json(scene: Mapping[str, Any]) -> Scene:
 
 
 def _whole(value: object) -> int:
-    """Return ``value`` if it is an integer from 0 to 2^31 - 1, else raise TypeError."""
+    """Return ``value`` if it is an integer from 0 to 2^31 - 1; TypeError otherwise."""
     # int() would take "7", 7.9 and True without a word
     if type(value) is not int or not 0 <= value < 2**31:
         raise TypeError(f"expected an integer from 0 on, got {value!r:.80}")
@@ -185,7 +185,7 @@ def _whole(value: object) -> int:
 
 
 def check_scene(scene: Scene, number: int, points: int) -> None:
-    """Raise RolloutError unless the parts of a scene fit together and have at most ``points`` points."""
+    """Raise RolloutError unless a scene's parts fit together and have at most ``points`` points."""
     if not scene.moving:
         raise RolloutError(f"Scene {number} has nothing that moves.")
     if scene.width * scene.height > LARGEST_GRID:

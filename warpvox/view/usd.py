@@ -24,9 +24,9 @@ from warpvox.view.painter import camera_path
 from warpvox.view.rollout import Rollout
 
 _APERTURE = (20.955, 11.787)
-"""Width and height of the cameras' film, mm: 35 mm film cut to 16:9."""
+"""Width and height of the camera sensor in mm (35 mm film cut to 16:9)."""
 _FOCAL = 50.0
-"""Focal length of the cameras, mm."""
+"""Focal length of the cameras in mm."""
 
 
 def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | None = None, stride: int = 1) -> Path:
@@ -117,7 +117,7 @@ def write_usd(rollout: Rollout, path: str | os.PathLike[str], envs: list[int] | 
 
 
 def _define_materials(stage: Any) -> dict[Cell, Any]:
-    """Define a preview surface for every cell type; those of actuators show displayColor."""
+    """Define a USD preview surface for every cell type."""
     UsdGeom.Scope.Define(stage, "/World/materials")
     materials = {}
     for cell in MATERIALS:
@@ -146,7 +146,7 @@ def _material_name(cell: int) -> str:
 
 
 def _linear(colour: np.ndarray) -> np.ndarray:
-    """Return screen colours 0 to 255 as linear colours, float32, which USD uses."""
+    """Convert sRGB colours 0 to 255 to linear colours, float32."""
     value = colour / 255.0
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
@@ -157,7 +157,7 @@ def _sizes(rollout: Rollout, envs: list[int]) -> np.ndarray:
 
 
 def _define_env(stage: Any, rollout: Rollout, env: int, place: np.ndarray, materials: dict[Cell, Any]) -> None:
-    """Define the objects of one environment."""
+    """Define the USD objects of one environment."""
     scene = rollout.scene(env)
     root = f"/World/env_{env:03d}"
     xform = UsdGeom.Xform.Define(stage, root)
@@ -189,7 +189,7 @@ def _define_env(stage: Any, rollout: Rollout, env: int, place: np.ndarray, mater
 
 
 def _define_mesh(stage: Any, path: str, quads: np.ndarray, extent: np.ndarray) -> Any:
-    """Define a Mesh of cells."""
+    """Define a USD Mesh of cells."""
     mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDoubleSidedAttr(True)
@@ -201,7 +201,7 @@ def _define_mesh(stage: Any, path: str, quads: np.ndarray, extent: np.ndarray) -
 
 
 def _define_terrain(stage: Any, path: str, terrain: np.ndarray, material: Any) -> None:
-    """Define one Mesh of all cells that never move, with shared corners; return it, or None without such cells."""
+    """Define one USD Mesh of all fixed cells; return it, or None if there are none."""
     if not terrain.any():
         return
     height, width = terrain.shape
@@ -224,7 +224,7 @@ def _define_terrain(stage: Any, path: str, terrain: np.ndarray, material: Any) -
 
 
 def _changes(values: np.ndarray, interpolated: bool) -> list[int]:
-    """Return the frames that must be written: those that differ from the frame before.
+    """Return the frames that differ from the frame before, which must be written.
 
     If values between samples are interpolated, also the frame before each change.
     """
@@ -234,7 +234,7 @@ def _changes(values: np.ndarray, interpolated: bool) -> list[int]:
 
 
 def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.ndarray, frames: list[int]) -> None:
-    """Define a camera that follows the first environment's robot, and one that sees everything."""
+    """Define a USD camera that follows the first environment's robot, and one that shows everything."""
     # The one that follows sees 14 voxels from bottom to top.
     height = 14 * VOXEL
     view = np.array([height * _APERTURE[0] / _APERTURE[1], height])
@@ -253,7 +253,7 @@ def _define_cameras(stage: Any, rollout: Rollout, envs: list[int], places: np.nd
 
 
 def _define_camera(stage: Any, path: str) -> Any:
-    """Define a camera that looks along -Z; return its translation."""
+    """Define a USD camera that looks along -Z; return its translation."""
     camera = UsdGeom.Camera.Define(stage, path)
     camera.CreateHorizontalApertureAttr(_APERTURE[0])
     camera.CreateVerticalApertureAttr(_APERTURE[1])

@@ -1,4 +1,4 @@
-"""A window that shows pictures, by the toolkit that comes with Python; nothing needs it but live views."""
+"""A window for pictures, by Python's toolkit tkinter; needed for live views only."""
 
 import os
 from typing import Any
@@ -10,11 +10,11 @@ from warpvox.system import has_display
 
 SWITCH = "WARPVOX_WINDOW"
 OTHERWISE = f"Render pictures instead (mode 'rgb_array'), or set {SWITCH}=none to go on without showing anything."
-"""Advice where there is no window, for error messages."""
+"""Advice for machines without a window, for error messages."""
 
 
 def wanted() -> bool:
-    """Return False with ``WARPVOX_WINDOW=none``, with which scripts that open windows run on servers."""
+    """Return whether windows are allowed: False with ``WARPVOX_WINDOW=none``, for scripts on servers."""
     choice = os.environ.get(SWITCH, "")
     if choice not in ("", "none"):
         raise DisplayError(f"{SWITCH} must be 'none' or not set, got '{choice}'.")
@@ -22,7 +22,7 @@ def wanted() -> bool:
 
 
 def why_no_window() -> str | None:
-    """Return why this machine cannot show a window ("there is no display ..."), or None if it can.
+    """Return why this machine cannot show a window ("there is no display ..."); None if it can.
 
     A display that is named but does not answer is only noticed by :class:`Window`. With ``WARPVOX_WINDOW=none`` nothing
     does: windows then show nothing.
@@ -39,7 +39,7 @@ def why_no_window() -> str | None:
 
 
 class Window:
-    """A window that shows one picture after another. Use it from one thread only.
+    """A window that shows a stream of pictures, to be used from one thread only.
 
     Args:
         size: width and height of the pictures in pixels.
@@ -72,7 +72,7 @@ class Window:
         tkinter.Label(self._root, borderwidth=0, image=self._image).pack()
 
     def show(self, frame: np.ndarray) -> None:
-        """Show a picture, uint8 ``[height, width, 3]``, and answer mouse and keyboard; do nothing once closed."""
+        """Show a picture, uint8 ``[height, width, 3]``, and process window events; does nothing once closed."""
         if self.closed or self._root is None:
             return
         height, width = frame.shape[:2]
@@ -87,17 +87,17 @@ class Window:
 
     @property
     def place(self) -> tuple[int, int]:
-        """x and y of the window on the screen; (0, 0) if it is gone."""
+        """Position (x, y) of the window on the screen; (0, 0) without a window."""
         return (0, 0) if self._root is None else (self._root.winfo_x(), self._root.winfo_y())
 
     def hide(self) -> None:
-        """Take the window off the screen until :meth:`unhide`."""
+        """Hide the window until :meth:`unhide`."""
         if self._root is not None:
             self._root.withdraw()
             self._root.update()
 
     def unhide(self) -> None:
-        """Bring a hidden window back."""
+        """Show the hidden window again."""
         if self._root is not None:
             self._root.deiconify()
             self._root.update()

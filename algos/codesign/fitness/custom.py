@@ -1,4 +1,4 @@
-"""Fitness by code of the user's own, named by a file or module."""
+"""Fitness by the user's own code, named by file or module."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @register_fitness
 @dataclass
 class Custom(Fitness):
-    """A fitness of your own; see docs/own_search.md."""
+    """Fitness by the user's own code; see docs/own_search.md."""
 
     name: str = key("custom", "a fitness of your own", choices=("custom",))
     make: str | None = key(
@@ -30,7 +30,7 @@ class Custom(Fitness):
     settings: Any = key(None, "settings of your own, by name: {episodes:3}")
 
     def check(self, search: Codesign) -> None:
-        """Check that ``make`` names code that makes an evaluator from these settings."""
+        """Raise an error unless ``make`` names code that makes an evaluator from these settings."""
         check_code(self.make, "fitness=custom needs fitness.make", "an evaluator of the search's settings")
         self.build(search, None)
 
@@ -38,7 +38,7 @@ class Custom(Fitness):
         return search.training.inherit
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """Call the user's code and return the evaluator that it makes.
+        """Call the user's code and return the evaluator.
 
         Raises:
             ConfigError: no such file, module or name, settings that it does not take, or it makes no evaluator.

@@ -1,4 +1,4 @@
-"""Fitness by open-loop gaits, which evolve with the designs and need no training."""
+"""Fitness by open-loop gaits that evolve with the designs, without training."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @register_fitness
 @dataclass
 class Gaits(Specialist):
-    """Fitness of a design is the best return of its open-loop gaits, which its children inherit."""
+    """Fitness by gaits: the best return of a design's open-loop gaits, which children inherit."""
 
     name: str = key("gaits", "open-loop gaits evolve with the designs", choices=("gaits",))
     finalists: int = key(4, "number of best designs that get a training of their own at the end", low=1)
@@ -45,7 +45,7 @@ class Gaits(Specialist):
     final_beam: int = key(64, "motions that a finalist tries in each stage of a beam search", low=1)
 
     def check(self, search: Codesign) -> None:
-        """Check the settings of the finalists' trainings, and that at least one pass or round is run."""
+        """Raise an error unless the finalists' training is valid and there is at least one pass or round."""
         super().check(search)
         if search.training.inherit:
             raise ConfigError(
@@ -60,7 +60,7 @@ class Gaits(Specialist):
                 )
 
     def begins_with(self, search: Codesign, start: Sequence[Robot], folder: Path | None) -> Any:
-        """Return the gaits of robots in ``start`` that have one, by the bytes of their bodies."""
+        """Return the gaits of the robots in ``start``, by the bytes of their bodies."""
         from warpvox.algos.codesign.gaits import Gait
 
         found = {}
@@ -81,7 +81,7 @@ class Gaits(Specialist):
         return first * steps, self.finalists * (last * steps + search.training.steps_of_design(self.finalists))
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        """Return the largest batches: those of the trainings, of the gaits, and of the finalists' gaits."""
+        """Return the largest batches of the finalists' trainings, of the gaits, and of the finalists' gaits."""
         first = {"fitness.gaits": self.gaits, "fitness.beam": self.beam if self.passes else 1}
         last = {"fitness.final_gaits": self._final_gaits}
         last["fitness.final_beam"] = self.final_beam if self.final_passes else 1
@@ -93,7 +93,7 @@ class Gaits(Specialist):
         return found
 
     def _episodes(self, search: Codesign) -> int:
-        """Return the number of episodes of each gait."""
+        """Return the number of episodes per gait."""
         from warpvox.envs.registry import get_task
 
         # Four episodes where they differ: in random tasks, and with noise on the actions.
@@ -105,11 +105,11 @@ class Gaits(Specialist):
 
     @property
     def _final_gaits(self) -> int:
-        """Number of gaits that a finalist tries in a round."""
+        """Number of gaits of a finalist in each round."""
         return self.final_gaits or self.gaits
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
-        """Return an evaluator by gaits, which gives finalists more gaits and a training each."""
+        """Create the evaluator by gaits; finalists get more gaits, and a training each."""
         from warpvox.algos.codesign.finalists import TwoStages
         from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 
@@ -130,7 +130,7 @@ class Gaits(Specialist):
         )
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
-        """Return observations, lanes and episodes to play a design's policy with: a gait's own, or a training's."""
+        """Return the settings to play a design's policy: observations, lanes and episodes of its gait or training."""
         if not (outcome.spec and outcome.spec.get("gait")):
             return {"episodes": self._final_episodes(search)}
         count = self._final_gaits if candidate.origin == FINALIST else self.gaits

@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 @register_fitness
 @dataclass
 class Specialist(Fitness):
-    """Fitness of a design is the best return of a policy trained for it alone (paper section C.1)."""
+    """Fitness by training: the best return of a policy trained for one design (paper section C.1)."""
 
     name: str = key("specialist", "each design has a policy of its own", choices=("specialist",))
 
     def check(self, search: Codesign) -> None:
-        """Check that the settings of PPO suit trainings of many designs in one batch."""
+        """Raise an error unless the PPO settings suit training many designs in one batch."""
         from warpvox.algos.ppo.stock import rsl_rl_config
 
         training = search.training
@@ -41,7 +41,7 @@ class Specialist(Fitness):
         return search.training.steps_of_design(search.search.population), 0
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        """Return the batches of a generation's trainings and evaluations, or of the finalists' if there are some."""
+        """Return the largest batches of training and evaluation, of a generation or of the finalists."""
         training = search.training
         count = self.finalists or search.search.population
         together = min(search.batch or count, count)

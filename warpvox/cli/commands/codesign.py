@@ -21,7 +21,7 @@ from warpvox.runs import CONFIG, check_unchanged, read_summary
 
 
 def check(config: CodesignConfig, given: Collection[str]) -> None:
-    """Raise WarpvoxError if the search cannot be made, or cannot be resumed with these settings."""
+    """Raise WarpvoxError if a search with these settings cannot start or resume."""
     from warpvox.algos.codesign.run import plan_codesign
 
     if config.report is None:
@@ -29,7 +29,7 @@ def check(config: CodesignConfig, given: Collection[str]) -> None:
 
 
 def run(config: CodesignConfig, given: Collection[str], console: Console) -> Path:
-    """Run or resume a search, or only make its report; return its folder."""
+    """Run or resume a design search, or only write its report; return its folder."""
     if config.report is not None:
         keys = ("report", "export", "top", "output_dir")  # keys that a report depends on
         others = [key for key in given if key not in keys]
@@ -57,7 +57,7 @@ def run(config: CodesignConfig, given: Collection[str], console: Console) -> Pat
 
 
 def _resumed(config: CodesignConfig) -> Path | None:
-    """Return the folder of the search to resume, None for a new one. ConfigError: settings must not change so."""
+    """Return the folder of the search to resume (None: new search); ConfigError if fixed settings changed."""
     if config.resume is None:
         return None
     source = find_codesign(config.resume, config.output_dir)
@@ -67,13 +67,13 @@ def _resumed(config: CodesignConfig) -> Path | None:
 
 
 def _export(archive: Archive, folder: Path, formats: Sequence[str], console: Console) -> None:
-    """Write the archive in each format and print the paths."""
+    """Export the archive in each format and print the paths."""
     for name in dict.fromkeys(formats):
         echo(console, shown(FORMATS[name](archive, folder)))
 
 
 def _report(config: CodesignConfig, console: Console) -> Path:
-    """Make report, pictures and exports of a search again, also while it is running; return its folder."""
+    """Write report, pictures and exports of an existing search, finished or running; return its folder."""
     from warpvox.algos.codesign.results import Results
     from warpvox.algos.report import FILE as REPORT
 

@@ -28,7 +28,7 @@ from warpvox.runs import Run
 
 
 def run(config: CurvesConfig, given: Collection[str], console: Console) -> None:
-    """Draw the curves, write them with their numbers, and print a table of the last and best returns."""
+    """Draw learning curves of runs, write their numbers as CSV, and print a table of the last and best returns."""
     check_suffix("file", config.file, SUFFIXES, ConfigError)
 
     # Curves of searches, or of trainings by task

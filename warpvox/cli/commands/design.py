@@ -14,12 +14,12 @@ from warpvox.system import has_display
 
 
 def check(config: DesignConfig, given: Collection[str]) -> None:
-    """Raise ConfigError, because the editor cannot be part of a sweep."""
+    """Raise ConfigError: the editor cannot be part of a sweep."""
     raise ConfigError("There is one editor at a time; --multirun has no meaning here.")
 
 
 def run(config: DesignConfig, given: Collection[str], console: Console) -> None:
-    """Serve the editor until it is interrupted."""
+    """Serve the design editor until Ctrl-C."""
     with console.status("starting"):
         from warpvox.devices.startup import prepare
         from warpvox.editor.server import EditorServer

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def run(config: EvaluateConfig, given: Collection[str], console: Console) -> Path:
-    """Evaluate the runs, print and write tables; return the folder of the results.
+    """Evaluate trained runs, print and write the tables of returns, and return the folder of the results.
 
     Of several runs those that cannot be evaluated are left out, with a line each.
 
@@ -142,7 +142,7 @@ def _print(judged: list[Judged], config: EvaluateConfig, console: Console) -> No
 
 
 def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]], console: Console) -> None:
-    """Print sections of rows; on a narrow console leave out label columns whose cells are all equal."""
+    """Print a table in sections; narrow consoles omit label columns with one value."""
     # Columns to show
     columns = list(zip(*(row for rows in sections for row in rows), strict=True))
     width = 0
@@ -168,6 +168,6 @@ def _print_table(title: str, headings: Sequence[str], sections: list[list[tuple]
 
 
 def _cells(interval: Interval) -> tuple[str, str]:
-    """Return mean and interval of a table's row as text."""
+    """Format the mean and interval of a table row."""
     known = math.isfinite(interval.low)
     return f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}" if known else ""

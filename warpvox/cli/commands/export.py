@@ -21,7 +21,7 @@ from warpvox.runs import ZOO, as_name, new_folder, write_summary
 
 
 def run(config: Any, given: Collection[str], console: Console) -> Path:
-    """Write the files that ``format`` lists; return their folder."""
+    """Export a run's policy or rollout in each requested format, and return the folder."""
     check_source(config)
     check_exports(config.format, config.size)
     if not config.format:
@@ -68,7 +68,7 @@ def run(config: Any, given: Collection[str], console: Console) -> Path:
 
 
 def _write_policy(policy: Any, folder: Path, formats: list[str], console: Console) -> dict[str, str]:
-    """Write the policy in each format and print the files; return how each was checked."""
+    """Write the policy in each format and print the paths; return how each file was verified."""
     from warpvox.algos.checkpoints.export import POLICY_WRITERS
 
     checks = {}

@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 
 
 _OF_AGENTS = ("task", "design", "rules")
-"""Keys that need an agent: a trained run has its own values of them."""
+"""Keys for untrained agents only; a trained run has its own values."""
 
 
 def run(config: PlayConfig, given: Collection[str], console: Console) -> Path:
-    """Run one episode in every environment, write it and show it; return the folder of the results."""
+    """Play one episode in every environment, write and show the rollout, and return the folder of the results."""
     check_source(config)
     obstacle = why_no_window() if wanted() else f"{SWITCH}=none switches windows off"
     if config.window == "on" and obstacle is not None:
@@ -82,7 +82,7 @@ def run(config: PlayConfig, given: Collection[str], console: Console) -> Path:
 
 
 def check_source(config: Any) -> None:
-    """Raise ConfigError if both a run and a rollout, agent or zoo robot are named, or a key needs a run."""
+    """Raise ConfigError if a run and another source (rollout, agent, zoo robot) are given, or a key needs a run."""
     other = next((name for name in ("rollout", "agent", "zoo") if getattr(config, name, None) is not None), None)
     if other and config.run not in ("latest", ""):  # the default, and the value stored without a run
         raise ConfigError(f"run and {other} both say what is shown: give one of them.")
@@ -114,7 +114,7 @@ def play_run(config: Any, console: Console) -> tuple[Rollout, str]:
 
 
 def _check_not_given(names: Iterable[str]) -> None:
-    """Raise ConfigError for keys whose values a trained run has itself."""
+    """Raise ConfigError for keys that only an untrained agent takes."""
     for name in names:
         raise ConfigError(f"{name} goes with agent=random|sine|zero; a trained run has its own {name}.")
 
@@ -122,7 +122,7 @@ def _check_not_given(names: Iterable[str]) -> None:
 def write_results(
     rollout: Rollout, config: Any, source: str, command: str, formats: list[str], console: Console, keep: bool = True
 ) -> Path:
-    """Print the returns and write the folder of a play or an export; return the folder.
+    """Print the returns of a rollout, write it with exports to a folder, and return the folder.
 
     Args:
         source: run, agent or file that the rollout comes from; replaces ``config.run`` if that names a run.
@@ -161,7 +161,7 @@ def play_in_window(
     clock: Callable[[], float] = time.perf_counter,
     make_window: Callable[[tuple[int, int], str], Any] = Window,
 ) -> int:
-    """Show environments side by side in a loop until the window is closed; return the number of pictures.
+    """Show running environments side by side until the window is closed; return the number of pictures.
 
     Time runs as in the simulation: a machine too slow to draw every frame leaves some out.
     """

@@ -103,7 +103,7 @@ def _print_task(name: str, config: TasksConfig, console: Console) -> None:
 
 
 def _designs(task: Any) -> str:
-    """Return in words the example designs that fit the task's world, those made for it first."""
+    """List, as text, the example designs that fit the task's world, recommended ones first."""
     from warpvox.envs.worlds import task_world
 
     if task.partners:
@@ -123,7 +123,7 @@ def _designs(task: Any) -> str:
 
 
 def _print_observation(task: Any, design: Any, points: dict[str, int], console: Console) -> None:
-    """Print the terms of a task's observation; ``points``: number of points of each object."""
+    """Print the terms of a task's observation; ``points``: number of points by object."""
     from warpvox.envs.about import UNITS
     from warpvox.envs.worlds import task_team
 

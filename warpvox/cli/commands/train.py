@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def make_job(config: TrainConfig, given: Collection[str]) -> Job:
-    """Make the training that the settings give; ``given``: keys that must agree with a pretrained policy."""
+    """Create the training job of the settings; ``given``: keys that must agree with a pretrained policy."""
     from warpvox.algos.training.job import Job
 
     if config.resume is None:
@@ -26,19 +26,19 @@ def make_job(config: TrainConfig, given: Collection[str]) -> Job:
 
 
 def check(config: TrainConfig, given: Collection[str]) -> None:
-    """Raise an error if a task, body, policy or device that the settings name does not exist."""
+    """Raise an error if the task, body, policy or device of the settings does not exist."""
     make_job(config, given).check()
 
 
 def run(config: TrainConfig, given: Collection[str], console: Console) -> Path:
-    """Train a policy, record its best version where exports are asked for, and return the run's folder."""
+    """Train a policy, export its best version if requested, and return the run's folder."""
     from warpvox.devices.startup import prepare
     from warpvox.progress.training import Terminal, with_tracker
 
     job = make_job(config, given)
 
     def show() -> None:
-        """Record an episode of the best policy and write the formats in ``export``, if there are any."""
+        """Record an episode of the best policy and write the formats in ``export``."""
         if not config.export:
             return
         from warpvox.algos.training.playing import load_result

@@ -29,7 +29,7 @@ __all__ = [*_of_base, "register", *(name for module in _MODULES for name in modu
 
 
 def _register() -> None:
-    """Register all environments of the modules with gymnasium under the names of the release."""
+    """Register all of the release's environments with gymnasium."""
     for module in _MODULES:
         for name in module.__all__:
             task = getattr(getattr(module, name), "task", None)

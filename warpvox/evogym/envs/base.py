@@ -35,7 +35,7 @@ __all__ += utils.__all__
 
 
 def _of_simulation(method: Callable) -> Callable:
-    """Return a method that calls the method of the same name of the environment's simulation."""
+    """Decorate a method so that it calls the simulation's method of the same name."""
 
     @functools.wraps(method)
     def call(self: EvoGymBase, *args: Any, **options: Any) -> Any:
@@ -45,7 +45,7 @@ def _of_simulation(method: Callable) -> Callable:
 
 
 def _in_simulator_units(method: Callable) -> Callable:
-    """Return a method whose result is that of ``method`` in simulator units (0.1 a voxel) instead of voxels."""
+    """Decorate a method so that its result is in simulator units (0.1 a voxel) instead of voxels."""
 
     @functools.wraps(method)
     def scaled(self: EvoGymBase, *args: Any, **options: Any) -> np.ndarray | None:
@@ -56,7 +56,7 @@ def _in_simulator_units(method: Callable) -> Callable:
 
 
 class EvoGymBase(gym.Env):
-    """Base of environments: a simulation, a viewer, and helpers for observations. Lengths are in voxels.
+    """Base class of environments: a simulation, a viewer, and helpers for observations, with lengths in voxels.
 
     ``metadata`` of the class names all render modes, that of an instance those which work on this machine.
 
@@ -96,7 +96,7 @@ class EvoGymBase(gym.Env):
         self.metadata = metadata_here(self.metadata)
 
     def step(self, action: Any) -> Any:
-        """Take a control step; return whether self-folding stopped it: it is then undone.
+        """Do a control step; return True if the robot folded into itself and the step was undone.
 
         Args:
             action: target lengths ``[actuators]`` by the name of the robot, clipped to [0.6, 1.6]. A robot that is not
@@ -119,7 +119,7 @@ class EvoGymBase(gym.Env):
         return stopped
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
-        """Go back to time 0. ``seed`` is for :attr:`np_random`, which nothing here uses; ``options`` are not used."""
+        """Reset the simulation to time 0; ``seed`` seeds :attr:`np_random`, and ``options`` are not used."""
         gym.Env.reset(self, seed=seed)
         self._sim.reset()
 
@@ -130,11 +130,11 @@ class EvoGymBase(gym.Env):
 
     @property
     def default_viewer(self) -> EvoViewer:
-        """The viewer with which :meth:`render` makes its pictures."""
+        """The viewer that :meth:`render` uses."""
         return self._default_viewer
 
     def render(self) -> np.ndarray | None:
-        """Return a picture, uint8 ``[height, width, 3]``; without a mode, or in a window, None."""
+        """Render the present state as uint8 ``[height, width, 3]``; returns None without a mode or in a window."""
         if self._render_mode is None:
             return None
         return self.default_viewer.render(self._render_mode, **self._render_options)
@@ -153,7 +153,7 @@ class EvoGymBase(gym.Env):
     object_orientation_at_time = _of_simulation(EvoSim.object_orientation_at_time)
 
     def _points_of(self, name: str) -> np.ndarray:
-        """Return an object's points in voxels, ``[2, points]``, also in subclasses with other units."""
+        """Return an object's points in voxels, ``[2, points]``, even in subclasses with other units."""
         return self._sim.object_pos_at_time(self._sim.get_time(), name)
 
     def get_pos_com_obs(self, object_name: str) -> np.ndarray:
@@ -165,7 +165,7 @@ class EvoGymBase(gym.Env):
         return self._sim.object_vel_at_time(self._sim.get_time(), object_name).mean(axis=1)
 
     def get_relative_pos_obs(self, object_name: str) -> np.ndarray:
-        """Return an object's points minus its centre of mass, all x before all y: ``[2 points]``."""
+        """Return an object's points relative to its centre of mass, all x before all y: ``[2 points]``."""
         points = self._points_of(object_name)
         return (points - points.mean(axis=1, keepdims=True)).flatten()
 
@@ -190,7 +190,7 @@ class EvoGymBase(gym.Env):
     def get_ceil_obs(
         self, object_name: str, terrain_list: list[str], sight_dist: int, sight_range: float = 5
     ) -> np.ndarray | Any:
-        """Return the height of the terrain above, as :meth:`get_floor_obs` does below: to the lowest point."""
+        """Return the height of the terrain above an object's centre of mass, ``[2 sight_dist + 1]``."""
         return self._scan(object_name, terrain_list, sight_dist, sight_range, 1)
 
     def _scan(self, name: str, terrain: list[str], reach: int, sight: float, up: int) -> np.ndarray | Any:
@@ -208,14 +208,14 @@ class EvoGymBase(gym.Env):
 
 
 class _WorldFiles:
-    """A class attribute that writes the world files when it is first read, and gives their folder."""
+    """A class attribute that is the folder of the world files; they are written on first access."""
 
     def __get__(self, instance: object, owner: type) -> str:
         return world_files()
 
 
 class BenchmarkBase(EvoGymBase):
-    """Base of the benchmark's environments: :class:`EvoGymBase` with lengths in simulator units (0.1 a voxel).
+    """Base class of the benchmark's environments: :class:`EvoGymBase` with lengths in simulator units (0.1 a voxel).
 
     The viewer follows the object ``robot``.
 

@@ -1,4 +1,4 @@
-"""Changes of shape, under the names of EvoGym's module ``evogym.envs.change_shape``."""
+"""Shape-changing tasks, under the names of EvoGym's module ``evogym.envs.change_shape``."""
 
 from typing import Any
 
@@ -11,15 +11,15 @@ __all__ = ["MaximizeShape", "MaximizeXShape", "MaximizeYShape", "MinimizeShape",
 
 
 class ShapeBase(BenchmarkBase):
-    """Base of tasks about a robot's shape: it observes its points; with helpers about convex hulls."""
+    """Base class of tasks that observe the robot's points, with helpers for convex hulls."""
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        """Begin an episode; return the robot's points and an empty dictionary."""
+        """Begin an episode; return the observed points and an empty dictionary."""
         super().reset(seed=seed, options=options)
         return self.get_relative_pos_obs("robot"), {}
 
     def CCW(self, p1: np.ndarray, p2: np.ndarray, p3: np.ndarray) -> bool:
-        """Return whether the way over three points turns left or goes straight on."""
+        """Return whether the path through three points turns left or goes straight on."""
         return bool((p2[0] - p1[0]) * (p3[1] - p1[1]) - (p2[1] - p1[1]) * (p3[0] - p1[0]) >= 0)
 
     def jarvis_march(self, S: np.ndarray) -> np.ndarray:

@@ -11,10 +11,10 @@ __all__ = ["Climb0", "Climb1", "Climb2", "ClimbBase"]
 
 
 class ClimbBase(BenchmarkBase):
-    """Base of tasks in which a robot observes its velocity and its points."""
+    """Base class of tasks that observe the robot's velocity and points."""
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        """Begin an episode; return velocity and points of the robot, and an empty dictionary."""
+        """Begin an episode; return the observed velocity and points, and an empty dictionary."""
         super().reset(seed=seed, options=options)
         return np.concatenate([self.get_vel_com_obs("robot"), self.get_relative_pos_obs("robot")]), {}
 

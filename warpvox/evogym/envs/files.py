@@ -15,7 +15,7 @@ __all__ = ["world_files"]
 
 @cache
 def world_files() -> str:
-    """Write the files of all worlds into a folder, which is removed when the process ends; return it."""
+    """Write the benchmark's world files to a temporary folder and return the folder; removed at exit."""
     folder = tempfile.mkdtemp(prefix="warpvox-worlds-")
     # unlike atexit's functions it is called in multiprocessing's processes, and in none that is forked from this one
     Finalize(None, shutil.rmtree, (folder,), {"ignore_errors": True}, exitpriority=0)

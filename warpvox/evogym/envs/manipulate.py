@@ -1,4 +1,4 @@
-"""Objects that are carried, pushed, thrown, caught and toppled: EvoGym's module ``evogym.envs.manipulate``."""
+"""Manipulation tasks (carry, push, throw, catch, topple), under the names of ``evogym.envs.manipulate``."""
 
 import random
 from typing import Any
@@ -28,7 +28,7 @@ __all__ = [
 
 
 class PackageBase(BenchmarkBase):
-    """Base of tasks with an object named ``package``, which costs reward if it falls below ``thresh_height``."""
+    """Base class of tasks with an object ``package``, penalised if it falls below ``thresh_height``."""
 
     thresh_height = 0.0
 
@@ -43,7 +43,7 @@ class PackageBase(BenchmarkBase):
         package_pos_final: np.ndarray,
         package_vel_final: np.ndarray,
     ) -> np.ndarray:
-        """Return the robot's velocity, the vector from it to the package, and the package's velocity: ``[6]``."""
+        """Return the velocity of the robot, the vector from robot to package, and the package's velocity: ``[6]``."""
         robot = np.mean(robot_pos_final, axis=1)
         package = np.mean(package_pos_final, axis=1)
         robot_speed = np.mean(robot_vel_final, axis=1)
@@ -57,7 +57,7 @@ class PackageBase(BenchmarkBase):
         robot_pos_init: np.ndarray,
         robot_pos_final: np.ndarray,
     ) -> float:
-        """Return the reward for moving both to the right and together, less for dropping the package.
+        """Return the reward for moving robot and package to the right and together, minus a drop penalty.
 
         Positions are ``[2, n]``.
         """
@@ -70,7 +70,7 @@ class PackageBase(BenchmarkBase):
         return reward + (10 * (package_1[1] - package_0[1]) if package_1[1] < self.thresh_height else 0.0)
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        """Begin an episode; return :meth:`get_obs` with the robot's points, and an empty dictionary."""
+        """Begin an episode; return the observation (:meth:`get_obs` and the robot's points) and a dictionary."""
         super().reset(seed=seed, options=options)
         now = self.get_time()
         reads = self.object_pos_at_time, self.object_vel_at_time
@@ -79,7 +79,7 @@ class PackageBase(BenchmarkBase):
 
 
 class CatchSmallRect(TaskEnv, PackageBase):
-    """Catcher-v0: the package and its pegs begin every episode at another position.
+    """Catcher-v0: package and pegs start every episode at a random position.
 
     The place is drawn when the environment is made and at every reset, as released from Python's global generator
     ``random``; ``reset(seed=...)`` gives the environment a generator of its own.
@@ -93,7 +93,7 @@ class CatchSmallRect(TaskEnv, PackageBase):
     _random: Any = random
 
     def _make_world(self, spec: TaskSpec, body: np.ndarray, connections: np.ndarray | None) -> EvoWorld:
-        """Return the world with package and pegs moved by a random offset."""
+        """Build the world with package and pegs shifted by a random offset."""
         world = super()._make_world(spec, body, connections)
         self.offsetx, self.offsety = self._random.randint(-6, 4), self._random.randint(0, 5)
         places = {obj.name: (obj.x + self.offsetx, obj.y + self.offsety) for obj in spec.objects}
@@ -103,7 +103,7 @@ class CatchSmallRect(TaskEnv, PackageBase):
         return world
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        """Begin an episode with the package at another position; return the observation and an empty dictionary."""
+        """Begin an episode with the package at a random position; return observation and empty dictionary."""
         gymnasium.Env.reset(self, seed=seed)
         if seed is not None:
             self._random = random.Random(seed)

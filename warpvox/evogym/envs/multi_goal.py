@@ -1,4 +1,4 @@
-"""Lists of goals that are reached one after the other, under the names of ``evogym.envs.multi_goal``."""
+"""Tasks with a list of goals, reached one after another, under the names of ``evogym.envs.multi_goal``."""
 
 import random
 from collections.abc import Mapping, Sequence
@@ -22,14 +22,14 @@ _BEFORE, _AFTER = "robot_com_pos_initial", "robot_com_pos_final"
 
 
 class Goal:
-    """A goal with a name for messages and the keys of ``args`` that it needs; a subclass has its two methods."""
+    """Base class of goals: a name for messages, and the keys of ``args`` that the goal needs."""
 
     def __init__(self, name: str, requirements: Sequence[str] | None = None) -> None:
         self.name = name
         self.requirements = list(requirements or ())
 
     def evaluate(self, args: Mapping[str, Any]) -> tuple[float, bool]:
-        """Return the reward of a step, and whether the goal is reached."""
+        """Return the reward of a step, and whether the goal has been reached."""
         raise NotImplementedError(f"The goal '{self.name}' must define evaluate(args).")
 
     def get_obs(self, args: Mapping[str, Any]) -> np.ndarray:
@@ -38,16 +38,14 @@ class Goal:
 
 
 class WalkToX(Goal):
-    """The goal to come near a place along x, in voxels; ``args`` hold the robot's points before and after, ``[2,
-    n]``.
-    """
+    """Goal of walking to a place along x, in voxels; ``args`` hold the robot's points before and after, ``[2, n]``."""
 
     def __init__(self, x_goal: float) -> None:
         super().__init__(f"Walk to x = {x_goal}", [_BEFORE, _AFTER])
         self.x_goal = x_goal
 
     def evaluate(self, args: Mapping[str, np.ndarray]) -> tuple[float, bool]:
-        """Return how much closer the robot has come, and whether it is within two voxels."""
+        """Return how much closer the robot came to the goal, and whether it is within two voxels."""
         goal = self.x_goal * VOXEL
         before = abs(goal - np.mean(args[_BEFORE][0]))
         after = abs(goal - np.mean(args[_AFTER][0]))
@@ -55,13 +53,13 @@ class WalkToX(Goal):
         return before - after, bool(after < 2 * VOXEL)
 
     def get_obs(self, args: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the place and the way to it, ``[2]``."""
+        """Return the goal's x and the remaining distance along x, ``[2]``."""
         place = self.x_goal * VOXEL
         return np.array([place, place - np.mean(args[_AFTER][0])])
 
 
 class GoalBase(BenchmarkBase):
-    """Base of tasks with a list of goals.
+    """Base class of tasks with a list of goals.
 
     Attributes:
         goals: the list.
@@ -69,7 +67,7 @@ class GoalBase(BenchmarkBase):
     """
 
     def init_reward_goals(self, goals: Sequence[Goal]) -> None:
-        """Set the list and begin with its first goal; ArgumentError if there is none."""
+        """Start a list of goals at its first one; ArgumentError if the list is empty."""
         if not goals:
             raise ArgumentError("An environment with goals needs at least one.")
         self.goals = list(goals)
@@ -78,7 +76,7 @@ class GoalBase(BenchmarkBase):
         self.requirements = {key: [goal.name for goal in self.goals if key in goal.requirements] for key in keys}
 
     def get_reward(self, args: Mapping[str, Any]) -> tuple[float, bool]:
-        """Return the reward for the present goal, and whether all goals are reached."""
+        """Return the reward for the present goal, and whether all goals have been reached."""
         for key, names in self.requirements.items():
             if args.get(key) is None:
                 raise ArgumentError(f"args lack '{key}', which {', '.join(dict.fromkeys(names))} need.")
@@ -90,12 +88,12 @@ class GoalBase(BenchmarkBase):
         return reward, self.current_goal == len(self.goals)
 
     def get_obs(self, args: Mapping[str, Any]) -> np.ndarray:
-        """Return the observation of the present goal; of the last one when all are reached."""
+        """Return the observation of the present goal, or of the last one after all are reached."""
         return self.goals[min(self.current_goal, len(self.goals) - 1)].get_obs(args)
 
 
 class BiWalk(TaskEnv, GoalBase):
-    """BidirectionalWalker-v0.
+    """BidirectionalWalker-v0: walk to random goals on both sides.
 
     Goals are drawn when the environment is made and at every reset, as released from Python's global generator
     ``random``; ``reset(seed=...)`` gives the environment a generator of its own.
@@ -110,7 +108,7 @@ class BiWalk(TaskEnv, GoalBase):
         return super()._make_world(*parts)
 
     def set_random_goals(self, lower_bound: int, upper_bound: int, goal_dist: float) -> None:
-        """Draw goals in [lower_bound, upper_bound) voxels until the way past all of them is ``goal_dist`` or longer."""
+        """Sample goals in [lower_bound, upper_bound) voxels until the whole path is ``goal_dist`` or longer."""
         place = 35
         way = 0
         goals = []
@@ -122,7 +120,7 @@ class BiWalk(TaskEnv, GoalBase):
         self.init_reward_goals(goals)
 
     def _rules(self) -> TaskSpec:
-        """Return the task without its rules for goals: :class:`GoalBase` computes these itself."""
+        """Return the task's specification without rules about goals, which :class:`GoalBase` computes."""
         spec = super()._rules()
         return replace(spec, observations=spec.observations[:2], rewards=(), terminations=(), memory=())
 
@@ -134,12 +132,12 @@ class BiWalk(TaskEnv, GoalBase):
         return float(reward) + done + stopped * get_task(self.task).unstable_penalty, done or stopped
 
     def _points(self, ago: int = 0) -> np.ndarray:
-        """Return the robot's points some steps ago, ``[2, points]``."""
+        """Return the robot's points a number of steps ago, ``[2, points]``."""
         engine = self._sim._engine
         return engine.positions(engine.time - ago, "robot").T
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        """Begin an episode with other goals; return the observation and an empty dictionary."""
+        """Begin an episode with new random goals; return the observation and an empty dictionary."""
         if seed is not None:
             self._random = random.Random(seed)
         self.set_random_goals(20, 50, 100)

@@ -1,4 +1,4 @@
-"""An environment of the benchmark, made from its :class:`warpvox.envs.spec.TaskSpec`."""
+"""Environment of a benchmark task, built from the task's :class:`warpvox.envs.spec.TaskSpec`."""
 
 import sys
 from typing import Any
@@ -18,7 +18,7 @@ __all__ = ["TaskEnv", "TimeLimit", "task_env"]
 
 
 class TaskEnv(BenchmarkBase):
-    """A task of the benchmark with the rules of the release; a subclass sets the id ``task``.
+    """A task of the benchmark under the release's rules; subclasses set the id ``task``.
 
     Observations are float64 ``[n]``. Actions ``[actuators]`` are target lengths of the actuators, row by row from the
     top of the body, in units of their rest length. An environment that has ended can be stepped further.
@@ -70,7 +70,7 @@ class TaskEnv(BenchmarkBase):
         return world
 
     def _state(self) -> Snapshot:
-        """Return the present state, cached until the simulation changes."""
+        """Return the quantities that terms read from the present state, cached until the simulation moves."""
         if not hasattr(self, "_terms"):  # a subclass may make its own world and call another base's __init__
             from warpvox.envs.adapters.single import RowTerms  # brings torch, which registering must not
 
@@ -88,13 +88,12 @@ class TaskEnv(BenchmarkBase):
         return self._terms.observe(now)
 
     def _judge(self, before: Snapshot, after: Snapshot, stopped: bool) -> tuple[float, bool]:
-        """Return the reward of a step, and whether the episode has ended with it."""
+        """Compute the reward of a step, and whether the episode terminates."""
         terms, ended = self._terms.judge(before, after, stopped)
         return sum(terms.values()), ended
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Do a control step; return observation, reward, terminated, False (gymnasium has the time limit), and no
-        infos.
+        """Do a control step; return observation, reward, terminated, truncated (always False) and an empty info.
 
         ArgumentError (a ValueError): another number of values than actuators.
         """
@@ -111,7 +110,7 @@ class TaskEnv(BenchmarkBase):
 
 
 class TimeLimit(wrappers.TimeLimit):
-    """gymnasium's TimeLimit that also has the environment's public attributes, such as ``env.sim`` and ``env.world``.
+    """gymnasium's TimeLimit that exposes the environment's public attributes, such as ``env.sim``.
 
     Wrappers of gymnasium before 1.0 did so, and scripts rely on it. It takes the place of the TimeLimit that
     ``gymnasium.make`` has put around the environment.
@@ -125,13 +124,13 @@ class TimeLimit(wrappers.TimeLimit):
         super().__init__(env, steps)
 
     def __getattr__(self, name: str) -> Any:
-        """Return a public attribute of the environment or its wrappers."""
+        """Return a public attribute of the wrapped environment."""
         if name.startswith("_"):  # private; and copying asks for such before there is an `env`
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
         return self.env.get_wrapper_attr(name)
 
     def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
-        """Set an attribute of this wrapper if it has it, else of the environment; return whether it was set."""
+        """Set an attribute of this wrapper if present, else of the environment; return success."""
         if name in vars(self):
             setattr(self, name, value)
             return True
@@ -139,7 +138,7 @@ class TimeLimit(wrappers.TimeLimit):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The environment's specification with this limit and wrapper, for ``gymnasium.make(env.spec)``."""
+        """Specification for ``gymnasium.make(env.spec)``, with this time limit."""
         fresh = self._cached_spec is None
         spec = super().spec
         if fresh and spec is not None:
@@ -148,7 +147,7 @@ class TimeLimit(wrappers.TimeLimit):
 
 
 def task_env(name: str, task: str, *bases: type, **constants: float) -> type:
-    """Return the class of a task: :class:`TaskEnv` and ``bases`` with these ``constants``, in the calling module."""
+    """Create the environment class of a task: :class:`TaskEnv` with further ``bases`` and class ``constants``."""
     module = sys._getframe(1).f_globals["__name__"]
     members = {"__module__": module, "__doc__": f"{task}: {get_task(task).summary}", "task": task, **constants}
     return type(name, (TaskEnv, *bases), members)

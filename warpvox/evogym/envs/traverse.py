@@ -21,16 +21,16 @@ __all__ = [
 
 
 class StairsBase(BenchmarkBase):
-    """Base of tasks on terrain named ``ground``; a subclass sets ``sight_dist``, how far to the sides it is seen."""
+    """Base class of tasks on a terrain ``ground``; subclasses set ``sight_dist``, the width of the view of it."""
 
     sight_dist: int
 
     def get_reward(self, robot_pos_init: np.ndarray, robot_pos_final: np.ndarray) -> float:
-        """Return how far the centre of mass of points ``[2, n]`` has moved along x."""
+        """Return the distance that the mean of points ``[2, n]`` moved along x."""
         return np.mean(robot_pos_final[0]) - np.mean(robot_pos_init[0])
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-        """Begin an episode; return velocity, orientation, points and floor of the robot, and an empty dictionary."""
+        """Begin an episode; return observed velocity, orientation, points and floor, and an empty dictionary."""
         super().reset(seed=seed, options=options)
         parts = [self.get_vel_com_obs("robot"), self.get_ort_obs("robot"), self.get_relative_pos_obs("robot")]
         return np.concatenate([*parts, self.get_floor_obs("robot", ["ground"], self.sight_dist)]), {}

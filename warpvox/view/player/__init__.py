@@ -1,4 +1,4 @@
-"""The browser player: a rollout as one self-contained page, which needs no network and no server.
+"""Browser player: a rollout as a self-contained HTML page.
 
 The page carries the rollout in two script elements that are not scripts. ``meta`` is JSON: the numbers below,
 the scenes and the colours. ``data`` is base64 of raw deflate of these little-endian arrays, one after the
@@ -35,7 +35,7 @@ from warpvox.types import ACTION_HIGH, ACTION_LOW, FRAME_SECONDS, MATERIALS, VOX
 from warpvox.view.scene import Scene
 
 MOST_NUMBERS = 1 << 28
-"""Coordinates of all points in all frames of a page, for which a browser takes about 2 GB."""
+"""Maximum number of coordinates in a page, over all points and frames; a browser needs about 2 GB for it."""
 
 
 def write_html(
@@ -45,7 +45,7 @@ def write_html(
     title: str | None = None,
     every: int = 1,
 ) -> Path:
-    """Write a rollout as a page that plays it in a browser; return the path.
+    """Write a rollout as an HTML page that plays it; return the path.
 
     Args:
         rollout: the :class:`warpvox.view.rollout.Rollout`; it shows itself by this module, which does not import it.
@@ -64,7 +64,7 @@ def write_html(
 
 
 def page_of(rollout: Any, envs: Sequence[int] | None = None, title: str | None = None, every: int = 1) -> str:
-    """Return the page that :func:`write_html` writes, as text."""
+    """Build the HTML page of :func:`write_html` as text."""
     chosen = rollout.check_envs(envs)
 
     # More than a browser can hold?
@@ -92,7 +92,7 @@ def page_of(rollout: Any, envs: Sequence[int] | None = None, title: str | None =
 
 
 def fill_template(template: str, values: Mapping[str, Any], **texts: str) -> str:
-    """Return a page made of ``template``: ``{{name}}`` becomes the text of that name, or its value as JSON."""
+    """Replace each ``{{name}}`` in an HTML template by a text or a value as JSON."""
     # one pass: what is filled in is not searched again; "<" could end the element that carries the text
     parts = texts | {
         name: json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -102,12 +102,12 @@ def fill_template(template: str, values: Mapping[str, Any], **texts: str) -> str
 
 
 def asset(name: str, package: str = __name__) -> str:
-    """Return a file of a package as text."""
+    """Read a text file of a package."""
     return files(package).joinpath(name).read_text(encoding="utf-8")
 
 
 def _page_data(rollout: Any, envs: list[int], scale: int, every: int) -> dict[str, Any]:
-    """Return everything that the page shows but the trajectories, as JSON values."""
+    """Collect everything that the page shows, except the trajectories, as JSON values."""
     designs = [int(rollout.design_index[env]) for env in envs]
     used = sorted(set(designs))
     known = {key: rollout.metadata.get(key) for key in ("rules", "physics", "agent", "seed", "iteration")}
@@ -147,13 +147,13 @@ def _page_data(rollout: Any, envs: list[int], scale: int, every: int) -> dict[st
 
 
 def _pack(rollout: Any, envs: list[int], every: int) -> tuple[int, bytes]:
-    """Return the steps of a simulator unit, and the trajectories in these steps as compressed bytes.
+    """Quantise and compress the trajectories; return the steps per simulator unit, and the bytes.
 
     Environments are read one by one, which takes little memory.
     """
 
     def track(env: int) -> np.ndarray:
-        """Return the shown positions of an environment, float64 ``[2 points, frames]``."""
+        """Return an environment's positions in the shown frames, float64 ``[2 points, frames]``."""
         shown = rollout.positions[::every, env, : rollout.scene(env).num_points]
         return shown.reshape(len(shown), -1).T.astype(np.float64)
 
@@ -175,7 +175,7 @@ def _pack(rollout: Any, envs: list[int], every: int) -> tuple[int, bytes]:
     steps = len(rollout.positions[::every]) - 1
 
     def arrays() -> Iterator[np.ndarray]:
-        """Yield the arrays that are compressed: first positions, rewards, then low and high bytes of the moves."""
+        """Yield the arrays to compress: initial positions, rewards, then low and high bytes of the moves."""
         yield from (np.rint(track(env)[:, 0] * scale).astype("<i4") for env in envs)
         for env in envs:  # from one shown frame to the next
             yield rollout.rewards[: steps * every, env].reshape(steps, every).sum(axis=1).astype("<f4")

@@ -1,4 +1,4 @@
-"""``import evogym`` of processes that a script has started; see :func:`warpvox.evogym.install`."""
+"""Stand-in that makes ``import evogym`` work in child processes; see :func:`warpvox.evogym.install`."""
 
 import sys
 
