@@ -16,7 +16,7 @@ FARTHEST = 8.0
 BLOCK = 1024
 """Rows per block when updating the moments; a block fits into a CPU's cache."""
 LEAST = 1e-4
-"""Minimum of standard deviations: 1/1000 of a voxel's side, or that per second for velocities."""
+"""Constant added to standard deviations: 1/1000 of a voxel's side, per second for velocities."""
 
 
 class VoxelNormalizer(nn.Module):

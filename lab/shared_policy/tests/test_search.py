@@ -1,4 +1,4 @@
-"""A search by one policy: what it learns goes on, a killed search repeats, and fitness is the policy's return."""
+"""Tests of the search by one policy: continued learning, resumption after a kill, and fitness."""
 
 from pathlib import Path
 from typing import Any
