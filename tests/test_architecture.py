@@ -210,13 +210,13 @@ def test_simulations_and_environments_are_used_by_their_public_methods() -> None
 
 
 CEILINGS = {
-    "tokens": 260_500,  # other names of arguments, where a setting belongs, objects in a line
+    "tokens": 264_750,  # PPO in few launches on CUDA, beside its formulas operation by operation
     "tokens a line of code": 10.65,
-    "names at module level": 1_645,
-    "public names at module level": 1_231,
-    "files that train may load": 148,  # the PPO of populations learns for train on CUDA
+    "names at module level": 1_656,
+    "public names at module level": 1_244,
+    "files that train may load": 151,  # the PPO of populations learns for train on CUDA
     "files in circles, types counted": 0,
-    "lines of tests": 26_600,
+    "lines of tests": 26_718,
     "patterns of sentences in tests": 36,
 }
 """How large the house may be. Lower a figure when a change has brought it down; a higher one needs a reason."""

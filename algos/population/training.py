@@ -18,6 +18,7 @@ from warpvox.algos.disturbance import as_judged
 from warpvox.algos.env_factory import EnvFactory
 from warpvox.algos.evaluate import evaluate
 from warpvox.algos.generators import Generators
+from warpvox.algos.ppo.fused import FusedPPO
 from warpvox.algos.ppo.iteration import Iteration
 from warpvox.algos.ppo.networks import PopulationActor, PopulationModel
 from warpvox.algos.ppo.population import PopulationPPO, Streams
@@ -114,7 +115,8 @@ class PopulationTraining:
         settings.pop("class_name")
         threads = self.env.env.sim.threads if device == "cpu" else 1
         streams = Streams(generators, device)
-        return PopulationPPO(actor, critic, storage, streams, threads=threads, device=device, **settings)
+        kind = PopulationPPO if device == "cpu" else FusedPPO
+        return kind(actor, critic, storage, streams, threads=threads, device=device, **settings)
 
     @property
     def num_designs(self) -> int:

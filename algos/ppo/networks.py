@@ -200,8 +200,14 @@ class PopulationModel(MLPModel):
         """Return the outputs ``[designs, rows, outputs]`` of the networks for normalised inputs."""
         if latent.device.type == "cpu" and type(self.activation) is nn.Tanh:
             return tanh_layers(latent, list(self.weights), list(self.biases))
-        last = len(self.weights) - 1
-        for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+        return self.run_layers(latent, list(self.weights), list(self.biases))
+
+    def run_layers(
+        self, latent: torch.Tensor, weights: Sequence[torch.Tensor], biases: Sequence[torch.Tensor]
+    ) -> torch.Tensor:
+        """Return the outputs ``[networks, rows, outputs]`` of layers with the model's activation between them."""
+        last = len(weights) - 1
+        for k, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
             latent = torch.baddbmm(bias, latent, weight)
             if k < last:
                 latent = self.activation(latent)

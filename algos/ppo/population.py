@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -14,13 +13,13 @@ from tensordict import TensorDict
 from torch import nn
 
 from warpvox.algos.policies.network import observations
+from warpvox.algos.ppo.adam import VectorAdam
 from warpvox.algos.ppo.networks import Normalizer, PopulationActor, PopulationModel, StackedGaussian
 from warpvox.algos.ppo.stock import PPO
+from warpvox.kernels.ppo import FASTEST, SLOWEST
 
 BLOCK = 16
-"""Most designs in one block of learning on the CPU: smaller blocks add overhead, larger ones leave threads idle."""
-SLOWEST, FASTEST = 1e-5, 1e-2
-"""Bounds of the learning rate in rsl-rl's adaptive schedule."""
+"""Most designs in one block of learning: smaller blocks add overhead, larger ones leave threads idle."""
 
 
 class Samples(NamedTuple):
@@ -50,6 +49,7 @@ class PopulationPPO(PPO):
         rates: float64 ``[designs]``, learning rates.
     """
 
+    adam: type[VectorAdam] = VectorAdam  # class of the optimiser
     actor: PopulationActor
     critic: PopulationModel
     optimizer: VectorAdam
@@ -66,7 +66,7 @@ class PopulationPPO(PPO):
     ) -> None:
         # rsl-rl would normalise advantages over all rows: `_shuffled` does it for each design
         super().__init__(actor, critic, storage, normalize_advantage_per_mini_batch=True, **settings)
-        self.optimizer = VectorAdam([actor, critic], self.adam_eps)
+        self.optimizer = self.adam([actor, critic], self.adam_eps)
         self.rates = torch.full((self.num_designs,), self.learning_rate, dtype=torch.float64, device=self.device)
         self.streams = streams
         self._pool = None
@@ -166,8 +166,7 @@ class PopulationPPO(PPO):
         self, rewards: torch.Tensor, time_outs: torch.Tensor, final_obs: TensorDict
     ) -> torch.Tensor:
         """Return the rewards plus the discounted values of final states where a time limit struck."""
-        # Checking first saves the forward pass of nearly all steps; on CUDA the check would wait for the device.
-        if time_outs.device.type == "cpu" and not bool(time_outs.any()):
+        if not bool(time_outs.any()):  # saves the forward pass of nearly all steps
             return rewards
         return rewards + self.gamma * self.critic(final_obs)[:, 0] * time_outs
 
@@ -217,16 +216,8 @@ class PopulationPPO(PPO):
         self.updates += 1
 
     def update(self) -> dict[str, torch.Tensor]:
-        """Run all epochs of an iteration; return the mean losses ``[designs]``, without waiting for the device.
-
-        Threads share the work block by block, so that their number changes no result.
-        """
-        data = self._shuffled()
-        count = -(-self.num_designs // BLOCK) if str(self.device) == "cpu" else 1
-        ends = [self.num_designs * k // count for k in range(count + 1)]
-        blocks = [slice(*pair) for pair in itertools.pairwise(ends)]
-        run = self._pool.map if self._pool else map
-        losses = torch.cat(list(run(lambda block: self._learn(block, data), blocks)), dim=1)
+        """Run all epochs of an iteration; return the mean losses ``[designs]``."""
+        losses = self._run_epochs(self._shuffled())
         if isinstance(self.actor.obs_normalizer, Normalizer):
             self.actor.obs_normalizer.update(self._samples(observations(self.actor, self.storage.observations)))
         self.storage.clear()
@@ -252,8 +243,19 @@ class PopulationPPO(PPO):
         designs = torch.arange(self.num_designs, device=self.device)
         return Samples(*(values[designs[:, None], order] for values in rows))
 
+    def _run_epochs(self, data: Samples) -> torch.Tensor:
+        """Run all epochs; return the means of value loss, surrogate loss and entropy, ``[3, designs]``.
+
+        Threads share the work block by block, so that their number changes no result.
+        """
+        count = -(-self.num_designs // BLOCK)
+        ends = [self.num_designs * k // count for k in range(count + 1)]
+        blocks = [slice(*pair) for pair in itertools.pairwise(ends)]
+        run = self._pool.map if self._pool else map
+        return torch.cat(list(run(lambda block: self._learn(block, data), blocks)), dim=1)
+
     def _learn(self, block: slice, data: Samples) -> torch.Tensor:
-        """Run all epochs of the designs in ``block``; return value loss, surrogate loss, entropy ``[3, designs]``."""
+        """Run all epochs of the designs in ``block``; return what :meth:`_run_epochs` returns for them."""
         actor = self.actor.part(block)
         critic = self.critic.part(block)
         size = data.returns.shape[1] // self.num_mini_batches
@@ -319,8 +321,7 @@ class PopulationPPO(PPO):
 
     def healthy(self) -> torch.Tensor:
         """Return a mask ``[designs]`` (bool) of the designs whose networks have only finite numbers."""
-        sums = [parameter.detach().sum((1, 2)) for parameter in self.optimizer.parameters]
-        return torch.isfinite(torch.stack(sums)).all(0)
+        return self.optimizer.finite()
 
     def keep(self, index: Sequence[int], obs: TensorDict) -> None:
         """Keep the designs with the indices ``index``, for observations like ``obs``; between updates only."""
@@ -334,89 +335,6 @@ class PopulationPPO(PPO):
         self.optimizer.keep(index, shapes)
         self.rates = self.rates[list(index)]
         self._use_storage(RolloutStorage("rl", envs * len(index), steps, obs, [max(self.actor.outputs)], self.device))
-
-
-FIRST, SECOND = 0.9, 0.999
-"""Decay rates of Adam's first and second moments per step: torch's defaults."""
-
-
-class VectorAdam:
-    """torch's Adam for stacked networks: one matrix holds the parameters, a row for each design.
-
-    A step is few operations. The parameters become views of that matrix.
-
-    Args:
-        networks: whose parameters learn; the first of three axes counts designs. The gradients of each network are
-            clipped separately.
-    """
-
-    def __init__(self, networks: Sequence[nn.Module], eps: float) -> None:
-        self._groups = [list(network.parameters()) for network in networks]
-        self.parameters = [parameter for group in self._groups for parameter in group]
-        self.steps = 0
-        self.eps = eps
-        self._bind()
-        self._means = torch.zeros_like(self._values)
-        self._squares = torch.zeros_like(self._values)
-        self._corrections = self._values.new_zeros((0, 2), dtype=torch.float64)
-
-    def moments(self) -> tuple[dict[torch.Tensor, torch.Tensor], dict[torch.Tensor, torch.Tensor]]:
-        """Return views of the first and second moments by parameter, in the parameters' shapes."""
-        shapes = [parameter.shape for parameter in self.parameters]
-        return dict(self._parts(self._means, shapes)), dict(self._parts(self._squares, shapes))
-
-    @staticmethod
-    def flat(tensors: Sequence[torch.Tensor]) -> torch.Tensor:
-        """Concatenate tensors with the shapes of :attr:`parameters` to a matrix with a row for each design."""
-        return torch.cat([tensor.flatten(1) for tensor in tensors], dim=-1)
-
-    def _bind(self) -> None:
-        """Copy the parameters into one matrix, and make them views of it."""
-        self._values = self.flat([parameter.detach() for parameter in self.parameters])
-        self._sizes = [sum(parameter[0].numel() for parameter in group) for group in self._groups]
-        for parameter, part in self._parts(self._values, [parameter.shape for parameter in self.parameters]):
-            parameter.data = part
-
-    def _parts(self, matrix: torch.Tensor, shapes: Sequence[torch.Size]) -> Iterator[tuple[nn.Parameter, torch.Tensor]]:
-        """Yield each parameter with the part of ``matrix`` that belongs to it, in the shape given."""
-        parts = matrix.split([shape[1:].numel() for shape in shapes], dim=-1)
-        return ((p, part.view(shape)) for p, part, shape in zip(self.parameters, parts, shapes, strict=True))
-
-    def prepare(self, count: int) -> None:
-        """Compute the bias corrections of the next ``count`` steps, for :meth:`descend`."""
-        numbers = range(self.steps + 1, self.steps + count + 1)
-        corrections = torch.tensor([[-(1 - FIRST**n), math.sqrt(1 - SECOND**n)] for n in numbers], dtype=torch.float64)
-        if len(self._corrections) != count:
-            self._corrections = self._corrections.new_zeros((count, 2))
-        self._corrections.copy_(corrections)
-        self.steps += count
-
-    @torch.no_grad()
-    def descend(self, gradient: torch.Tensor, limit: float, rate: torch.Tensor, number: int, rows: slice) -> None:
-        """Step ``rows`` along their gradients, clipped to a norm of ``limit`` for each network.
-
-        Args:
-            gradient: :meth:`flat`; overwritten.
-            rate: learning rates, float64, one for each row.
-            number: which of the steps it is that were prepared, from 0.
-            rows: the designs that the gradients are of. Threads may step different rows at the same time.
-        """
-        values, means, squares = (matrix[rows] for matrix in (self._values, self._means, self._squares))
-        for part in gradient.split(self._sizes, dim=-1):
-            part.mul_((limit / (torch.linalg.vector_norm(part, dim=-1, keepdim=True) + 1e-6)).clamp_(max=1.0))
-        means.lerp_(gradient, 1 - FIRST)
-        squares.mul_(SECOND).addcmul_(gradient, gradient, value=1 - SECOND)
-        # m / (sqrt(v / c) + eps) with both sides multiplied by the root of c, which saves a pass over the parameters
-        first, second = self._corrections[number]
-        factor = (first / (second * rate)).to(values.dtype)
-        values.addcdiv_(means, squares.sqrt().add_((self.eps * second).to(values.dtype)).mul_(factor[..., None]))
-
-    def keep(self, index: Sequence[int], shapes: Sequence[torch.Size]) -> None:
-        """Keep the designs with the indices ``index``; ``shapes``: of the parameters before they were cut."""
-        for name in ("_means", "_squares"):
-            parts = self._parts(getattr(self, name), shapes)
-            setattr(self, name, self.flat([part[list(index), : p.shape[1], : p.shape[2]] for p, part in parts]))
-        self._bind()
 
 
 class Streams:

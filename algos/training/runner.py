@@ -32,8 +32,8 @@ from warpvox.algos.expected import check_like
 from warpvox.algos.generators import Generators
 from warpvox.algos.interrupt import deferred_interrupts
 from warpvox.algos.metrics import Metrics, read_metrics
+from warpvox.algos.ppo.fused import FusedPPO
 from warpvox.algos.ppo.iteration import Iteration
-from warpvox.algos.ppo.population import PopulationPPO
 from warpvox.algos.ppo.stock import PPO, rsl_rl_config
 from warpvox.algos.settings import WIDEST, Ppo
 from warpvox.algos.training.bodies import Bodies
@@ -406,7 +406,7 @@ class Runner(OnPolicyRunner):
     def _make_iteration(self) -> Iteration:
         """Create an iteration on the device from the networks and optimiser state of ``alg``."""
         settings = {name: value for name, value in self.cfg["algorithm"].items() if name != "class_name"}
-        algorithm = PopulationPPO.in_place_of(self.alg, self.generators.on(self.device), **settings)
+        algorithm = FusedPPO.in_place_of(self.alg, self.generators.on(self.device), **settings)
         inner = self.env.env
         return Iteration(self.env, algorithm, None if inner.dump is not None else inner.capture)
 

@@ -6,7 +6,7 @@ import warp as wp
 
 from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import make_vec
-from warpvox.kernels import sensing
+from warpvox.kernels import ppo, sensing
 from warpvox.kernels.group import choose, group_kernel
 from warpvox.kernels.reset import reset_kernel, save, settle
 from warpvox.kernels.reverse import reverse_kernel
@@ -30,9 +30,12 @@ def kernels_of_steps(arithmetic, precision):
     ]
 
 
+LEARNING = [kernel for kernel in vars(ppo).values() if isinstance(kernel, wp.Kernel)]
+
+
 def kernels_of_cuda(arithmetic, precision):
-    """Every kernel that is launched on CUDA: those of steps and all sensing."""
-    return [*kernels_of_steps(arithmetic, precision), *sensing.KERNELS.values()]
+    """Every kernel that is launched on CUDA: those of steps, all sensing and learning."""
+    return [*kernels_of_steps(arithmetic, precision), *sensing.KERNELS.values(), *LEARNING]
 
 
 def build(kernel, architecture, folder):
@@ -54,8 +57,8 @@ def test_the_reverse_pass_becomes_ptx(precision, tmp_path):
     check([reverse_kernel(precision, 1)], tmp_path)
 
 
-def test_every_kernel_of_sensing_becomes_ptx(tmp_path):
-    check(sensing.KERNELS.values(), tmp_path)
+def test_every_kernel_of_sensing_and_learning_becomes_ptx(tmp_path):
+    check([*sensing.KERNELS.values(), *LEARNING], tmp_path)
 
 
 def check(kernels, tmp_path):

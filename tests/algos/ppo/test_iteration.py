@@ -69,7 +69,7 @@ def rows_of(runner: Runner) -> list[dict[str, float]]:
 
 def recorded(iteration: Iteration | None) -> bool:
     """True if iterations are replayed."""
-    return iteration is not None and iteration._graph is not None and bool(iteration._graph._recorded)
+    return iteration is not None and iteration.is_replayed
 
 
 def assert_same(one: Any, other: Any) -> None:
@@ -127,7 +127,7 @@ def test_captured_iterations_of_a_population_are_those_run_as_they_are(device: N
 def test_the_host_waits_once_an_iteration_and_never_within(cuda: SimulatedCuda) -> None:
     runner = make_runner("Walker-v0", True, {})
     runner.learn(4)
-    written = {("copy_", "warpvox.algos.ppo.population", "prepare"): 1}  # beforehand, when the device has nothing to do
+    written = {("copy_", "warpvox.algos.ppo.adam", "prepare"): 1}  # beforehand, when the device has nothing to do
     with cuda.watched() as waits:
         runner._iteration()
     assert waits == written

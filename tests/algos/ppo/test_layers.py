@@ -10,8 +10,9 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch import nn
 
+from warpvox.algos.ppo.adam import VectorAdam
 from warpvox.algos.ppo.networks import tanh_layers
-from warpvox.algos.ppo.population import PopulationPPO, VectorAdam
+from warpvox.algos.ppo.population import PopulationPPO
 
 SIZES = (5, 7, 6, 3)
 DESIGNS = 4
