@@ -182,7 +182,7 @@ class Archive(AbstractContextManager["Archive"]):
         _check_exists(path)
         lock = _lock_for_writing(path)
         try:
-            return cls(path, _checked(path), lock)
+            return cls(path, _open_checked(path), lock)
         except RunError:
             lock.close()
             raise
@@ -195,7 +195,7 @@ class Archive(AbstractContextManager["Archive"]):
             RunError: no archive, or a damaged or foreign one.
         """
         _check_exists(path)
-        db = _checked(path)
+        db = _open_checked(path)
         db.execute("PRAGMA query_only = ON")
         return cls(path, db, None)
 
@@ -224,7 +224,7 @@ class Archive(AbstractContextManager["Archive"]):
                 raise RunError(f"The next candidate must have the id {expected}, got {candidate.id}.")
             if any(not 0 <= parent < candidate.id for parent in candidate.parents):
                 raise RunError(f"Candidate {candidate.id} must descend from earlier ones, got {candidate.parents}.")
-        with self._writing() as db:
+        with self._write_transaction() as db:
             for item in candidates:
                 values = {
                     "id": item.id,
@@ -246,7 +246,7 @@ class Archive(AbstractContextManager["Archive"]):
             RunError: no such candidate, one that is evaluated already, a fitness or a value of the learning curve that
                 is not finite. StorageError: the file cannot be written.
         """
-        with self._writing() as db:
+        with self._write_transaction() as db:
             for result in results:
                 outcome = result.outcome
                 numbers = [value for _, value in outcome.curve]
@@ -277,7 +277,7 @@ class Archive(AbstractContextManager["Archive"]):
                     db.execute("INSERT INTO curves VALUES (?,?,?,?)", row)
 
     @contextmanager
-    def _writing(self) -> Iterator[sqlite3.Connection]:
+    def _write_transaction(self) -> Iterator[sqlite3.Connection]:
         """Run a write transaction within the block, and convert SQLite's errors to ours."""
         if self._lock is None:
             raise RunError(f"The archive {self.path} was opened for reading.")
@@ -299,7 +299,7 @@ class Archive(AbstractContextManager["Archive"]):
         Raises:
             RunError: there is no other to compare with. StorageError: the file cannot be written.
         """
-        with self._writing() as db:
+        with self._write_transaction() as db:
             query = "SELECT MIN(fitness) FROM candidates WHERE generation <= ? AND stopped < ?"
             worst = db.execute(query, (generation, DIVERGED)).fetchone()[0]
             change = "UPDATE candidates SET fitness = ? WHERE generation = ? AND stopped = ? AND fitness IS NULL"
@@ -331,7 +331,7 @@ class Archive(AbstractContextManager["Archive"]):
             raise RunError(f"{self.path} is damaged: its settings are {settings!r:.80}.")
         return settings
 
-    def _number(self, query: str) -> int:
+    def _select_number(self, query: str) -> int:
         """Return the single number that an SQL query selects."""
         with self._reading():
             return self._db.execute(query).fetchone()[0]
@@ -347,16 +347,16 @@ class Archive(AbstractContextManager["Archive"]):
 
     def count(self) -> int:
         """Count all candidates, evaluated or not."""
-        return self._number("SELECT COUNT(*) FROM candidates")
+        return self._select_number("SELECT COUNT(*) FROM candidates")
 
     def trained(self) -> int:
         """Count the evaluated designs, except copies of results for an equal body."""
-        return self._number("SELECT COUNT(*) FROM candidates WHERE stopped IS NOT NULL AND reused IS NULL")
+        return self._select_number("SELECT COUNT(*) FROM candidates WHERE stopped IS NOT NULL AND reused IS NULL")
 
     def finalists(self) -> int:
         """Count the evaluated finalists, which :meth:`trained` includes."""
         query = f"SELECT COUNT(*) FROM candidates WHERE stopped IS NOT NULL AND origin = '{FINALIST}'"
-        return self._number(query)
+        return self._select_number(query)
 
     def generations(self) -> list[dict[str, Any]]:
         """Summarise each generation in a row: generation, designs, evaluated, best, mean, worst, steps."""
@@ -589,7 +589,7 @@ def _check_exists(path: Path) -> None:
         raise RunError(f"There is no archive at {path}.{repair_hint(path)}")
 
 
-def _checked(path: Path) -> sqlite3.Connection:
+def _open_checked(path: Path) -> sqlite3.Connection:
     """Open a file and verify that it is an undamaged archive; RunError: it is not."""
     db = None
     try:

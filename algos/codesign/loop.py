@@ -131,8 +131,8 @@ class Loop:
         """Store new ``candidates``; RunError if a resumed search proposes others than before."""
         stored = self.archive.records(self.generation)
         if stored:
-            proposed = [_identity(candidate) for candidate in candidates]
-            if proposed != [_identity(record.candidate) for record in stored]:
+            proposed = [_reproducible_parts(candidate) for candidate in candidates]
+            if proposed != [_reproducible_parts(record.candidate) for record in stored]:
                 raise RunError(
                     f"The search now proposes other designs for generation {self.generation} than the archive holds: it"
                     " was made on another machine, by another version of warpvox or of the library that the search"
@@ -242,7 +242,7 @@ class Loop:
         return parents
 
 
-def _identity(candidate: Candidate) -> tuple[int, str, tuple[int, ...], str]:
+def _reproducible_parts(candidate: Candidate) -> tuple[int, str, tuple[int, ...], str]:
     """Return the parts of a candidate that a resumed search must reproduce."""
     return candidate.id, body_text(candidate.body), tuple(candidate.parents), candidate.origin
 

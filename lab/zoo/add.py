@@ -156,9 +156,9 @@ def facts(source: Path) -> dict[str, Any]:
 
     config = {name: value for name, value in config.items() if name not in ("output_dir", "name")}
     if config.get("pretrained"):
-        config["pretrained"] = _end(config["pretrained"])
+        config["pretrained"] = _path_end(config["pretrained"])
     if config.get("start"):
-        config["start"] = [text if ":" in text else _end(text) for text in config["start"]]
+        config["start"] = [text if ":" in text else _path_end(text) for text in config["start"]]
     return about | {"command": command_of(config), "config": config}
 
 
@@ -203,7 +203,7 @@ def _differences(config: dict[str, Any], usual: dict[str, Any], prefix: str = ""
             yield f"{prefix}{name}={json.dumps(value, separators=(',', ':'))}"
 
 
-def _end(path: str) -> str:
+def _path_end(path: str) -> str:
     """Return the last parts of a path that are meaningful on another machine."""
     return "/".join(Path(path).parts[-3:])
 
