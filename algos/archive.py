@@ -57,8 +57,8 @@ class Record:
     """A row of the archive: a candidate, and its result once evaluated.
 
     ``fitness`` and the fields after it are None until then. ``reused`` is the id of the earlier candidate with an equal
-    body whose result was copied; ``policy`` is a path relative to the archive's folder; ``seconds`` the wall time since
-    the previous batch ended, which is that of its own batch unless several are evaluated at a time. ``diverged``:
+    body whose result was copied; ``policy_file`` is a path relative to the archive's folder; ``seconds`` the wall time
+    since the previous batch ended, which is that of its own batch unless several are evaluated at a time. ``diverged``:
     learning gave no evaluation; once its generation is complete, ``fitness`` is set to the worst of all others so far
     (:meth:`Archive.rank_diverged`). ``folder`` is that of the archive.
     """
@@ -69,7 +69,7 @@ class Record:
     steps: int | None = None
     stopped: bool | None = None
     reused: int | None = None
-    policy: str | None = None
+    policy_file: str | None = None
     policy_sha256: str | None = None
     seconds: float | None = None
     curve: list[tuple[int, float]] = field(default_factory=list)
@@ -100,9 +100,9 @@ class Record:
         Raises:
             RunError: none was kept.
         """
-        if self.folder is None or self.policy is None:
+        if self.folder is None or self.policy_file is None:
             raise RunError(f"Design {self.id} has no policy that was kept.")
-        return (self.folder / self.policy).parent
+        return (self.folder / self.policy_file).parent
 
     @property
     def finished(self) -> bool:
@@ -117,11 +117,11 @@ class Record:
 
 @dataclass(frozen=True)
 class Finished:
-    """Result to store for the candidate ``id``; ``policy`` and ``policy_sha256`` as in :class:`Record`."""
+    """Result to store for the candidate ``id``; ``policy_file`` and ``policy_sha256`` as in :class:`Record`."""
 
     id: int
     outcome: Outcome
-    policy: str | None = None
+    policy_file: str | None = None
     policy_sha256: str | None = None
     reused: int | None = None
 
@@ -261,7 +261,7 @@ class Archive(AbstractContextManager["Archive"]):
                     "steps": int(outcome.steps),
                     "stopped": DIVERGED if outcome.diverged else int(outcome.stopped),
                     "reused": result.reused,
-                    "policy": result.policy,
+                    "policy": result.policy_file,
                     "policy_sha256": result.policy_sha256,
                     "finished_at": _now(),
                     "seconds": seconds,
@@ -439,7 +439,7 @@ class Archive(AbstractContextManager["Archive"]):
             item = record.candidate
             row = [item.id, item.generation, body_text(item.body), item.parents, item.origin, record.seed]
             row += [record.fitness, record.steps, record.stopped, record.reused]
-            row += [record.policy, record.policy_sha256, record.curve]
+            row += [record.policy_file, record.policy_sha256, record.curve]
             total.update(json.dumps(row).encode())
         return total.hexdigest()
 
@@ -474,6 +474,7 @@ def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, 
     body = as_grid(parse_json(row["body"]))
     candidate = Candidate(number, body, tuple(parents), row["origin"], row["generation"])
     known = {name: row[name] for name in _KINDS if name in Record.__dataclass_fields__}
+    known["policy_file"] = row["policy"]
     known["stopped"] = None if stopped is None else bool(stopped)
     known["diverged"] = stopped == DIVERGED
     return Record(candidate, **known, curve=curve)

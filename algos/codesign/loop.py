@@ -225,7 +225,7 @@ class Loop:
         # 0 steps, because none were simulated: all steps must sum to the cost of the experiment
         fitness = -math.inf if record.diverged else cast(float, record.fitness)
         outcome = Outcome(fitness, steps=0, stopped=bool(record.stopped))
-        return Finished(number, outcome, record.policy, record.policy_sha256, reused=original)
+        return Finished(number, outcome, record.policy_file, record.policy_sha256, reused=original)
 
     def _parents(self, work: Sequence[Batch]) -> Parents:
         """Load the parents of the candidates in ``work`` with their policies; empty without inheritance."""
@@ -236,8 +236,8 @@ class Loop:
         for number in sorted(numbers):
             record = self.archive.record(number)
             # Earlier generations only: a resumed search would know more policies of its own than an uninterrupted one.
-            if record.policy is not None and record.candidate.generation < self.generation:
-                policy = self.policies.load(record.policy)
+            if record.policy_file is not None and record.candidate.generation < self.generation:
+                policy = self.policies.load(record.policy_file)
                 parents[number] = Parent(record.candidate.body, policy, cast(float, record.fitness))
         return parents
 

@@ -94,7 +94,7 @@ def check_archive(run: Path, whole: Path) -> None:
                     twin.curve,
                     twin.policy_sha256,
                 )
-                policy = load_checkpoint(run / record.policy)["actor_state_dict"]
+                policy = load_checkpoint(run / record.policy_file)["actor_state_dict"]
                 assert policy_sha256(policy) == record.policy_sha256
 
 
