@@ -192,7 +192,7 @@ class Simulation(Sensing):
             self._take.launch()
 
     def run(self, launches: Sequence[Recorded]) -> None:
-        """Launch recorded kernels that move points, each on its share of the packs, in parallel threads."""
+        """Launch recorded kernels that move points, in parallel threads, each for a share of the environments."""
         jobs = [self._pool.submit(launch.launch) for launch in launches[1:]]
         launches[0].launch()
         for job in jobs:
@@ -204,7 +204,7 @@ class Simulation(Sensing):
         self._pool = ThreadPoolExecutor(self.threads)
 
     def record_shares(self, record: Callable[[int, int], Recorded]) -> list[Recorded]:
-        """Split the packs into one share per thread, and record a command for each share.
+        """Record a kernel launch for each thread, over an equal share of the environments.
 
         On the CPU a launch runs on one core and lets go of the GIL: each thread gets a share of the packs.
         """

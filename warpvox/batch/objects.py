@@ -123,7 +123,7 @@ class Objects:
         return counts
 
     def _most_points(self) -> dict[str, int]:
-        """Return, by name, the largest number of points of an object over all worlds, or up to ``batch.grid``."""
+        """Return, by object name, the largest number of points in any world or in any body that ``grid`` allows."""
         moving = self.point_range[self._example]
         counts = (moving[..., 1] - moving[..., 0]).amax(0).tolist()
         most: dict[str, int] = dict(zip(self.names, counts, strict=True))
