@@ -37,10 +37,10 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
     if (folder / ARCHIVE).is_file():
         with Archive.read(folder / ARCHIVE) as archive:
             as_now(archive.settings, folder)
-            best = [record for record in archive.best() if record.policy is not None]
+            best = [record for record in archive.best() if record.policy_file is not None]
         if not best:
             raise RunError(f"The design search {folder} has no design with a policy yet.")
-        path = folder = (folder / str(best[0].policy)).parent
+        path = folder = (folder / str(best[0].policy_file)).parent
     return Run(folder, _config_of(folder, "train"), path if path.is_file() else None)
 
 

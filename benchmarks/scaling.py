@@ -1,4 +1,4 @@
-"""Larger bodies, more environments, more threads, exact arithmetic, different bodies.
+"""Scaling with larger bodies, more environments, more threads, exact arithmetic and different bodies.
 
     python benchmarks/scaling.py --sizes 5 10 15 20 25 30 35 --bodies 3 --simulated 2
 
@@ -33,9 +33,9 @@ import warpvox as wv
 STEPS_PER_SECOND = 50
 """Control steps of a simulated second (section A.2)."""
 CHECK_STEPS = 20
-"""Steps over which large bodies are compared with EvoGym: the more contacts, the earlier round-off is amplified."""
+"""Steps over which large bodies are compared with EvoGym; contacts amplify round-off."""
 ALONE = 4
-"""Random bodies that are measured one in all environments, beside different ones."""
+"""Number of random bodies measured in batches of one body, for comparison with mixed batches."""
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def scale_bodies(args: argparse.Namespace, report: Report) -> None:
-    """Rates of robots of each size: one at a time, in EvoGym, and in a batch."""
+    """Measure robots of each size: one environment, EvoGym, and a batch."""
     headings = ["robots", "voxels", "steps/s", "reference", "ratio", "in a batch", "batch of", "ratio"]
     rows = []
     with open_reference(args) as reference:
@@ -72,7 +72,7 @@ def scale_bodies(args: argparse.Namespace, report: Report) -> None:
 
 
 def scale_body(args: argparse.Namespace, side: int, reference: Reference | None) -> list[Any]:
-    """The row of a size."""
+    """Measure one size and return the table row."""
     # Independent voxels of a large grid are hardly ever connected: then bodies are full.
     kind = "sampled"
     try:
@@ -111,7 +111,7 @@ def scale_body(args: argparse.Namespace, side: int, reference: Reference | None)
 
 
 def scale_envs(args: argparse.Namespace, report: Report) -> None:
-    """Rates by number of environments; what does not fit into memory is left out."""
+    """Measure rates by number of environments; what does not fit into memory is skipped."""
     body = wv.load_design(args.design)
     rows = []
     for count in report.in_time(args.envs):
@@ -127,7 +127,7 @@ def scale_envs(args: argparse.Namespace, report: Report) -> None:
 
 
 def scale_threads(args: argparse.Namespace, report: Report) -> None:
-    """One thread and all cores: control steps per second."""
+    """Measure control steps per second with one thread and with all cores."""
     body = wv.load_design(args.design)
     batches = [Batch(args, [body], threads=threads) for threads in (1, None)]
     found = alternate({str(batch.env.sim.threads): batch.random_rate for batch in batches}, args.repeats)
@@ -137,7 +137,7 @@ def scale_threads(args: argparse.Namespace, report: Report) -> None:
 
 
 def compare_arithmetic(args: argparse.Namespace, report: Report) -> None:
-    """Fast and exact arithmetic: control steps per second."""
+    """Measure control steps per second in fast and exact arithmetic."""
     body = wv.load_design(args.design)
     cases = {
         "fast, float32": {},
@@ -154,7 +154,7 @@ def compare_arithmetic(args: argparse.Namespace, report: Report) -> None:
 
 
 def mix_bodies(args: argparse.Namespace, report: Report) -> None:
-    """A different body in every environment, beside one body in all; and the exchange of some bodies."""
+    """Measure a batch of different bodies, one of equal bodies, and the exchange of some bodies."""
     count = args.num_envs
     bodies = sampled_bodies(5, count, args.seed)
     cases = {f"body {k} in all": [body] for k, body in enumerate(bodies[:ALONE])}

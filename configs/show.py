@@ -19,7 +19,7 @@ _OWN_TASK = "For a run of a task of your own: its code, file.py:NAME"
 
 @dataclass
 class _PolicyConfig(Settings):
-    """Keys shared by play, export and evaluate; as first base class, they are listed last."""
+    """Keys shared by play, export and evaluate, listed after each command's own."""
 
     stochastic: bool = key(False, "sample actions from the policy as in training, instead of taking their mean")
     policy: str | None = key(

@@ -66,7 +66,7 @@ BESIDE = {
     "Design search": (
         *("configs.composition.settings_named", "algos.report.members.read_members"),
         *("algos.report.members.SearchResult", "algos.archive.Archive", "algos.archive.Record"),
-        "algos.archive.Finished",
+        *("algos.archive.Finished", "algos.codesign.results.FoundDesign"),
     ),
     "Searches of one's own": ("algos.search.base.BaseSearch", "algos.candidate.Candidate", "algos.candidate.Outcome"),
 }

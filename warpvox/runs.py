@@ -158,7 +158,7 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
     made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
     folder = _make_folder(parent, stamp, "".join(f"_{part}" for part in (name, label.get()) if part))
     try:
-        with _going_on(folder, config):
+        with _open_folder(folder, config):
             yield folder
     except BaseException:
         found = [file.name for file in folder.glob("*.*") if file.suffix in (".pt", ".npz", ".json", ".sqlite")]
@@ -226,10 +226,10 @@ def run_folder(
     Args:
         place: of a new one; None: it lies in ``output_dir`` and is named by the time.
         known: files that may be there, of a run that was stopped when it began, besides what it left half written.
-        check: of a run that is resumed: see :func:`_going_on`.
+        check: of a run that is resumed: see :func:`_open_folder`.
     """
     if folder is not None:
-        return _going_on(folder, text, check)
+        return _open_folder(folder, text, check)
     if place is None:
         return new_folder(config.output_dir, command, config.task, config.name, text)
     if place.exists() and not (
@@ -238,11 +238,11 @@ def run_folder(
         raise RunError(f"{place} exists already: name another folder, or resume={place} to go on with a run.")
     check_encodable(place)
     place.mkdir(parents=True, exist_ok=True)
-    return _going_on(place, text)
+    return _open_folder(place, text)
 
 
 @contextmanager
-def _going_on(folder: Path, config: str, check: Callable[[], object] = lambda: None) -> Iterator[Path]:
+def _open_folder(folder: Path, config: str, check: Callable[[], object] = lambda: None) -> Iterator[Path]:
     """Lock a run's folder, remove unfinished files, write ``config.yaml``, and yield the folder.
 
     ``check``: called before anything is written; until then another process may have gone on with the run.

@@ -130,7 +130,7 @@ class Results(Listener):
         user has named.
         """
         for one in self.archive.best(self.settings.top):
-            policy = self.folder / str(one.policy)
+            policy = self.folder / str(one.policy_file)
             file = policy.with_name(FILM)
             if file.is_file() or not policy.is_file():
                 continue
@@ -155,7 +155,7 @@ def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
     """
     if settings.protocol == NOMINAL and not get_task(settings.task).under(settings.rules).is_random:
         return {}
-    if not any(best.policy for best in results.archive.best()):
+    if not any(best.policy_file for best in results.archive.best()):
         return {}
     seed = 1000 + (settings.seed == 1000)  # not the seed that the search compared its designs with
     device = settings.device if settings.executor == "local" else "cpu"
@@ -177,6 +177,27 @@ def evaluated_text(summary: Mapping[str, Any]) -> str:
     return f"{text} and {counted(finalists, 'finalists')}" if finalists else text
 
 
+@dataclass(frozen=True, repr=False)
+class FoundDesign(Record):
+    """A design of a finished search, with its policy.
+
+    ``kept`` keeps a temporary folder of the search alive.
+    """
+
+    kept: Any = dataclasses.field(default=None, compare=False)
+
+    @property
+    def policy(self) -> Policy:
+        """Policy of the design, on the CPU; see :func:`warpvox.load_policy`.
+
+        Raises:
+            RunError: none was kept.
+        """
+        from warpvox.algos.training.loading import load_policy
+
+        return load_policy(self)
+
+
 @dataclass(frozen=True)
 class Found:
     """Result of a finished design search.
@@ -194,16 +215,17 @@ class Found:
     kept: Any = dataclasses.field(default=None, repr=False)
 
     @cached_property
-    def designs(self) -> list[Record]:
-        """Evaluated designs, best first: body, fitness, learning curve, ancestors.
+    def designs(self) -> list[FoundDesign]:
+        """Evaluated designs, best first: body, policy, fitness, learning curve, ancestors.
 
         Equal bodies come once, but for a finalist and the design that it comes from.
         """
         with Archive.read(self.folder / ARCHIVE) as archive:
-            return archive.best(max(1, archive.count()), with_parents=True)
+            records = archive.best(max(1, archive.count()), with_parents=True)
+        return [FoundDesign(**vars(record), kept=self.kept) for record in records]
 
     @property
-    def best(self) -> Record:
+    def best(self) -> FoundDesign:
         """Design with the best fitness."""
         return self.designs[0]
 
@@ -220,7 +242,7 @@ class Found:
     @property
     def policy(self) -> Policy:
         """Policy of the best design, on the CPU; see :func:`warpvox.load_policy`."""
-        return self.policy_of(self.best.id)
+        return self.best.policy
 
     def policy_of(self, design: int, device: str = "cpu") -> Policy:
         """Load the policy of the design with the id ``design``."""

@@ -108,7 +108,7 @@ class Fitness(Settings):
         return None
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        """Return the largest simulated batches, for memory estimates; empty: unknown."""
+        """Return the sizes of the largest simulated batches, for memory estimates; empty: unknown."""
         return []
 
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:

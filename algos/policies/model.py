@@ -16,7 +16,7 @@ FARTHEST = 8.0
 BLOCK = 1024
 """Rows per block when updating the moments; a block fits into a CPU's cache."""
 LEAST = 1e-4
-"""Minimum of standard deviations: 1/1000 of a voxel's side, or that per second for velocities."""
+"""Constant added to standard deviations: 1/1000 of a voxel's side, per second for velocities."""
 
 
 class VoxelNormalizer(nn.Module):
@@ -44,11 +44,11 @@ class VoxelNormalizer(nn.Module):
         deviation = self.var.sqrt() + LEAST
         moving = features[..., :MOVING].sub_(self.mean[:MOVING]).div_(deviation[:MOVING])
         moving.clamp_(-FARTHEST, FARTHEST).mul_(present)
-        rest = (self._rest(obs) - self.mean[MOVING:]) / deviation[MOVING:]
+        rest = (self._between_grid_and_time(obs) - self.mean[MOVING:]) / deviation[MOVING:]
         rest = [rest.clamp_(-FARTHEST, FARTHEST), *([self.inputs.clock(obs[:, -1:])] if self.layout.timed else [])]
         return torch.cat([features.flatten(1), *rest, actions.to(obs.dtype), kinds], dim=1)
 
-    def _rest(self, obs: torch.Tensor) -> torch.Tensor:
+    def _between_grid_and_time(self, obs: torch.Tensor) -> torch.Tensor:
         """Return the observations between the grid and the time."""
         last = obs.shape[1] - int(self.layout.timed)
         return obs[:, last - self.layout.scaled : last]
@@ -73,7 +73,7 @@ class VoxelNormalizer(nn.Module):
         """Return sums and sums of squares of scaled entries, number of voxels and number of rows, float64."""
         features, present, _, _ = self.inputs(obs)
         moving = features[..., :MOVING]
-        rest = self._rest(obs)
+        rest = self._between_grid_and_time(obs)
         sums = torch.cat([moving.sum((0, 1)), rest.sum(0), moving.square().sum((0, 1)), rest.square().sum(0)])
         return torch.cat([sums.double(), present.sum().double()[None], sums.new_full((1,), len(obs)).double()])
 

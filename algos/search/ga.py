@@ -67,6 +67,6 @@ class GeneticSearch(BaseSearch):
         return [self.mutant(rng, survivors, self.settings.mutation_rate) for _ in range(count)]
 
     def learn(self, candidates: Sequence[Candidate], fitness: Sequence[float]) -> None:
-        """Reduce the population to the survivors and their mutants."""
+        """Set the population to the survivors and the new candidates."""
         kept = self.survivors() if self.generation else []
         self.population = kept + [candidate.id for candidate in candidates]

@@ -82,7 +82,7 @@ def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) 
             assert record.fitness == max(value for _, value in record.curve)
             stored = yaml.safe_load((folder / "designs" / str(record.id) / "config.yaml").read_text())
             assert stored["design"] == record.candidate.body.tolist()
-            read_policy(folder / record.policy)
+            read_policy(folder / record.policy_file)
         pictures = sorted((folder / "generations").iterdir())
         assert [file.name for file in pictures] == [f"{row['generation']:03}.png" for row in archive.generations()]
     assert {Image.open(file).format for file in pictures} == {"PNG"}

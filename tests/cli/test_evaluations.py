@@ -91,7 +91,7 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
     gaits = "fitness=gaits fitness.gaits=8 fitness.rounds=1 fitness.final_rounds=2 dtype=float64".split()
     first = search(warpvox, *gaits, ROUNDS)
     (robot,) = robots_of(first)
-    bodies = {record.candidate.body.tobytes() for record in records_of(first) if record.policy is not None}
+    bodies = {record.candidate.body.tobytes() for record in records_of(first) if record.policy_file is not None}
     assert len(robots_of(first, top=99)) == len(bodies)  # of a finalist and the design that it was: the better one
     file = save_robot("mine/Walker-v0.npz", robot)
     value = judge(robot).mean_return

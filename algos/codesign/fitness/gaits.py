@@ -81,7 +81,7 @@ class Gaits(Specialist):
         return first * steps, self.finalists * (last * steps + search.training.steps_of_design(self.finalists))
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        """Return the largest batches of the finalists' trainings, of the gaits, and of the finalists' gaits."""
+        """Return the sizes of the largest simulated batches, for memory estimates: trainings and gaits."""
         first = {"fitness.gaits": self.gaits, "fitness.beam": self.beam if self.passes else 1}
         last = {"fitness.final_gaits": self._final_gaits}
         last["fitness.final_beam"] = self.final_beam if self.final_passes else 1

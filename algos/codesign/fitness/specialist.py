@@ -41,7 +41,7 @@ class Specialist(Fitness):
         return search.training.steps_of_design(search.search.population), 0
 
     def workloads(self, search: Codesign) -> list[Workload]:
-        """Return the largest batches of training and evaluation, of a generation or of the finalists."""
+        """Return the sizes of the largest simulated batches, for memory estimates."""
         training = search.training
         count = self.finalists or search.search.population
         together = min(search.batch or count, count)

@@ -1,4 +1,4 @@
-"""A search by one policy: what it learns goes on, a killed search repeats, and fitness is the policy's return."""
+"""Tests of the search by one policy: continued learning, resumption after a kill, and fitness."""
 
 from pathlib import Path
 from typing import Any
@@ -62,4 +62,4 @@ def test_a_search_ends_with_finalists(tmp_path: Path) -> None:
     ranked = sorted(found.designs, key=lambda record: -record.fitness)
     trained = {record.candidate.body.tobytes() for record in finals.designs}
     assert trained == {record.candidate.body.tobytes() for record in ranked[:2]}
-    assert finals.best.policy is not None
+    assert finals.best.policy_file is not None

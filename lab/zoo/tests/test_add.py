@@ -1,4 +1,4 @@
-"""Entries of the zoo from trainings and searches: what they record, and which are replaced."""
+"""Tests of adding robots to the zoo: recorded facts, and replaced entries."""
 
 import dataclasses
 import shlex

@@ -75,7 +75,9 @@ def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_p
     assert np.array_equal(found.best.body, found.design)
     assert found.best.fitness == found.summary["best_fitness"] == found.curve["best"][-1]
     env = wv.make_vec("Walker-v0", found.best.candidate.body, 2, device="cpu")
-    assert found.policy(env.reset()[0]).shape == (2, env.num_actions)
+    obs = env.reset()[0]
+    assert torch.equal(found.best.policy(obs), found.policy(obs))
+    assert found.policy(obs).shape == (2, env.num_actions)
     assert f"{found.best.fitness:.3f}" in found._repr_html_()
     assert len(wv.evaluate(found, episodes=1, device="cpu")) == 1
     warpvox(*tiny("codesign", "seed=3", "batch=2"))
