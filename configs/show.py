@@ -131,8 +131,8 @@ class _EvaluationConfig(Settings):
     )
     protocol: str = key(
         NOMINAL,
-        "episodes: undisturbed (nominal), with noise on the actions (noise), with repeated actions (sticky), with"
-        " random actions at the beginning (start), with noise on the observations (sensors), or all of these (robust)",
+        "disturbance of the episodes: nominal (none), noise (on the actions), sticky (repeated actions), start (random"
+        " actions at the beginning), sensors (noise on the observations), robust (all of these)",
         choices=tuple(PROTOCOLS),
     )
     seed: int = key(

@@ -244,13 +244,6 @@ class Found:
         """Policy of the best design, on the CPU; see :func:`warpvox.load_policy`."""
         return self.best.policy
 
-    def policy_of(self, design: int, device: str = "cpu") -> Policy:
-        """Load the policy of the design with the id ``design``."""
-        from warpvox.algos.training.loading import load_policy
-
-        with Archive.read(self.folder / ARCHIVE) as archive:
-            return load_policy(archive.record(design), device=device)
-
     @property
     def curve(self) -> dict[str, np.ndarray]:
         """Progress of the search, ``[n]`` each: ``evaluations`` and ``steps`` (int64), ``best`` return (float64).

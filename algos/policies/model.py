@@ -15,8 +15,6 @@ FARTHEST = 8.0
 """Clipping limit of scaled inputs, in standard deviations."""
 BLOCK = 1024
 """Rows per block when updating the moments; a block fits into a CPU's cache."""
-LEAST = 1e-4
-"""Constant added to standard deviations: 1/1000 of a voxel's side, per second for velocities."""
 
 
 class VoxelNormalizer(nn.Module):
@@ -41,7 +39,7 @@ class VoxelNormalizer(nn.Module):
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Compute a network's inputs from observations ``[rows, num_obs]``, then actuator order and kinds."""
         features, present, actions, kinds = self.inputs(obs)
-        deviation = self.var.sqrt() + LEAST
+        deviation = self.var.sqrt() + 1e-4  # 1/1000 of a voxel's side, for velocities per second
         moving = features[..., :MOVING].sub_(self.mean[:MOVING]).div_(deviation[:MOVING])
         moving.clamp_(-FARTHEST, FARTHEST).mul_(present)
         rest = (self._between_grid_and_time(obs) - self.mean[MOVING:]) / deviation[MOVING:]

@@ -86,9 +86,9 @@ class BO(SearchSettings):
 
     acquisition: str = key(
         "pathwise",
-        "how designs are proposed: pathwise (hill climbing on samples of the posterior, over valid designs),"
-        " paper (expected improvement by L-BFGS, then voxel by voxel over new valid designs), lbfgs (expected"
-        " improvement by L-BFGS alone)",
+        "how designs are proposed: pathwise (hill climbing on posterior samples, over valid designs); paper (expected"
+        " improvement by L-BFGS, then voxel by voxel over new valid designs); lbfgs (expected improvement by L-BFGS"
+        " alone)",
         choices=("pathwise", "paper", "lbfgs"),
     )
     # Limits: the fit cannot start from its own bounds (see ``_make_model`` in ``bo_acquire.py``).

@@ -38,8 +38,8 @@ class Designs(Settings):
     )
     refresh: str = key(
         "none",
-        "what replaces a body at the end of its episode: nothing (none), a new random body (new), any of the"
-        " bodies (random), or any of them, more often those on which the policy does worse (performance)",
+        "what replaces a body after its episode: none (nothing), new (a new random body), random (any of the bodies),"
+        " performance (bodies with low returns more often)",
         choices=REFRESH,
     )
     held_out: Any = key(
@@ -65,9 +65,9 @@ class Training(Settings):
     task: str = key("Walker-v0", TASK)
     design: Any = key(
         "walker",
-        "body: the name of an example, auto (the example made for the task), random, random:5x7, zoo:TASK (in this"
-        " task, unless task is given), a file or folder with a body, or rows of cells;"
-        " for a task with several robots {name:body}",
+        "body: an example's name, auto (the example for the task), random, random:5x7, zoo:TASK, a file or folder with"
+        " a body, or rows of cells; zoo:TASK also sets the task unless task is given; for a task with several robots"
+        " {name:body}",
     )
     rules: str = key("evogym", RULE_SETS, choices=RULES)
     policy: str = key(

@@ -58,7 +58,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def copied(made: Path, warpvox: Callable) -> Path:
-    """A copy of it in the folder where commands are run."""
     return Path(shutil.copytree(made, Path("outputs/codesign/Walker-v0") / made.name))
 
 

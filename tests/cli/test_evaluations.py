@@ -52,7 +52,6 @@ def records_of(folder: Path) -> list[Record]:
 
 
 def played(warpvox: Callable, run: Path | str, episodes: int = 2) -> float:
-    """The mean return of a design's policy."""
     before = set(Path("outputs").glob("play/*/*"))
     warpvox("play", f"run={run}", f"num_envs={episodes}", "export=[]", "device=cpu")
     (folder,) = set(Path("outputs").glob("play/*/*")) - before

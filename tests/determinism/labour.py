@@ -42,7 +42,6 @@ def sha(content: bytes) -> str:
 
 
 def command(name: str, words: str, threads: int) -> Path:
-    """Run a command; returns the folder that it has made."""
     before = set(Path("outputs").glob(f"{name}/*/*"))
     if main([name, *words.split(), f"threads={threads}"]) != 0:
         raise SystemExit(f"warpvox {name} has failed")

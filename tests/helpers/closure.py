@@ -8,7 +8,6 @@ from packaging.requirements import Requirement
 
 
 def canonical(name: str) -> str:
-    """Normalise a distribution's name as package indexes do."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 

@@ -105,15 +105,11 @@ class ToyEvaluator:
 
 
 class Judge(ToyEvaluator):
-    """Evaluator without policies."""
-
     def evaluate(self, *given: Any) -> list[Outcome]:
         return [dataclasses.replace(outcome, policy=None) for outcome in super().evaluate(*given)]
 
 
 class ToyStore:
-    """Store of policies as JSON files."""
-
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 

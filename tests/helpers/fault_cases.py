@@ -113,5 +113,4 @@ WHEN_DONE = {"train": check_training, "codesign": check_search}
 
 
 def has_begun(run: Path) -> bool:
-    """Return whether a run can be resumed."""
     return (run / "state.pt").is_file() or (run / FILE).is_file()

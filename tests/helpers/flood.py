@@ -4,7 +4,6 @@ import numpy as np
 
 
 def pieces(body: np.ndarray) -> int:
-    """Collect the groups of connected filled cells."""
     left = set(zip(*np.nonzero(body), strict=True))
     count = 0
     while left:

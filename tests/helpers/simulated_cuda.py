@@ -141,8 +141,6 @@ class _Event:
 
 
 class _Command:
-    """A recorded launch."""
-
     def __init__(self, owner: SimulatedCuda, name: str, command: wp.Launch) -> None:
         self._owner, self._name, self._command = owner, name, command
 
@@ -229,7 +227,6 @@ class SimulatedCuda(TorchFunctionMode):
     # ------------------------------------------------------------------------------------------------ memory
 
     def holds(self, tensor: torch.Tensor) -> bool:
-        """Return whether a tensor lies on the simulated device."""
         with torch._C.DisableTorchFunction():
             return tensor.untyped_storage()._cdata in self._memory
 
@@ -311,7 +308,6 @@ class SimulatedCuda(TorchFunctionMode):
         return found
 
     def _move(self, tensor: torch.Tensor, *words: Any, **named: Any) -> torch.Tensor:
-        """Implement ``Tensor.to``."""
         wanted, kind = named.get("device"), named.get("dtype")
         for word in words:
             if isinstance(word, torch.Tensor):

@@ -35,5 +35,4 @@ def fixed_rows(sim: Simulation) -> torch.Tensor:
 
 
 def ground(width: int, rows: int = 1) -> tuple[np.ndarray, int, int]:
-    """Create a row of fixed cells at the bottom."""
     return np.full((rows, width), 5), 0, 0
