@@ -23,17 +23,17 @@ class Disturbance:
     sensors: float = 0.0
 
 
-NOMINAL, NOISE, ROBUST = "nominal", "noise", "robust"
+NOMINAL = "nominal"
 DISTURBANCES = {
     NOMINAL: Disturbance(),
-    NOISE: Disturbance(noise=0.01),
+    "noise": Disturbance(noise=0.01),
     "sticky": Disturbance(sticky=0.25),
     "start": Disturbance(start=10),
     "sensors": Disturbance(sensors=0.01),
 }
-PROTOCOLS = {name: (name,) for name in DISTURBANCES} | {ROBUST: tuple(DISTURBANCES)}
+PROTOCOLS = {name: (name,) for name in DISTURBANCES} | {"robust": tuple(DISTURBANCES)}
 """Disturbances of each evaluation protocol, by name."""
-CHOOSING = (NOMINAL, NOISE)
+CHOOSING = (NOMINAL, "noise")
 """Protocols by which trainings and searches choose the best: one undisturbed episode, or several with action noise."""
 COPIES = 8
 """Default number of disturbed episodes per policy."""
@@ -49,4 +49,4 @@ def parts_of(protocol: str, feedback: bool) -> tuple[str, ...]:
 
 def episodes_of(given: int | None, protocol: str) -> int:
     """Return the number of evaluation episodes: ``given``, or the default of ``protocol``."""
-    return given or (COPIES if protocol == NOISE else 1)
+    return given or (COPIES if protocol != NOMINAL else 1)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Kind = TypeVar("_Kind")
 
-_SYNONYMS = {
+SYNONYMS = {
     "body": ("design", "designs"),
     "bodies": ("designs", "design"),
     "design": ("body", "designs"),
@@ -88,18 +88,11 @@ def key(
     return field(default=default, metadata=metadata)
 
 
-def other_names(name: str) -> Iterator[str]:
-    """Yield a dotted key with one of its parts replaced by a synonym, for each."""
-    for part in name.split("."):
-        for other in _SYNONYMS.get(part, ()):
-            yield name.replace(part, other, 1)
-
-
 def renamed(given: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
-    """Replace synonyms in arguments by the real names; ConfigError: an argument is given twice."""
+    """Replace :data:`SYNONYMS` in arguments by the real names; ConfigError: an argument is given twice."""
     found = {}
     for name, value in given.items():
-        others = () if name in names else _SYNONYMS.get(name, ())
+        others = () if name in names else SYNONYMS.get(name, ())
         own = next((other for other in others if other in names), name)
         if own in found or (own != name and own in given):
             raise ConfigError(f"{name} and {own} are two names of one argument: give one of them.")
@@ -187,7 +180,7 @@ def _is_public(kind: type) -> bool:
 
 
 def in_words(function: _Function) -> _Function:
-    """Decorate a public function so that it accepts synonyms and reports unknown arguments with a hint."""
+    """Decorate a public function so that it accepts :data:`SYNONYMS` and reports unknown arguments with a hint."""
 
     @functools.wraps(function)
     def call(*args: Any, **given: Any) -> Any:

@@ -136,9 +136,10 @@ def as_now(stored: Mapping[str, Any], place: object) -> dict[str, Any]:
     if settings.get("fitness") in ("nominal", "robust"):
         settings["protocol"] = settings.pop("fitness").replace("robust", "noise")
     names = {"evaluation": "fitness", "eval_envs": "episodes", "max_evaluations": "max_designs"}
-    for part in parts.keys() & {"search", "training"}:
-        settings[part] = {names.get(name, name): value for name, value in parts[part].items()}
-    return {names.get(name, name): value for name, value in settings.items()}
+    for values in (parts.get("search", {}), parts.get("training", {}), settings):
+        for name in names.keys() & values.keys():
+            values[names[name]] = values.pop(name)
+    return settings
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from warpvox.design import zoo_tasks
 from warpvox.errors import ConfigError, did_you_mean
 from warpvox.examples import bare_id
 from warpvox.io.reading import LARGEST_CONFIG, Unreadable, parse_yaml, read_text
-from warpvox.keys import ELSEWHERE, flat, other_names
+from warpvox.keys import ELSEWHERE, SYNONYMS, flat
 from warpvox.runs import CODESIGN, CONFIG, TRAINING, ZOO, as_now, without_services
 
 
@@ -118,7 +118,8 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
     for word in words:
         name, given, text = word.partition("=")
         if name not in keys:
-            name = next((other for other in other_names(name) if other in keys), name)
+            others = (name.replace(part, other, 1) for part in name.split(".") for other in SYNONYMS.get(part, ()))
+            name = next((other for other in others if other in keys), name)
         name = renamed.get(command, {}).get(name, name)
         override = _parse_word(f"{name}{given}{text}")
         if given and text and name in keys and keys[name].takes_text:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from warpvox.algos.candidate import FINALIST
 from warpvox.algos.codesign.fitness.specialist import Specialist
 from warpvox.algos.codesign.settings import Codesign, Workload, register_fitness
-from warpvox.algos.protocols import NOISE
+from warpvox.algos.protocols import NOMINAL
 from warpvox.errors import ConfigError
 from warpvox.keys import key
 
@@ -97,7 +97,7 @@ class Gaits(Specialist):
         from warpvox.envs.registry import get_task
 
         # Four episodes where they differ: in random tasks, and with noise on the actions.
-        return self.episodes or (4 if search.protocol == NOISE or get_task(search.task).is_random else 1)
+        return self.episodes or (4 if search.protocol != NOMINAL or get_task(search.task).is_random else 1)
 
     def _final_episodes(self, search: Codesign) -> int:
         """Return the number of evaluation episodes of a finalist's training."""
