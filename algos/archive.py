@@ -57,8 +57,8 @@ class Record:
     """A row of the archive: a candidate, and its result once evaluated.
 
     ``fitness`` and the fields after it are None until then. ``reused`` is the id of the earlier candidate with an equal
-    body whose result was copied; ``policy`` is a path relative to the archive's folder; ``seconds`` the wall time since
-    the previous batch ended, which is that of its own batch unless several are evaluated at a time. ``diverged``:
+    body whose result was copied; ``policy_file`` is a path relative to the archive's folder; ``seconds`` the wall time
+    since the previous batch ended, which is that of its own batch unless several are evaluated at a time. ``diverged``:
     learning gave no evaluation; once its generation is complete, ``fitness`` is set to the worst of all others so far
     (:meth:`Archive.rank_diverged`). ``folder`` is that of the archive.
     """
@@ -69,7 +69,7 @@ class Record:
     steps: int | None = None
     stopped: bool | None = None
     reused: int | None = None
-    policy: str | None = None
+    policy_file: str | None = None
     policy_sha256: str | None = None
     seconds: float | None = None
     curve: list[tuple[int, float]] = field(default_factory=list)
@@ -100,9 +100,9 @@ class Record:
         Raises:
             RunError: none was kept.
         """
-        if self.folder is None or self.policy is None:
+        if self.folder is None or self.policy_file is None:
             raise RunError(f"Design {self.id} has no policy that was kept.")
-        return (self.folder / self.policy).parent
+        return (self.folder / self.policy_file).parent
 
     @property
     def finished(self) -> bool:
@@ -117,11 +117,11 @@ class Record:
 
 @dataclass(frozen=True)
 class Finished:
-    """Result to store for the candidate ``id``; ``policy`` and ``policy_sha256`` as in :class:`Record`."""
+    """Result to store for the candidate ``id``; ``policy_file`` and ``policy_sha256`` as in :class:`Record`."""
 
     id: int
     outcome: Outcome
-    policy: str | None = None
+    policy_file: str | None = None
     policy_sha256: str | None = None
     reused: int | None = None
 
@@ -182,7 +182,7 @@ class Archive(AbstractContextManager["Archive"]):
         _check_exists(path)
         lock = _lock_for_writing(path)
         try:
-            return cls(path, _checked(path), lock)
+            return cls(path, _open_checked(path), lock)
         except RunError:
             lock.close()
             raise
@@ -195,7 +195,7 @@ class Archive(AbstractContextManager["Archive"]):
             RunError: no archive, or a damaged or foreign one.
         """
         _check_exists(path)
-        db = _checked(path)
+        db = _open_checked(path)
         db.execute("PRAGMA query_only = ON")
         return cls(path, db, None)
 
@@ -224,7 +224,7 @@ class Archive(AbstractContextManager["Archive"]):
                 raise RunError(f"The next candidate must have the id {expected}, got {candidate.id}.")
             if any(not 0 <= parent < candidate.id for parent in candidate.parents):
                 raise RunError(f"Candidate {candidate.id} must descend from earlier ones, got {candidate.parents}.")
-        with self._writing() as db:
+        with self._write_transaction() as db:
             for item in candidates:
                 values = {
                     "id": item.id,
@@ -246,7 +246,7 @@ class Archive(AbstractContextManager["Archive"]):
             RunError: no such candidate, one that is evaluated already, a fitness or a value of the learning curve that
                 is not finite. StorageError: the file cannot be written.
         """
-        with self._writing() as db:
+        with self._write_transaction() as db:
             for result in results:
                 outcome = result.outcome
                 numbers = [value for _, value in outcome.curve]
@@ -261,7 +261,7 @@ class Archive(AbstractContextManager["Archive"]):
                     "steps": int(outcome.steps),
                     "stopped": DIVERGED if outcome.diverged else int(outcome.stopped),
                     "reused": result.reused,
-                    "policy": result.policy,
+                    "policy": result.policy_file,
                     "policy_sha256": result.policy_sha256,
                     "finished_at": _now(),
                     "seconds": seconds,
@@ -277,7 +277,7 @@ class Archive(AbstractContextManager["Archive"]):
                     db.execute("INSERT INTO curves VALUES (?,?,?,?)", row)
 
     @contextmanager
-    def _writing(self) -> Iterator[sqlite3.Connection]:
+    def _write_transaction(self) -> Iterator[sqlite3.Connection]:
         """Run a write transaction within the block, and convert SQLite's errors to ours."""
         if self._lock is None:
             raise RunError(f"The archive {self.path} was opened for reading.")
@@ -299,7 +299,7 @@ class Archive(AbstractContextManager["Archive"]):
         Raises:
             RunError: there is no other to compare with. StorageError: the file cannot be written.
         """
-        with self._writing() as db:
+        with self._write_transaction() as db:
             query = "SELECT MIN(fitness) FROM candidates WHERE generation <= ? AND stopped < ?"
             worst = db.execute(query, (generation, DIVERGED)).fetchone()[0]
             change = "UPDATE candidates SET fitness = ? WHERE generation = ? AND stopped = ? AND fitness IS NULL"
@@ -331,7 +331,7 @@ class Archive(AbstractContextManager["Archive"]):
             raise RunError(f"{self.path} is damaged: its settings are {settings!r:.80}.")
         return settings
 
-    def _number(self, query: str) -> int:
+    def _select_number(self, query: str) -> int:
         """Return the single number that an SQL query selects."""
         with self._reading():
             return self._db.execute(query).fetchone()[0]
@@ -347,16 +347,16 @@ class Archive(AbstractContextManager["Archive"]):
 
     def count(self) -> int:
         """Count all candidates, evaluated or not."""
-        return self._number("SELECT COUNT(*) FROM candidates")
+        return self._select_number("SELECT COUNT(*) FROM candidates")
 
     def trained(self) -> int:
         """Count the evaluated designs, except copies of results for an equal body."""
-        return self._number("SELECT COUNT(*) FROM candidates WHERE stopped IS NOT NULL AND reused IS NULL")
+        return self._select_number("SELECT COUNT(*) FROM candidates WHERE stopped IS NOT NULL AND reused IS NULL")
 
     def finalists(self) -> int:
         """Count the evaluated finalists, which :meth:`trained` includes."""
         query = f"SELECT COUNT(*) FROM candidates WHERE stopped IS NOT NULL AND origin = '{FINALIST}'"
-        return self._number(query)
+        return self._select_number(query)
 
     def generations(self) -> list[dict[str, Any]]:
         """Summarise each generation in a row: generation, designs, evaluated, best, mean, worst, steps."""
@@ -439,7 +439,7 @@ class Archive(AbstractContextManager["Archive"]):
             item = record.candidate
             row = [item.id, item.generation, body_text(item.body), item.parents, item.origin, record.seed]
             row += [record.fitness, record.steps, record.stopped, record.reused]
-            row += [record.policy, record.policy_sha256, record.curve]
+            row += [record.policy_file, record.policy_sha256, record.curve]
             total.update(json.dumps(row).encode())
         return total.hexdigest()
 
@@ -474,6 +474,7 @@ def _record(row: dict[str, Any], parents: Sequence[int], curve: list[tuple[int, 
     body = as_grid(parse_json(row["body"]))
     candidate = Candidate(number, body, tuple(parents), row["origin"], row["generation"])
     known = {name: row[name] for name in _KINDS if name in Record.__dataclass_fields__}
+    known["policy_file"] = row["policy"]
     known["stopped"] = None if stopped is None else bool(stopped)
     known["diverged"] = stopped == DIVERGED
     return Record(candidate, **known, curve=curve)
@@ -589,7 +590,7 @@ def _check_exists(path: Path) -> None:
         raise RunError(f"There is no archive at {path}.{repair_hint(path)}")
 
 
-def _checked(path: Path) -> sqlite3.Connection:
+def _open_checked(path: Path) -> sqlite3.Connection:
     """Open a file and verify that it is an undamaged archive; RunError: it is not."""
     db = None
     try:

@@ -17,7 +17,7 @@ FINALIST = "finalist"
 START = "start"
 """Origin of a candidate whose body the user gave to start the search with."""
 Report = Callable[[dict[str, Any]], None] | None
-"""Called with progress: ``iteration`` of ``iterations`` of training, control ``steps`` so far over all candidates, and
+"""Callback for progress: ``iteration`` of ``iterations`` of training, control ``steps`` so far over all candidates, and
 lists by candidate: ``best`` deterministic return so far (NaN: none yet), whether it is still in ``training``."""
 
 

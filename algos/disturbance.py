@@ -96,7 +96,7 @@ class Disturbed:
 
         # Control steps with random actions at the beginning
         most = strength("start")
-        lengths = self._each(self.draws.uniform(LENGTH, 0, 1))
+        lengths = self._repeat_copies(self.draws.uniform(LENGTH, 0, 1))
         self.random_steps = torch.where(most > 0, 1 + (lengths * most).long(), 0)
 
         # Upper limit 1.6 in float32, which lies above 1.6: the highest actions of policies are not clamped.
@@ -113,7 +113,7 @@ class Disturbed:
         if hasattr(self.policy, "reset"):
             self.policy.reset()
 
-    def _each(self, numbers: torch.Tensor) -> torch.Tensor:
+    def _repeat_copies(self, numbers: torch.Tensor) -> torch.Tensor:
         """Repeat values per copy for all environments."""
         return numbers.repeat(len(self.kinds) // len(numbers), 1)
 
@@ -124,7 +124,7 @@ class Disturbed:
 
         # Observations
         if self.most["sensors"]:
-            noise = self._each(draws.normal(SENSORS, step, obs.shape[1]))
+            noise = self._repeat_copies(draws.normal(SENSORS, step, obs.shape[1]))
             obs = obs + (self.sensors * noise).to(obs.dtype)
 
         # The policy's actions
@@ -133,11 +133,11 @@ class Disturbed:
 
         # Random actions, those of the step before, and noise
         if step < self.most["start"]:
-            uniform = self._each(draws.uniform(START, step, actions.shape[1]))
+            uniform = self._repeat_copies(draws.uniform(START, step, actions.shape[1]))
             uniform = (ACTION_LOW + (ACTION_HIGH - ACTION_LOW) * uniform).to(actions.dtype)
             actions = torch.where(self.random_steps > step, uniform, actions)
         if self.before is not None and self.most["sticky"]:
-            repeats = self._each(draws.uniform(STICKY, step, 1)) < self.sticky
+            repeats = self._repeat_copies(draws.uniform(STICKY, step, 1)) < self.sticky
             actions = torch.where(repeats, self.before, actions)
         if self.most["noise"]:
             actions = torch.where(self.noise > 0, with_noise(actions, draws, step, self.noise), actions)
@@ -146,9 +146,9 @@ class Disturbed:
         return actions
 
 
-def as_judged(policy: Any, env: VoxelVecEnv, seed: int | Sequence[int] | None, fitness: str) -> Any:
-    """Wrap ``policy`` for the measure ``fitness``: unchanged, or with action noise drawn from ``seed``."""
-    if fitness == NOMINAL:
+def as_judged(policy: Any, env: VoxelVecEnv, seed: int | Sequence[int] | None, protocol: str) -> Any:
+    """Wrap ``policy`` for the protocol ``protocol``: unchanged, or with action noise drawn from ``seed``."""
+    if protocol == NOMINAL:
         return policy
     first = seed[0] if isinstance(seed, Sequence) else seed
     return Disturbed(policy, env, ["noise"], first or 0, SEARCHED)

@@ -57,7 +57,7 @@ def deferred_interrupts() -> Iterator[Interrupt]:
         if again:
             interrupt.raise_interrupt()
 
-    with _handling((signal.SIGINT, *stop_signals()), on_signal):
+    with _with_handler((signal.SIGINT, *stop_signals()), on_signal):
         yield interrupt
 
 
@@ -82,12 +82,14 @@ def terminable() -> Iterator[None]:
     def on_signal(number: int, frame: object) -> None:
         raise Terminated(number)
 
-    with _handling(stop_signals(), on_signal):
+    with _with_handler(stop_signals(), on_signal):
         yield
 
 
 @contextmanager
-def _handling(numbers: Sequence[int | None], handler: Callable[[int, Any], object] | signal.Handlers) -> Iterator[None]:
+def _with_handler(
+    numbers: Sequence[int | None], handler: Callable[[int, Any], object] | signal.Handlers
+) -> Iterator[None]:
     """Install ``handler`` for the signals ``numbers`` within the block, except ignored and unsupported ones.
 
     Outside the main thread, where signals do not arrive, nothing is changed.

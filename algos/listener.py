@@ -18,29 +18,29 @@ class Listener:
         return nullcontext()
 
     def begun(self, run: Any) -> None:
-        """Called when a training or search begins or resumes, after all checks.
+        """Handle the start or resumption of a training or search, after all checks.
 
         ``run``: of a training a :class:`warpvox.algos.training.job.Job`, of a search a
         :class:`warpvox.algos.codesign.run.SearchRun`.
         """
 
     def ended(self, summary: Mapping[str, Any]) -> None:
-        """Called when a training or search has ended or failed; ``summary``: the content of ``summary.json``.
+        """Handle the end or failure of a training or search; ``summary``: the content of ``summary.json``.
 
         It is empty before the first iteration of a training, and if that of a search could not be written.
         """
 
     def iterated(self, row: Mapping[str, float]) -> None:
-        """Called after each iteration of a training with the new row of ``metrics.csv``."""
+        """Handle the end of a training's iteration, given the new row of ``metrics.csv``."""
 
     def proposed(self, generation: int, waiting: Sequence[Candidate], total: int) -> None:
-        """Called before the candidates in ``waiting``, of ``total`` in the generation, are evaluated."""
+        """Handle the start of evaluating the candidates in ``waiting``, of ``total`` in the generation."""
 
     def progress(self, batch: Sequence[Candidate], event: dict[str, Any]) -> None:
-        """Called with the progress of evaluating ``batch``; see :data:`warpvox.algos.candidate.Report`."""
+        """Handle progress in evaluating ``batch``; see :data:`warpvox.algos.candidate.Report`."""
 
     def finished(self, records: Sequence[Record]) -> None:
-        """Called after the candidates of ``records`` were evaluated and stored."""
+        """Handle the end of evaluating the candidates of ``records``, which are stored by now."""
 
     def told(self, generation: int, fresh: bool) -> None:
-        """Called after a search has learned from a generation; ``fresh`` is False for stored generations."""
+        """Handle the end of a generation, after the search learned from it; ``fresh``: False for stored generations."""

@@ -37,7 +37,7 @@ def mean_interval(values: Sequence[float] | np.ndarray, level: float = LEVEL) ->
     """
     from scipy import stats  # slow to import
 
-    data = _checked(values)
+    data = _float_values(values)
     n = len(data)
     mean = float(data.mean())
     if n < 2:
@@ -56,8 +56,8 @@ def difference(first: Sequence[float], second: Sequence[float], level: float = L
     """
     from scipy import stats  # slow to import
 
-    a = _checked(first)
-    b = _checked(second)
+    a = _float_values(first)
+    b = _float_values(second)
     n = min(len(a), len(b))
     mean = float(a.mean() - b.mean())
     if n < 2:
@@ -72,7 +72,7 @@ def difference(first: Sequence[float], second: Sequence[float], level: float = L
     return Interval(mean, float(low), float(high), n)
 
 
-def _checked(values: Sequence[float] | np.ndarray) -> np.ndarray:
+def _float_values(values: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return the values as float64 ``[n]``; ValueError: empty or not a list."""
     data = np.asarray(values, dtype=np.float64)
     if data.ndim != 1 or not len(data):

@@ -1,4 +1,4 @@
-"""Common parts of the benchmarks: options, checked environments, EvoGym beside them, rates, tables.
+"""Shared code of the benchmarks: options, verified environments, EvoGym as reference, rates, tables.
 
 Rates are control steps of single environments per second: of CPU time of the process where one thread computes, of
 wall-clock time with more threads and on CUDA. A result is asserted before its time is measured.
@@ -35,20 +35,20 @@ WORKER = Path(__file__).with_name("evogym_worker.py")
 ACTION_LOW, ACTION_HIGH = 0.6, 1.6
 
 CHECKED_STEPS = 60
-"""Control steps that are compared with EvoGym."""
+"""Control steps compared with EvoGym."""
 TOLERANCE = 1e-6
 """Largest difference of the centre of mass to EvoGym in float64, in simulator units: over so few steps contacts have
 not yet amplified what round-off leaves."""
 ALONE_STEPS = 10
 ALONE_TOLERANCE = {"float32": 1e-5, "float64": 1e-9}
-"""Largest difference of the centre of mass between an environment of a batch and one alone in float64."""
+"""Largest difference of the centre of mass between an environment in a batch and a single one in float64."""
 
 
 # Command line
 
 
 def options(description: str | None) -> argparse.ArgumentParser:
-    """A parser with the options that all benchmarks have."""
+    """Build a command-line parser with the options of all benchmarks."""
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter, allow_abbrev=False
     )
@@ -73,12 +73,12 @@ def options(description: str | None) -> argparse.ArgumentParser:
 
 
 def sampled_bodies(side: int, count: int, seed: int) -> list[np.ndarray]:
-    """``count`` bodies int8 ``[side, side]``, drawn by EvoGym's rule."""
+    """Sample ``count`` bodies int8 ``[side, side]`` by EvoGym's rule."""
     return [wv.sample_design((side, side), np.random.default_rng([seed, side, k])) for k in range(count)]
 
 
 def full_body(side: int, seed: int) -> np.ndarray:
-    """int8 ``[side, side]`` without an empty cell; actuators at both upper corners."""
+    """Build a body int8 ``[side, side]`` without empty cells, with actuators at both upper corners."""
     cells = np.array([wv.Cell.RIGID, wv.Cell.SOFT, wv.Cell.H_ACT, wv.Cell.V_ACT], np.int8)
     body = np.random.default_rng([seed, side]).choice(cells, (side, side))
     body[0, 0] = wv.Cell.H_ACT
@@ -87,7 +87,7 @@ def full_body(side: int, seed: int) -> np.ndarray:
 
 
 class Batch:
-    """Environments that were compared with one alone, and ways to spend time with them.
+    """Environments that were verified against a single one, and methods to measure rates.
 
     Args:
         args: options of the command line; ``designs``, ``num_envs``, ``task`` and ``given`` are those of
@@ -122,7 +122,7 @@ class Batch:
         self.steps = max(2, min(args.steps, int(args.limit / seconds)))
 
     def clock(self) -> float:
-        """Seconds: CPU time of this process where one thread computes, else wall-clock time once the device is idle."""
+        """Return seconds: CPU time of the process with one thread, else wall-clock time once the device is idle."""
         if self.env.device != "cpu":
             torch.cuda.synchronize(self.env.device)
         elif self.env.sim.threads == 1:
@@ -130,7 +130,7 @@ class Batch:
         return time.perf_counter()
 
     def random_rate(self, steps: int | None = None, physics_alone: bool = False) -> float:
-        """Control steps per second under random actions; episodes go on from call to call."""
+        """Measure control steps per second under random actions; episodes continue from call to call."""
         steps = steps or self.steps
         size = steps, self.num_envs, self.env.num_actions
         shares = torch.rand(size, generator=self._draw, dtype=self.env.dtype).to(self.env.device)
@@ -143,13 +143,13 @@ class Batch:
         return steps * self.num_envs / (self.clock() - began)
 
     def assert_finite(self) -> None:
-        """Assert that the state is finite and that there was room for all contacts."""
+        """Assert that the state is finite and no contact was dropped."""
         assert self.env.sim.object_positions("robot").isfinite().all(), "the state is not finite"
         assert not self.env.sim.overflow.any(), "there was no room for all contacts"
 
 
 def difference_to_one_alone(env: VoxelVecEnv, seed: int) -> float:
-    """Largest difference of the centre of mass between the first and last environment and each alone, asserted.
+    """Compare the first and last environment's centre of mass with single environments; return the maximum.
 
     Those alone are computed on the CPU in float64, one lane wide: by the code that repeats the recordings of EvoGym.
     The batch is left at the start of an episode.
@@ -191,7 +191,7 @@ def difference_to_one_alone(env: VoxelVecEnv, seed: int) -> float:
 
 
 def waves(steps: int, actuators: int, seed: int) -> np.ndarray:
-    """float64 ``[steps, actuators]``: sine waves with a period of 25 steps and random phases."""
+    """Create actions float64 ``[steps, actuators]``: sine waves with a period of 25 steps and random phases."""
     phase = np.random.default_rng(seed).uniform(0, 2 * np.pi, actuators)
     return 1.1 + 0.45 * np.sin(2 * np.pi * np.arange(steps)[:, None] / 25 + phase)
 
@@ -199,13 +199,13 @@ def waves(steps: int, actuators: int, seed: int) -> np.ndarray:
 # Rates
 
 WARM = 3
-"""Iterations of a training that do not count: they build networks and buffers, and on CUDA capture a graph."""
+"""Iterations of a training that are not measured: they build networks, buffers and CUDA graphs."""
 COLUMNS = ("physics alone", "step only", "with training")
-"""The simulation under random actions, the environments under random actions, iterations of PPO."""
+"""Measured quantities: simulation and environments under random actions, iterations of PPO."""
 
 
 def measure(args: argparse.Namespace, batch: Batch) -> dict[str, list[float]]:
-    """Rates of a batch of one body by column; [] where training is left out."""
+    """Measure all rates of a batch of one body, by column; [] for training if disabled."""
     physics = partial(batch.random_rate, physics_alone=True)
     found = alternate({"physics alone": physics, "step only": batch.random_rate}, args.repeats)
     batch.assert_finite()
@@ -214,7 +214,7 @@ def measure(args: argparse.Namespace, batch: Batch) -> dict[str, list[float]]:
 
 
 def training_rates(args: argparse.Namespace, batch: Batch, **ppo: Any) -> list[float]:
-    """Control steps per second in iterations of PPO; ``ppo``: settings that are not the defaults."""
+    """Measure control steps per second in iterations of PPO; ``ppo``: changed settings."""
     ends: list[float] = []
     iterations = WARM + args.repeats + 1
     run = wv.train(
@@ -237,7 +237,7 @@ def training_rates(args: argparse.Namespace, batch: Batch, **ppo: Any) -> list[f
 
 
 def alternate(rates: Mapping[str, Callable[[], float]], repeats: int) -> dict[str, list[float]]:
-    """Rates by name, repetition by repetition, measured in turn: the machine's speed changes from minute to minute."""
+    """Measure several rates in turn, repeatedly, as the machine's speed varies; return them by name."""
     found: dict[str, list[float]] = {name: [] for name in rates}
     for _ in range(repeats):
         for name, rate in rates.items():
@@ -249,7 +249,7 @@ def alternate(rates: Mapping[str, Callable[[], float]], repeats: int) -> dict[st
 
 
 class Reference:
-    """EvoGym in a Python of its own, which answers JSON with JSON, line by line. To be used with ``with``."""
+    """EvoGym in its own Python process, called by JSON lines; a context manager."""
 
     def __init__(self, python: str) -> None:
         # Isolated: neither this folder nor PYTHONPATH can shadow what EvoGym imports.
@@ -264,16 +264,16 @@ class Reference:
         self._process.communicate()
 
     def start(self, task: str, body: np.ndarray) -> dict[str, str]:
-        """Make the environment that the next questions are about; returns the versions."""
+        """Create the environment for later calls in EvoGym's process; return the versions."""
         return self._ask(task=task, body=body.tolist())
 
     def rate(self, steps: int, actuators: int, rng: np.random.Generator) -> float:
-        """Control steps per second of CPU time under random actions; the episode goes on from call to call."""
+        """Measure EvoGym's control steps per second of CPU time under random actions."""
         actions = rng.uniform(ACTION_LOW, ACTION_HIGH, (steps, actuators))
         return steps / self._ask(actions=actions.tolist(), centres=False)
 
     def difference(self, task: str, body: np.ndarray, seed: int, steps: int = CHECKED_STEPS) -> float:
-        """Largest difference of the centre of mass between our float64 and EvoGym, asserted."""
+        """Return the largest difference of the centre of mass between warpvox in float64 and EvoGym."""
         env = wv.make_vec(task, [body], device="cpu", dtype="float64", auto_reset=False, threads=1)
         env.reset()
         actions = waves(steps, env.num_actions, seed)
@@ -295,7 +295,7 @@ class Reference:
 
 
 def open_reference(args: argparse.Namespace) -> Reference | nullcontext[None]:
-    """EvoGym, or None where there is no such file."""
+    """Start EvoGym's process; None if the Python to run it is missing."""
     return Reference(args.reference) if Path(args.reference).is_file() else nullcontext()
 
 
@@ -303,7 +303,7 @@ def open_reference(args: argparse.Namespace) -> Reference | nullcontext[None]:
 
 
 class Report:
-    """Results of a benchmark, on the terminal and in the folder ``OUTPUT/NAME``.
+    """Results of a benchmark, printed and written to ``OUTPUT/NAME``.
 
     ``rows.jsonl`` has each row with all repetitions as soon as it is there, ``tables.md`` all tables and sentences so
     far, so that a benchmark that is cut off leaves what it has found.
@@ -326,13 +326,13 @@ class Report:
         print(self._machine)
 
     def row(self, name: str, *values: Any) -> None:
-        """Keep a row of a table that is not complete yet."""
+        """Store a row of an unfinished table."""
         print(name, *map(number, values), sep="  ", flush=True)
         with (self.folder / "rows.jsonl").open("a") as file:
             print(json.dumps([name, *values]), file=file)
 
     def table(self, title: str, headings: Sequence[str], rows: Sequence[Sequence[Any]], ranges: bool = False) -> None:
-        """Add a table of text and figures; ``ranges``: of several figures also the least and the most."""
+        """Add a table of texts and numbers; ``ranges``: with minimum and maximum of repeated measurements."""
         show = spread if ranges else number
         texts = [[cell if isinstance(cell, str) else show(cell) for cell in row] for row in rows]
         rule = ["---", *["---:"] * (len(headings) - 1)]
@@ -340,13 +340,13 @@ class Report:
         self.note("\n".join([f"{title}:", "", *lines]))
 
     def note(self, text: str) -> None:
-        """Add a sentence."""
+        """Add a sentence below the tables."""
         print(f"\n{text}", flush=True)
         self._texts.append(text)
         (self.folder / "tables.md").write_text("\n\n".join([*self._texts, self._machine]) + "\n")
 
     def in_time(self, items: Iterable[Item]) -> Iterator[Item]:
-        """Those items for which there is time when their turn comes."""
+        """Yield items until the time is over."""
         for item in items:
             if time.perf_counter() < self.end:
                 yield item
@@ -355,7 +355,7 @@ class Report:
 
 
 def machine() -> str:
-    """GPUs, the processor with the widest vectors that torch finds in it, and versions."""
+    """Describe GPUs, processor and versions as text."""
     gpus = [torch.cuda.get_device_name(k) for k in range(torch.cuda.device_count())]
     info = Path("/proc/cpuinfo")
     names = re.findall("model name.*: (.+)", info.read_text()) if info.is_file() else [platform.processor()]
@@ -365,7 +365,7 @@ def machine() -> str:
 
 
 def number(value: float | Sequence[float] | None) -> str:
-    """A figure with three digits at least, of several the median; - for none."""
+    """Format a number, or the median of several, with at least three digits; - for none."""
     if value is None or value == []:
         return "-"
     value = median(value) if isinstance(value, Sequence) else value
@@ -373,7 +373,7 @@ def number(value: float | Sequence[float] | None) -> str:
 
 
 def spread(value: float | Sequence[float] | None) -> str:
-    """The same, with least and most of several in parentheses."""
+    """Format the median of several numbers with minimum and maximum in parentheses."""
     if not isinstance(value, Sequence) or len(value) < 2:
         return number(value)
     return f"{number(value)} ({number(min(value))} to {number(max(value))})"

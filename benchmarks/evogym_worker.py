@@ -1,4 +1,4 @@
-"""EvoGym's half of the benchmarks: runs in a Python that has it (3.10, without warpvox).
+"""EvoGym's side of the benchmarks: runs in a Python 3.10 with EvoGym and without warpvox.
 
 Reads one JSON request a line from stdin and answers each with one JSON line on stdout:
 
@@ -16,11 +16,11 @@ import warnings
 import numpy
 
 SPELLED = {"WingspanMaximizer-v0": "WingspanMazimizer-v0"}
-"""Ids that the release spells otherwise."""
+"""Ids of tasks whose spelling differs in the release."""
 
 
 def main():
-    """Answer requests until stdin ends."""
+    """Answer requests in JSON lines until standard input ends."""
     # What the libraries print must not mix with the answers.
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
@@ -38,7 +38,7 @@ def main():
 
 
 def make(task: str, body: list):
-    """Make the environment; returns it and the versions."""
+    """Create the environment; return it with the versions."""
     from importlib.metadata import version
 
     import evogym.envs  # noqa: F401  # pyright: ignore[reportMissingImports]  (registers)
@@ -51,7 +51,7 @@ def make(task: str, body: list):
 
 
 def centres(env, actions):
-    """The trajectory of the centre of mass."""
+    """Record the trajectory of the centre of mass."""
     com = []
     for action in actions:
         env.step(action)
@@ -61,7 +61,7 @@ def centres(env, actions):
 
 
 def cpu_seconds(env, actions):
-    """CPU seconds of the steps of a gymnasium environment; resets of episodes that end in between are not counted."""
+    """Measure CPU seconds of the steps of a gymnasium environment, without resets in between."""
     seconds = 0.0
     for action in actions:
         began = time.process_time()

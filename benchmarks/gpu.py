@@ -1,4 +1,4 @@
-"""Checks and measures a CUDA device in one call, within a time.
+"""Checks and benchmarks of a CUDA device in one call, within a time limit.
 
     python benchmarks/gpu.py
 
@@ -43,12 +43,13 @@ SMALL = {
     "designs": 2,
     "training": wv.DesignTraining(envs=8, iterations=1, eval_interval=1, ppo=wv.Ppo(steps=16)),
 }
-"""How much is done on CUDA, and on the CPU: environments, sides of bodies and environments of each, designs that are
-trained side by side."""
+"""Sizes of the benchmarks on CUDA and on the CPU: environments, sides of bodies with environments each, designs
+trained side by side.
+"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Returns the exit code: 1 if a part has failed."""
+    """Run all parts; return exit code 1 if one failed."""
     parser = options(__doc__)
     parser.set_defaults(device="cuda", reference="")
     parser.add_argument("--tasks", nargs="*", default=wv.task_ids(), metavar="TASK", help="task ids")
@@ -91,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def check(args: argparse.Namespace, report: Report, tests: Sequence[str]) -> None:
-    """Run the tests marked `gpu` of these files (without a GPU those that need none); output goes into a file."""
+    """Run the tests marked `gpu` in these files (on the CPU: those without a GPU), with output to a file."""
     where = report.folder / f"{'all_' if 'tests' in tests else ''}checks.txt"
     marked = "not gpu and not slow and not packaging" if args.device == "cpu" else "gpu"
     command = [sys.executable, "-m", "pytest", "-v", "-m", marked, "-p", "no:cacheprovider", "-n", "4", *tests]
@@ -104,7 +105,7 @@ def check(args: argparse.Namespace, report: Report, tests: Sequence[str]) -> Non
 
 
 def scale_sides(args: argparse.Namespace, report: Report) -> None:
-    """Rates of full bodies of each size; what does not fit into memory is left out."""
+    """Measure rates of full bodies of each size; sizes that do not fit into memory are skipped."""
     rows = []
     for side in report.in_time(args.sizes):
         for count in args.body_envs:
@@ -122,7 +123,7 @@ def scale_sides(args: argparse.Namespace, report: Report) -> None:
 
 
 def profile(args: argparse.Namespace, report: Report) -> None:
-    """A training under torch's profiler: `profile.txt`."""
+    """Profile a training with torch's profiler and write `profile.txt`."""
     batch = Batch(args, [wv.load_design(args.design)])
     with torch.profiler.profile() as found:
         training_rates(args, batch)
@@ -132,7 +133,7 @@ def profile(args: argparse.Namespace, report: Report) -> None:
 
 
 def compare_learners(args: argparse.Namespace, report: Report) -> None:
-    """Iterations that one graph repeats beside those of rsl-rl as it is, in turn: medians with quartiles."""
+    """Measure iterations replayed as one CUDA graph and those of rsl-rl, in turn: medians and quartiles."""
     rows = []
     for count in report.in_time(sorted(n for n in args.envs if n >= args.num_envs)):
         batch = Batch(args, [wv.load_design(args.design)], count)
@@ -148,12 +149,12 @@ def compare_learners(args: argparse.Namespace, report: Report) -> None:
 
 
 def trained_rate(args: argparse.Namespace, batch: Batch, ppo: dict[str, Any]) -> float:
-    """The median rate of a few iterations of a new training."""
+    """Return the median rate over a few iterations of a new training."""
     return median(training_rates(args, batch, **ppo))
 
 
 def quartiles(values: Sequence[float]) -> str:
-    """The median of rates, and the quartiles of several."""
+    """Format the median and quartiles of several rates."""
     if len(values) < 2:
         return number(values)
     low, middle, high = quantiles(values, n=4, method="inclusive")
@@ -161,8 +162,8 @@ def quartiles(values: Sequence[float]) -> str:
 
 
 def train_designs(args: argparse.Namespace, report: Report) -> None:
-    """Control steps per second of designs that are trained side by side, from the beginning of a search to its end."""
-    search = wv.RandomDesigns(population=args.designs, max_evaluations=args.designs)
+    """Measure control steps per second of designs trained side by side, over a whole search."""
+    search = wv.RandomDesigns(population=args.designs, max_designs=args.designs)
     began = time.perf_counter()
     found = wv.codesign(
         args.task, search=search, training=args.training, device=args.device, folder=None, progress=False

@@ -1,4 +1,4 @@
-"""Time to a return: warpvox's settings of PPO beside EvoGym's.
+"""Time to reach a return: warpvox's PPO settings and EvoGym's.
 
 python benchmarks/learning.py --threads 2
 """
@@ -14,11 +14,11 @@ from common import Batch, Report, number, options
 import warpvox as wv
 
 NUM_ENVS = {"parallel": 512, "evogym": 4}
-"""Environments of the settings."""
+"""Number of environments of each settings."""
 
 
 class TimeIsOverError(Exception):
-    """A training has taken longer than it may."""
+    """A training exceeded its time limit."""
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def learn(args: argparse.Namespace, report: Report, ppo: str, seed: int, seconds: float) -> dict[str, Any]:
-    """Train until an evaluation reaches the goal or the seconds are over; returns what it took."""
+    """Train until an evaluation reaches the goal or time is over; return steps, seconds and return."""
     common: dict[str, Any] = {"ppo": ppo, "device": args.device, "threads": args.threads, "seed": seed}
     common |= {"folder": None, "progress": False}
     Batch(args, [wv.load_design(args.design)], NUM_ENVS[ppo])  # asserts that the physics are right

@@ -1,4 +1,4 @@
-"""CPU time of a new environment and its first reset, each with another random 5x5 body.
+"""CPU time of creating and resetting an environment, each with a new random 5x5 body.
 
     python benchmarks/lives.py [--reference PYTHON] [--bodies 40] [TASK ...]
 
@@ -22,13 +22,13 @@ import numpy as np
 
 TASKS = ("Walker-v0", "UpStepper-v0", "Traverser-v0", "Climber-v0", "BridgeWalker-v0", "Carrier-v0")
 ROUNDING = 1e-14
-"""Tolerance of observations of evogym: it sums the points of a body, for their mean, in another order."""
+"""Tolerance of observations against EvoGym, which sums a body's points in another order."""
 WARM_UP = 3
-"""Lives of each task that are not counted: kernels are loaded and meshes of the terrain made."""
+"""Environments of each task that are not measured, while kernels load and terrain is meshed."""
 
 
 def live(make: Callable[..., Any], task: str, body: np.ndarray) -> tuple[float, np.ndarray]:
-    """Make an environment, reset and close it. Returns the milliseconds of CPU and the first observation."""
+    """Create, reset and close an environment; return CPU milliseconds and the first observation."""
     began = time.process_time()
     env = make(task, body=body)
     obs, _ = env.reset(seed=0)
@@ -38,7 +38,7 @@ def live(make: Callable[..., Any], task: str, body: np.ndarray) -> tuple[float, 
 
 
 def reference_lives(interpreter: str, task: str, bodies: list[np.ndarray]) -> tuple[list[float], list[list[float]]]:
-    """The times and first observations of EvoGym, by this script in another interpreter."""
+    """Run this script in EvoGym's interpreter; return times and first observations."""
     # Isolated, because the drop-in puts its own ``evogym`` on PYTHONPATH for children.
     command = [interpreter, "-I", __file__, "--serve", task]
     sent = json.dumps([body.tolist() for body in bodies])
@@ -50,7 +50,7 @@ def reference_lives(interpreter: str, task: str, bodies: list[np.ndarray]) -> tu
 
 
 def serve(task: str) -> None:
-    """In the interpreter of the reference: read bodies, print times and first observations."""
+    """Read bodies and print times and first observations, in EvoGym's interpreter."""
     import evogym.envs  # noqa: F401  # pyright: ignore[reportMissingImports]  # registers the tasks
     import gymnasium
 
@@ -60,7 +60,7 @@ def serve(task: str) -> None:
 
 
 def measure(task: str, count: int, interpreter: str | None) -> dict[str, float]:
-    """Median milliseconds by the way an environment is made. AssertionError: an observation is not right."""
+    """Measure median milliseconds for each way to create an environment; AssertionError: a wrong observation."""
     import gymnasium
 
     import warpvox as wv

@@ -1,4 +1,4 @@
-"""One task beside EvoGym: a batch, one environment of gymnasium, one of the drop-in, and EvoGym, in turn.
+"""Speed of one task: a batch, one gymnasium environment, one of the drop-in, and EvoGym, measured in turn.
 
     python benchmarks/peer.py --task Walker-v0
 
@@ -59,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def single_rate(env: Any, args: argparse.Namespace, rng: np.random.Generator) -> Callable[[], float]:
-    """A function that measures one environment of gymnasium under random actions."""
+    """Return a function that measures one gymnasium environment under random actions."""
     size = args.steps, env.action_space.shape[0]
     env.reset(seed=args.seed)
     env.step(env.action_space.sample())

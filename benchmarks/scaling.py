@@ -1,9 +1,10 @@
-"""Larger bodies, more environments, more threads, different bodies.
+"""Scaling with larger bodies, more environments, more threads, exact arithmetic and different bodies.
 
     python benchmarks/scaling.py --sizes 5 10 15 20 25 30 35 --bodies 3 --simulated 2
 
 The first table is the paper's Figure 2 (section A.5): robots of n x n voxels, one at a time on the terrain of
-Walker-v0, under random actions. Beside it: EvoGym, and a batch of the first robot.
+Walker-v0, under random actions. Beside it: EvoGym, and a batch of the first robot. ``--sizes --envs``, without numbers,
+leaves out the first two tables.
 """
 
 import argparse
@@ -32,9 +33,9 @@ import warpvox as wv
 STEPS_PER_SECOND = 50
 """Control steps of a simulated second (section A.2)."""
 CHECK_STEPS = 20
-"""Steps over which large bodies are compared with EvoGym: the more contacts, the earlier round-off is amplified."""
+"""Steps over which large bodies are compared with EvoGym; contacts amplify round-off."""
 ALONE = 4
-"""Random bodies that are measured one in all environments, beside different ones."""
+"""Number of random bodies measured in batches of one body, for comparison with mixed batches."""
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -50,11 +51,12 @@ def main(argv: Sequence[str] | None = None) -> None:
     scale_envs(args, report)
     if args.device == "cpu":
         scale_threads(args, report)
+    compare_arithmetic(args, report)
     mix_bodies(args, report)
 
 
 def scale_bodies(args: argparse.Namespace, report: Report) -> None:
-    """Rates of robots of each size: one at a time, in EvoGym, and in a batch."""
+    """Measure robots of each size: one environment, EvoGym, and a batch."""
     headings = ["robots", "voxels", "steps/s", "reference", "ratio", "in a batch", "batch of", "ratio"]
     rows = []
     with open_reference(args) as reference:
@@ -70,7 +72,7 @@ def scale_bodies(args: argparse.Namespace, report: Report) -> None:
 
 
 def scale_body(args: argparse.Namespace, side: int, reference: Reference | None) -> list[Any]:
-    """The row of a size."""
+    """Measure one size and return the table row."""
     # Independent voxels of a large grid are hardly ever connected: then bodies are full.
     kind = "sampled"
     try:
@@ -109,7 +111,7 @@ def scale_body(args: argparse.Namespace, side: int, reference: Reference | None)
 
 
 def scale_envs(args: argparse.Namespace, report: Report) -> None:
-    """Rates by number of environments; what does not fit into memory is left out."""
+    """Measure rates by number of environments; what does not fit into memory is skipped."""
     body = wv.load_design(args.design)
     rows = []
     for count in report.in_time(args.envs):
@@ -125,7 +127,7 @@ def scale_envs(args: argparse.Namespace, report: Report) -> None:
 
 
 def scale_threads(args: argparse.Namespace, report: Report) -> None:
-    """One thread and all cores: control steps per second."""
+    """Measure control steps per second with one thread and with all cores."""
     body = wv.load_design(args.design)
     batches = [Batch(args, [body], threads=threads) for threads in (1, None)]
     found = alternate({str(batch.env.sim.threads): batch.random_rate for batch in batches}, args.repeats)
@@ -134,8 +136,25 @@ def scale_threads(args: argparse.Namespace, report: Report) -> None:
     report.table(title, ["threads", "step only", "gain"], rows)
 
 
+def compare_arithmetic(args: argparse.Namespace, report: Report) -> None:
+    """Measure control steps per second in fast and exact arithmetic."""
+    body = wv.load_design(args.design)
+    cases = {
+        "fast, float32": {},
+        "fast, float64": {"dtype": "float64", "arithmetic": "fast"},
+        "exact, float64": {"dtype": "float64", "arithmetic": "exact"},
+    }
+    batches = {name: Batch(args, [body], **given) for name, given in cases.items()}
+    found = alternate({name: batch.random_rate for name, batch in batches.items()}, args.repeats)
+    for batch in batches.values():
+        batch.assert_finite()
+    rows = [[name, rates, median(rates) / median(found["fast, float32"])] for name, rates in found.items()]
+    title = f"{args.task}, {args.num_envs} environments, control steps per second"
+    report.table(title, ["arithmetic", "step only", "speed of fast, float32"], rows, ranges=True)
+
+
 def mix_bodies(args: argparse.Namespace, report: Report) -> None:
-    """A different body in every environment, beside one body in all; and the exchange of some bodies."""
+    """Measure a batch of different bodies, one of equal bodies, and the exchange of some bodies."""
     count = args.num_envs
     bodies = sampled_bodies(5, count, args.seed)
     cases = {f"body {k} in all": [body] for k, body in enumerate(bodies[:ALONE])}

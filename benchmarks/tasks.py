@@ -1,4 +1,4 @@
-"""Each task by itself, beside EvoGym if there is one.
+"""Speed of each task, compared with EvoGym if available.
 
 python benchmarks/tasks.py
 """
@@ -21,7 +21,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def measure_tasks(args: argparse.Namespace, report: Report) -> None:
-    """A row a task: rates, and how many times EvoGym's a whole control step is."""
+    """Measure each task: rates, and the speed-up over EvoGym of a whole control step."""
     body = wv.load_design(args.design)
     rng = np.random.default_rng(args.seed)
     rows = []

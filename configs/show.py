@@ -19,7 +19,7 @@ _OWN_TASK = "For a run of a task of your own: its code, file.py:NAME"
 
 @dataclass
 class _PolicyConfig(Settings):
-    """Keys shared by play, export and evaluate; as first base class, they are listed last."""
+    """Keys shared by play, export and evaluate, listed after each command's own."""
 
     stochastic: bool = key(False, "sample actions from the policy as in training, instead of taking their mean")
     policy: str | None = key(
@@ -131,8 +131,8 @@ class _EvaluationConfig(Settings):
     )
     protocol: str = key(
         NOMINAL,
-        "episodes: undisturbed (nominal), with noise on the actions (noise), with repeated actions (sticky), with"
-        " random actions at the beginning (start), with noise on the observations (sensors), or all of these (robust)",
+        "disturbance of the episodes: nominal (none), noise (on the actions), sticky (repeated actions), start (random"
+        " actions at the beginning), sensors (noise on the observations), robust (all of these)",
         choices=tuple(PROTOCOLS),
     )
     seed: int = key(

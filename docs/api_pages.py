@@ -18,7 +18,7 @@ TITLES = {
     "design_search": "Design search",
     "algos.codesign.settings": "Design search",
     "algos.codesign.results": "Design search",
-    "algos.codesign.evaluations": "Design search",
+    "algos.codesign.fitness": "Design search",
     "algos.search.settings": "Design search",
     "envs.vec_env": "Batches of environments",
     "batch.options": "Options of a simulation",
@@ -66,7 +66,7 @@ BESIDE = {
     "Design search": (
         *("configs.composition.settings_named", "algos.report.members.read_members"),
         *("algos.report.members.SearchResult", "algos.archive.Archive", "algos.archive.Record"),
-        "algos.archive.Finished",
+        *("algos.archive.Finished", "algos.codesign.results.FoundDesign"),
     ),
     "Searches of one's own": ("algos.search.base.BaseSearch", "algos.candidate.Candidate", "algos.candidate.Outcome"),
 }

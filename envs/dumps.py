@@ -62,10 +62,10 @@ class DivergenceDump:
 
     def before(self, actions: torch.Tensor) -> None:
         """Record the state before a step and the actions ``[num_envs, num_actions]``."""
-        self._note("positions", self._points())
-        self._note("actions", actions)
+        self._write_to_buffer("positions", self._points())
+        self._write_to_buffer("actions", actions)
 
-    def _note(self, name: str, values: torch.Tensor) -> None:
+    def _write_to_buffer(self, name: str, values: torch.Tensor) -> None:
         """Write ``values`` into a ring buffer at the present step."""
         if name not in self._rings:
             self._rings[name] = values.new_zeros((self._room, *values.shape))
@@ -77,7 +77,7 @@ class DivergenceDump:
 
     def after(self, reward: torch.Tensor, info: dict[str, Any]) -> list[Path]:
         """Record the result of a step, and write files of diverged environments from time to time; return paths."""
-        self._note("rewards", reward)
+        self._write_to_buffer("rewards", reward)
         new = info["diverged"] & (self._at < 0)
         self._at = torch.where(new, self._count, self._at)
         self._length = torch.where(new, info["episode"]["length"].long(), self._length)

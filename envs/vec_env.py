@@ -1,4 +1,4 @@
-"""Many environments of one task, stepped together."""
+"""Vector environment: many environments of one task, stepped together."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def make_vec(
     sim: SimOptions | None = None,
     **options: Unpack[SimKeywords],
 ) -> VoxelVecEnv:
-    """Make ``num_envs`` environments of a task, ready to be stepped.
+    """Create ``num_envs`` environments of a task.
 
     Args:
         task: an id out of ``task_ids()``, ``module:NAME`` or ``file.py:NAME``, or a specification of your own.
@@ -111,7 +111,7 @@ def make_vec(
 
 
 class VoxelVecEnv:
-    """Environments of one task on one simulation; made by :func:`make_vec`.
+    """Environments of one task in one simulation; created by :func:`make_vec`.
 
     All returned tensors are fresh: keeping them is safe, changing them has no effect on the environments. Episode state
     is in ``episodes``, in tensors that are allocated once.
@@ -216,11 +216,11 @@ class VoxelVecEnv:
         return f"VoxelVecEnv({self.spec.id}, {counts}, {sizes}, device={self.device})"
 
     def _snapshot(self, values: Mapping[Quantity, torch.Tensor] | None = None) -> Snapshot:
-        """Return the present state; a task with code of the user's own gets copies, which it may write to."""
+        """Return the present state for terms; the user's own terms get copies, so that they cannot change it."""
         return Snapshot(self.sim, self.episodes.memory, values, copies=self._has_code)
 
     def _set_masks_and_columns(self, worlds: torch.Tensor) -> None:
-        """Set the masks and columns of observations and actions of every design.
+        """Compute the masks and columns of observations and actions of every design.
 
         Args:
             worlds: long ``[num_designs]``: for each design the index of its world in ``sim.worlds``.
@@ -239,7 +239,7 @@ class VoxelVecEnv:
 
     @property
     def episode_length(self) -> torch.Tensor:
-        """Control steps of the present episodes, long ``[num_envs]``: the tensor that steps write to, no copy.
+        """Control steps of the present episodes, long ``[num_envs]``; updated in place by steps, no copy.
 
         May be assigned, or written to; :meth:`retimed` brings earlier observations up to date.
         """
@@ -255,7 +255,7 @@ class VoxelVecEnv:
 
     @property
     def max_episode_steps(self) -> int:
-        """Control steps after which an episode is truncated; may be assigned."""
+        """Time limit of an episode in control steps; may be assigned."""
         return self._limit
 
     @max_episode_steps.setter
@@ -265,7 +265,7 @@ class VoxelVecEnv:
 
     @property
     def memory(self) -> dict[str, torch.Tensor]:
-        """The task's episode state by name (``spec.memory``): new tensors ``[num_envs, ...]``."""
+        """Values of the task's memories by name (``spec.memory``): new tensors ``[num_envs, ...]``."""
         return {name: value.clone() for name, value in self.episodes.memory.items()}
 
     def reset(
@@ -274,7 +274,7 @@ class VoxelVecEnv:
         memory: Mapping[str, Any] | None = None,
         mask: torch.Tensor | np.ndarray | None = None,
     ) -> tuple[torch.Tensor, dict[str, Any]]:
-        """Begin a new episode everywhere, or where ``mask`` is True.
+        """Begin a new episode in all environments, or where ``mask`` is True.
 
         Args:
             seed: restart the random streams from this seed (or one for each design, or for each environment); None
@@ -313,7 +313,7 @@ class VoxelVecEnv:
         return self._finite.first_observation(self.layout.observe(state), mask), {}
 
     def draw_as(self, numbers: torch.Tensor) -> None:
-        """Let environments draw the random numbers of others, from the next reset on, until a reset with a seed.
+        """Make environments draw the random numbers of others after their next reset, until a reset with a seed.
 
         Args:
             numbers: long ``[num_envs]``: for each environment the index of the one whose numbers it draws.
@@ -365,7 +365,7 @@ class VoxelVecEnv:
         return obs
 
     def _start_memory(self, stream: RandomStream, mask: torch.Tensor | None, given: Mapping[str, torch.Tensor]) -> None:
-        """Set the memory of episodes that begin where ``mask`` (None: everywhere); move the randomized objects."""
+        """Start the memories of new episodes where ``mask`` is True, and move the randomized objects."""
         draws = stream.rewind()
         fresh = {memory.name: memory.begin(draws) for memory in self.spec.memory} | dict(given)
         self.episodes.set_memory(fresh, mask)
@@ -373,7 +373,7 @@ class VoxelVecEnv:
             self.sim.shift(fresh["offset"], mask)
 
     def _given(self, memory: Mapping[str, Any] | None) -> dict[str, torch.Tensor]:
-        """Check the values of ``memory``; return tensors padded with 0 to the shapes that the task draws."""
+        """Check the given values of memories; return tensors padded with 0 to the task's shapes."""
         drawn = self.episodes.memory
         given = dict[str, torch.Tensor]()
         if not is_mapping(memory or {}):
@@ -399,7 +399,7 @@ class VoxelVecEnv:
         return given
 
     def random_actions(self) -> torch.Tensor:
-        """Uniformly random actions ``[num_envs, num_actions]`` from 0.6 to 1.6, others at each call; by ``seed``."""
+        """Draw uniform random actions ``[num_envs, num_actions]`` from 0.6 to 1.6, new ones at each call."""
         from warpvox.view.rollout import agent_of
 
         self._random = self._random or agent_of("random", self)
@@ -455,7 +455,7 @@ class VoxelVecEnv:
 
     @torch.no_grad()
     def _step_on_device(self) -> StepResult:
-        """Step all environments with the actions that :meth:`step` has stored; return the results of :meth:`step`.
+        """Step all environments with the stored actions; return the results of :meth:`step`.
 
         It runs on the CPU, too; on CUDA a graph may record and repeat it. Therefore tensors that later calls use are
         written in place, and on CUDA nothing is read back.
@@ -502,18 +502,18 @@ class VoxelVecEnv:
         return obs, found["reward"], found["terminated"], found["truncated"], info
 
     def not_finite(self) -> dict[str, int]:
-        """Return in how many environments each term of the task was NaN or infinite so far; waits for the device.
+        """Count the environments in which each term has been NaN or infinite; waits for the device.
 
         Terms that were not named before are named in a warning. On the CPU that happens in the step itself.
         """
         return self._finite.report()
 
     def not_finite_total(self) -> torch.Tensor:
-        """Return a tensor that is 0 as long as :meth:`not_finite` reports nothing; does not wait for the device."""
+        """Return a tensor that is 0 unless :meth:`not_finite` has counts; does not wait for the device."""
         return self._finite.total()
 
     def retimed(self, obs: torch.Tensor) -> torch.Tensor:
-        """Return ``obs`` with its time column set to the present episode lengths; a caller may have changed these.
+        """Update the time column of ``obs`` after a caller changed episode lengths.
 
         Only observations of ``obs="timed"`` have that column; others are returned as they are.
         """
@@ -525,7 +525,7 @@ class VoxelVecEnv:
     def evaluate_terms(
         self, before: Snapshot, after: Snapshot
     ) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
-        """Return what the reward terms give, without their weights, and the terminations, each ``[num_envs]`` by name.
+        """Compute the reward terms without their weights, and the terminations, each ``[num_envs]`` by name.
 
         Args:
             before, after: the states around the step; equal where the step was stopped.
@@ -534,7 +534,7 @@ class VoxelVecEnv:
         return rewards, {term.name: term(after) for term in self.spec.terminations}
 
     def _begin_episodes(self, done: torch.Tensor, after: Snapshot, obs: torch.Tensor) -> torch.Tensor:
-        """Begin new episodes where ``done``; return ``obs`` with the first observation of these.
+        """Begin new episodes where ``done``; return ``obs`` with the first observations of new episodes.
 
         ``after`` is the state after the step, ``obs`` its observation.
         """
@@ -555,7 +555,7 @@ class VoxelVecEnv:
         return torch.where(done[:, None], first_obs, obs)
 
     def state(self) -> dict[str, Any]:
-        """Return the full state, tensors with a row for every environment, for :meth:`set_state`."""
+        """Return the full state for :meth:`set_state`: tensors with a row for every environment."""
         return {
             "sim": self.sim.state(),
             "world": self.sim.world_numbers.clone(),

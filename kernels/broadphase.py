@@ -185,7 +185,7 @@ def lattice_range(kit: Kit):
 
 @builder
 def lattice_content(kit: Kit):
-    """Build a function that returns what the terrain lattice contains near the n-th movable voxel.
+    """Build a function that returns whether terrain or fixed voxels are near the n-th movable voxel.
 
     Bit 1: the surface of terrain; bit 2: fixed voxels.
 
@@ -194,7 +194,7 @@ def lattice_content(kit: Kit):
 
     @kit.func
     def content(model, data, mesh, unit, n):
-        """Return flags for the hull of the n-th movable voxel: bit 1 terrain surface, bit 2 fixed voxels."""
+        """Return bit 1 if terrain is near the n-th movable voxel, plus bit 2 if fixed voxels are."""
         frame, margin = model.frame[mesh], model.margin
         size = model.terrain[frame]
         x0, x1, y0, y1 = lattice_cells(

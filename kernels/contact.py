@@ -57,7 +57,7 @@ def contact_forces(kit: Kit):
 
 @builder
 def apply(kit: Kit):
-    """Build a function that applies the forces of a contact: corner c (point p) of voxel i with a side of voxel j.
+    """Build a function that adds the forces of a contact between a corner of one voxel and a side of another.
 
     A voxel below 0 stands for cell -1 - i of the terrain. What is done with a contact is an argument of :func:`find`.
     """
@@ -84,7 +84,7 @@ def surface_sides(side_lanes: wp.array2d(dtype=wp.vec4i), mesh: int, v: int, k: 
 
 @wp.func
 def leader(twin_range: pairs, twin: pairs, twin_lanes: masks, mesh: int, p: int, k: int):
-    """Return the leading point of point p in lane k, as twins share one point; -1 for p = -1."""
+    """Return the point that holds point p's state in lane k (twins share one point); -1 for p = -1."""
     found = int(p)
     if p >= 0:
         twins = twin_range[mesh, p]
@@ -99,13 +99,13 @@ def leader(twin_range: pairs, twin: pairs, twin_lanes: masks, mesh: int, p: int,
 
 @functools.cache
 def corner_contact(kit: Kit, act):
-    """Build a function that finds the side by which a corner entered a quad, and passes it to ``act``."""
+    """Build a function that finds the side of a voxel that a corner of another voxel crossed, and calls ``act``."""
 
     @kit.func
     def contact(
         model, data, mesh, pack, k, i, m: quad, m_sides, p, c, j, r: quad, r_sides, r_points: wp.vec4i, times: real,
     ):  # fmt: skip
-        """Find the side of quad r by which corner c of quad m entered, and pass it to ``act``."""
+        """Find the side of quad r that corner c of quad m crossed, and pass it to ``act``."""
         found = nearest_side(m, m_sides, c, r, r_sides)
         first = int(found[0])
         if first >= 0:
@@ -129,7 +129,7 @@ def quad_of(places: points3, pack: int, k: int, c: wp.vec4i) -> quad:
 
 @functools.cache
 def voxel_contacts(kit: Kit, act):
-    """Build a function that calls ``act`` for each contact between voxels of the candidate pairs."""
+    """Build a function that finds all contacts between two voxels and passes each to the function ``act``."""
 
     contact = corner_contact(kit, act)
 
@@ -189,7 +189,7 @@ def in_box(x0: real, x1: real, y0: real, y1: real, x: real, y: real):
 
 @functools.cache
 def terrain_contacts(kit: Kit, act):
-    """Build a function that calls ``act`` for each contact between voxels and terrain."""
+    """Build a function that finds all contacts between voxels and terrain and passes each to ``act``."""
     contact = corner_contact(kit, act)
     span = lattice_range(kit)
     overlap = boxes_overlap(kit)
@@ -256,7 +256,7 @@ def terrain_contacts(kit: Kit, act):
 
 @functools.cache
 def find(kit: Kit, act):
-    """Build the stage that clears ``contact`` and calls ``act`` for each contact."""
+    """Build the stage that clears ``contact``, then finds all contacts and passes each to ``act``."""
     width = kit.width
     with_voxels = voxel_contacts(kit, act)
     with_terrain = terrain_contacts(kit, act)

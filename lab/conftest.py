@@ -1,4 +1,4 @@
-"""Number of processes and of threads of the lab's tests."""
+"""Number of processes and threads for the lab's tests."""
 
 from collections.abc import Iterator
 
@@ -10,13 +10,13 @@ parallel.one_thread_each()
 
 @pytest.hookimpl(optionalhook=True)  # of pytest-xdist
 def pytest_xdist_auto_num_workers() -> int:
-    """How many processes ``-n auto`` starts."""
+    """Return the number of processes for ``-n auto``."""
     return parallel.workers()
 
 
 @pytest.fixture(scope="module", autouse=True)
 def one_thread() -> Iterator[None]:
-    """Tensors of tests are tiny: a pool of threads only costs time on a busy machine."""
+    """Limit torch to one thread, as the tests' tensors are tiny."""
     import torch
 
     before = torch.get_num_threads()

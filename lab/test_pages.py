@@ -1,4 +1,4 @@
-"""Pages of the lab: their code runs as it is printed, their links lead somewhere."""
+"""Tests of the lab's pages: code runs as printed, links work."""
 
 import re
 from pathlib import Path

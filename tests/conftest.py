@@ -132,7 +132,6 @@ def warpvox(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.Captu
 
 @pytest.fixture(scope="session")
 def repository() -> Path:
-    """The root of the checkout."""
     return Path(__file__).resolve().parents[1]
 
 

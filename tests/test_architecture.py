@@ -7,11 +7,14 @@ import tokenize
 from collections.abc import Iterable, Iterator
 from functools import cache
 from graphlib import TopologicalSorter
+from itertools import pairwise
 from pathlib import Path
 
 import api_pages
 
 from warpvox import cli
+from warpvox.cli.help import keys_of
+from warpvox.configs.schema import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[1]
 NO_CODE = {
@@ -185,15 +188,35 @@ def test_every_module_says_what_it_is_for() -> None:
     assert not [name for name, path in SOURCES.items() if not ast.get_docstring(parse(path))]
 
 
-def test_docstrings_begin_with_a_noun_or_a_verb() -> None:
-    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-    wrong = [
-        f"{place(path, node.body[0].lineno)} begins with {text.split()[0]}"
-        for name, path in SOURCES.items()
-        for node in ast.walk(parse(path))
-        if isinstance(node, documented) and (text := ast.get_docstring(node) or "").startswith(("Of ", "What "))
-    ]
+def first_words(path: Path) -> Iterator[tuple[type, int, str]]:
+    """Yield what each docstring of a file documents (a type of :mod:`ast`, or property), its line and first word."""
+    for node in ast.walk(parse(path)):
+        body = getattr(node, "body", None)
+        for owner, statement in pairwise([node, *body] if isinstance(body, list) else []):
+            text = getattr(getattr(statement, "value", None), "value", None)
+            if isinstance(statement, ast.Expr) and isinstance(text, str):
+                decorators = map(ast.dump, getattr(owner, "decorator_list", ()))
+                kind = property if any("property" in decorator for decorator in decorators) else type(owner)
+                yield kind, statement.lineno, text.split()[0].strip(",.:")
+
+
+def test_docstrings_of_functions_begin_with_a_verb_and_others_with_a_noun() -> None:
+    verb = re.compile(
+        r"(?!(An?|Both|By|Each|How|If|It|No|One|So|That|The|Those|Where|Whose|Within)$|(?!Pass|Process).*s$|.*[^e]ed$)[A-Z][a-z]+"
+    )
+    noun = re.compile(r"(?!(Called|Get|Held|How|Keep|Of|Return|So|What|[a-z]+s)$).*")
+    wrong = []
+    for path in [*SOURCES.values(), *BESIDE, *(ROOT / "tests" / "helpers").glob("*.py")]:
+        for kind, line, word in first_words(path) if not path.name.startswith("test_") else ():
+            expected = verb if kind in (ast.FunctionDef, ast.AsyncFunctionDef) else noun
+            wrong += [] if expected.fullmatch(word) else [f"{place(path, line)} begins with {word}"]
     assert not wrong, "\n".join(wrong)
+
+
+def test_sentences_of_help_are_short() -> None:
+    texts = [*cli.COMMANDS.values(), *(key.help for command in COMMANDS for key in keys_of(command).values())]
+    long = [sentence for text in texts for sentence in re.split("[.;:] ", text) if len(sentence.split()) > 25]
+    assert not long, "\n".join(long)
 
 
 def test_simulations_and_environments_are_used_by_their_public_methods() -> None:

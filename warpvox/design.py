@@ -522,12 +522,12 @@ def _parse_list(text: str, source: str) -> object:
         if "body" in value:
             return value["body"]
         if "objects" in value:
-            return _robot_of(value, source)
+            return _extract_robot(value, source)
         raise DesignError(f"{source} has no entry 'body'; it has {listing(value)}.")
     return value
 
 
-def _robot_of(world: dict, source: str) -> np.ndarray:
+def _extract_robot(world: dict, source: str) -> np.ndarray:
     """Extract the only robot's cells, cropped, from a world in EvoGym's format."""
     try:
         objects = read_objects(world).values()

@@ -30,21 +30,25 @@ SYNONYMS = {
     "bodies": ("designs", "design"),
     "design": ("body", "designs"),
     "designs": ("design",),
-    "episodes": ("eval_envs",),
-    "max_designs": ("max_evaluations",),
+    "eval_envs": ("episodes",),
+    "evaluation": ("fitness",),
+    "max_evaluations": ("max_designs",),
     "steps": ("num_steps",),
 }
 """Other names of arguments and keys, each with the real names in order of preference."""
 
 ELSEWHERE = {
+    "body": "start",
+    "design": "start",
     "env": "task",
+    "fitness": "protocol",
     "lr": "learning_rate",
     "n_envs": "num_envs",
     "num_envs": "envs",
     "batch_size": "minibatches",
     "out": "file",
-    "evaluations": "max_evaluations",
-    "generations": "max_evaluations",
+    "evaluations": "max_designs",
+    "generations": "max_designs",
     "steps": "max_iterations",
     "timesteps": "max_iterations",
     "total_timesteps": "max_iterations",
@@ -122,7 +126,7 @@ def check_known(
             owner = functions[0].__qualname__.removesuffix(".__init__")
             what = f"{owner} got an unexpected keyword argument {name!r}."
             for one in (name, ELSEWHERE.get(name, "")):
-                if place := next(_places(one, functions[-1]), None):
+                if place := next(_ways_to_pass(one, functions[-1]), None):
                     raise UnknownArgumentError(f"{what} It is a setting of a part: {place}.")
             raise UnknownArgumentError(f"{what}{_hint(name, names)} It takes {listing(names, len(names))}.")
     return given
@@ -144,12 +148,12 @@ def _hint(name: str, names: Collection[str]) -> str:
         return f" Did you mean '{ELSEWHERE[name]}'?"
     if near := did_you_mean(name, names):
         return near
-    kinds = _kinds(Settings)
+    kinds = _subclasses(Settings)
     owners = [kind.__name__ for kind in kinds if _is_public(kind) and name in getattr(kind, "__dataclass_fields__", ())]
     return f" It is a setting of wv.{owners[0]}." if owners else ""
 
 
-def _places(name: str, whole: Any) -> Iterator[str]:
+def _ways_to_pass(name: str, whole: Any) -> Iterator[str]:
     """Yield ways to pass a nested setting, for instance ``ppo=wv.Ppo(steps=...)``."""
     for item in dataclasses.fields(whole) if dataclasses.is_dataclass(whole) else ():
         usual = type(item.default_factory()) if callable(item.default_factory) else None
@@ -157,18 +161,18 @@ def _places(name: str, whole: Any) -> Iterator[str]:
             continue
         # Beside a search or an evaluation the others of its kind
         base: Any = usual.__bases__[0]
-        for kind in dict.fromkeys([usual, *(_kinds(base) if base.prefix else ())]):
+        for kind in dict.fromkeys([usual, *(_subclasses(base) if base.prefix else ())]):
             fields = getattr(kind, "__dataclass_fields__", ())
-            inner = f"{name}=..." if name in fields else next(_places(name, kind), None)
+            inner = f"{name}=..." if name in fields else next(_ways_to_pass(name, kind), None)
             if inner and _is_public(kind):
                 yield f"{item.name}=wv.{kind.__name__}({inner})"
             elif inner:
                 yield f"{item.name}={{{inner.replace(name, repr(name)).replace('=', ': ')}}}"
 
 
-def _kinds(kind: type) -> list[type]:
+def _subclasses(kind: type) -> list[type]:
     """List all subclasses of ``kind``."""
-    return [one for child in kind.__subclasses__() for one in (child, *_kinds(child))]
+    return [one for child in kind.__subclasses__() for one in (child, *_subclasses(child))]
 
 
 def _is_public(kind: type) -> bool:
@@ -185,7 +189,7 @@ def in_words(function: _Function) -> _Function:
     return cast(_Function, call)
 
 
-class _OfInit:
+class _InitSignature:
     """Descriptor that gives a class the signature of its ``__init__``."""
 
     def __get__(self, _: object, kind: type) -> inspect.Signature:
@@ -209,7 +213,7 @@ class Settings(metaclass=_Checked):
         ConfigError: an unknown argument, or a value of the wrong type or out of range.
     """
 
-    __signature__ = _OfInit()
+    __signature__ = _InitSignature()
     prefix = ""
 
     def __init_subclass__(cls) -> None:

@@ -106,35 +106,39 @@ def without_services(stored: Mapping[str, Any]) -> dict[str, Any]:
     return kept
 
 
-def search_as_now(stored: Mapping[str, Any], place: object) -> dict[str, Any]:
-    """Convert a design search's stored settings from version 0.1.0 to the present version.
+def as_now(stored: Mapping[str, Any], place: object) -> dict[str, Any]:
+    """Convert the stored settings of a training or design search to the keys of the present version.
 
     Raises:
         RunError: they ask for something that later versions do not have; ``place`` is where they are from.
     """
-    settings = dict(stored)
-    training = settings.get("training")
-    training = dict(training) if isinstance(training, Mapping) else {}
-    evaluation = settings.get("evaluation")
-    evaluation = evaluation.get("name") if isinstance(evaluation, Mapping) else None
+    parts = {name: dict(value) for name, value in stored.items() if isinstance(value, Mapping)}
+    settings = {**stored, **parts}
 
-    # What a search goes on with as it was, and what not
-    gone = {
-        "policy": (settings.pop("policy", "mlp"), "mlp"),
-        "network": (settings.pop("network", None), None),
-        "training.method": (training.pop("method", "population"), "population"),
-        "evaluation": (evaluation if evaluation in ("shared", "few_shot") else None, None),
-    }
-    for key, (value, usual) in gone.items():
-        if value != usual:
-            raise RunError(
-                f"{place} is a search of warpvox 0.1.0 with {key}={value}, which later versions do not have."
-            )
+    # Keys that a search no longer has
+    if "search" in settings:
+        training = parts.get("training", {})
+        kind = parts.get("evaluation", {}).get("name")
+        gone = {
+            "policy": (settings.pop("policy", "mlp"), "mlp"),
+            "network": (settings.pop("network", None), None),
+            "training.method": (training.pop("method", "population"), "population"),
+            "evaluation": (kind if kind in ("shared", "few_shot") else None, None),
+        }
+        for key, (value, usual) in gone.items():
+            if value != usual:
+                raise RunError(
+                    f"{place} is a search of warpvox 0.1.0 with {key}={value}, which later versions do not have."
+                )
+        training.pop("save_interval", None)
 
-    # Intervals of checkpoints
-    training.pop("save_interval", None)
-    if isinstance(settings.get("training"), Mapping):
-        settings["training"] = training
+    # Keys that have another name
+    if settings.get("fitness") in ("nominal", "robust"):
+        settings["protocol"] = settings.pop("fitness").replace("robust", "noise")
+    names = {"evaluation": "fitness", "eval_envs": "episodes", "max_evaluations": "max_designs"}
+    for values in (parts.get("search", {}), parts.get("training", {}), settings):
+        for name in names.keys() & values.keys():
+            values[names[name]] = values.pop(name)
     return settings
 
 
@@ -155,7 +159,7 @@ def new_folder(output_dir: str, command: str, task: str, name: str | None, confi
     made = [folder for folder in (parent, *parent.parents) if not folder.exists()]
     folder = _make_folder(parent, stamp, "".join(f"_{part}" for part in (name, label.get()) if part))
     try:
-        with _going_on(folder, config):
+        with _open_folder(folder, config):
             yield folder
     except BaseException:
         found = [file.name for file in folder.glob("*.*") if file.suffix in (".pt", ".npz", ".json", ".sqlite")]
@@ -223,10 +227,10 @@ def run_folder(
     Args:
         place: of a new one; None: it lies in ``output_dir`` and is named by the time.
         known: files that may be there, of a run that was stopped when it began, besides what it left half written.
-        check: of a run that is resumed: see :func:`_going_on`.
+        check: of a run that is resumed: see :func:`_open_folder`.
     """
     if folder is not None:
-        return _going_on(folder, text, check)
+        return _open_folder(folder, text, check)
     if place is None:
         return new_folder(config.output_dir, command, config.task, config.name, text)
     if place.exists() and not (
@@ -235,11 +239,11 @@ def run_folder(
         raise RunError(f"{place} exists already: name another folder, or resume={place} to go on with a run.")
     check_encodable(place)
     place.mkdir(parents=True, exist_ok=True)
-    return _going_on(place, text)
+    return _open_folder(place, text)
 
 
 @contextmanager
-def _going_on(folder: Path, config: str, check: Callable[[], object] = lambda: None) -> Iterator[Path]:
+def _open_folder(folder: Path, config: str, check: Callable[[], object] = lambda: None) -> Iterator[Path]:
     """Lock a run's folder, remove unfinished files, write ``config.yaml``, and yield the folder.
 
     ``check``: called before anything is written; until then another process may have gone on with the run.

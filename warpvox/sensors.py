@@ -111,17 +111,17 @@ class Sensing:
 
     def orientation(self, name: str) -> torch.Tensor:
         """Return the rotation of an object since time 0, counter-clockwise, float64 [num_envs] in [0, 2 pi) (B.1)."""
-        return self._of_object("orientations", name)
+        return self._sense_object("orientations", name)
 
     def extent(self, name: str) -> torch.Tensor:
         """Return width and height of a movable object's bounding box, float64 [num_envs, 2]."""
-        return self._of_object("extents", name, 2)
+        return self._sense_object("extents", name, 2)
 
     def hull_area(self, name: str) -> torch.Tensor:
         """Return the area of a movable object's convex hull, float64 [num_envs] (B.6.1)."""
-        return self._of_object("hulls", name)
+        return self._sense_object("hulls", name)
 
-    def _of_object(self, kernel: str, name: str, *sizes: int) -> torch.Tensor:
+    def _sense_object(self, kernel: str, name: str, *sizes: int) -> torch.Tensor:
         """Run a sensing kernel for one object and return float64 [num_envs, *sizes]."""
         index = self._objects.moving(name)
         return self._sense((kernel, index), self.num_envs, [(self.num_envs, *sizes)], index)[0].clone()

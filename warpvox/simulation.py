@@ -192,7 +192,7 @@ class Simulation(Sensing):
             self._take.launch()
 
     def run(self, launches: Sequence[Recorded]) -> None:
-        """Launch recorded kernels that move points, each on its share of the packs, in parallel threads."""
+        """Launch recorded kernels that move points, in parallel threads, each for a share of the environments."""
         jobs = [self._pool.submit(launch.launch) for launch in launches[1:]]
         launches[0].launch()
         for job in jobs:
@@ -204,7 +204,7 @@ class Simulation(Sensing):
         self._pool = ThreadPoolExecutor(self.threads)
 
     def record_shares(self, record: Callable[[int, int], Recorded]) -> list[Recorded]:
-        """Split the packs into one share per thread, and record a command for each share.
+        """Record a kernel launch for each thread, over an equal share of the environments.
 
         On the CPU a launch runs on one core and lets go of the GIL: each thread gets a share of the packs.
         """
@@ -215,7 +215,7 @@ class Simulation(Sensing):
 
     def reset(self, mask: torch.Tensor | None = None) -> None:
         """Reset environments to time 0 and unfreeze them; ``mask``: bool ``[num_envs]``; None means all."""
-        reset_stage.launch(self._state, wp.from_torch(self._chosen(mask).contiguous()))
+        reset_stage.launch(self._state, wp.from_torch(self._mask_or_all(mask).contiguous()))
         self._centres_are_new = False
 
     def shift(self, cells: torch.Tensor, mask: torch.Tensor | None = None) -> None:
@@ -227,7 +227,7 @@ class Simulation(Sensing):
             cells: integers ``[num_envs, 2]``, to the right and up, from their places in the world.
             mask: bool ``[num_envs]``, the environments to change; None means all.
         """
-        mask = self._chosen(mask).contiguous()
+        mask = self._mask_or_all(mask).contiguous()
         cells = torch.as_tensor(cells, device=self.device)
         if tuple(cells.shape) != (self.num_envs, 2) or cells.dtype.is_floating_point:
             raise SimulationError(f"Shifts must be integers [{self.num_envs}, 2], got {list(cells.shape)}.")
@@ -261,28 +261,28 @@ class Simulation(Sensing):
     def _check_mask(self, mask) -> torch.Tensor:
         return check_mask(mask, self.design_index, SimulationError)
 
-    def _chosen(self, mask: torch.Tensor | None) -> torch.Tensor:
+    def _mask_or_all(self, mask: torch.Tensor | None) -> torch.Tensor:
         """Return ``mask`` after checking it, or a mask of all environments for None."""
         return torch.ones_like(self.design_index, dtype=torch.bool) if mask is None else self._check_mask(mask)
 
-    def _of_environments(self, name: str) -> torch.Tensor:
+    def _by_environment(self, name: str) -> torch.Tensor:
         """Gather a kernel array ``[pack, lane]`` by environment, ``[num_envs]``."""
         return self._views[name].view(-1).index_select(0, self.slot)
 
     @property
     def frozen(self) -> torch.Tensor:
         """Mask of environments that steps skip, bool [num_envs]."""
-        return self._of_environments("frozen") == 1
+        return self._by_environment("frozen") == 1
 
     @property
     def time(self) -> torch.Tensor:
         """Number of completed control steps since the reset, int64 [num_envs]."""
-        return self._of_environments("time").long()
+        return self._by_environment("time").long()
 
     @property
     def unstable(self) -> torch.Tensor:
         """Mask of environments whose last step was undone after self-folding or divergence, bool [num_envs]."""
-        return (self._of_environments("status") & STOPPED) != 0
+        return (self._by_environment("status") & STOPPED) != 0
 
     @property
     def diverged(self) -> torch.Tensor:
@@ -292,12 +292,12 @@ class Simulation(Sensing):
         1e6; see :mod:`warpvox.kernels.state`. The step is undone; if it began with non-finite values, which only
         :meth:`set_state` can cause, the environment is reset instead.
         """
-        return (self._of_environments("status") & DIVERGED) != 0
+        return (self._by_environment("status") & DIVERGED) != 0
 
     @property
     def overflow(self) -> torch.Tensor:
         """Mask of environments whose last step ignored contacts for lack of room, bool [num_envs]."""
-        return (self._of_environments("status") & OVERFLOW) != 0
+        return (self._by_environment("status") & OVERFLOW) != 0
 
     @property
     def worlds(self) -> list[World]:
@@ -333,14 +333,14 @@ class Simulation(Sensing):
         Behind its own, and before the first step of an episode, entries are 1: at rest.
         """
         if name not in self._action_places:
-            self._action_places[name] = self._places_of_actions(name)
+            self._action_places[name] = self._action_ranges(name)
         first, end = self._action_places[name].T[..., None]
         column = first + torch.arange(self.num_actions, device=self.device)
         known = (column < end) & (self.time > 0)[:, None]
         own = self.action_buffer.clamp(*self.action_range).gather(1, column.clamp(max=self.num_actions - 1))
         return own.masked_fill(~known, 1.0)
 
-    def _places_of_actions(self, name: str) -> torch.Tensor:
+    def _action_ranges(self, name: str) -> torch.Tensor:
         """Return first and last-plus-one column of a robot's actions, long [num_envs, 2]."""
         self._objects.index(name)
         places = [columns.get(name, slice(0, 0)) for columns in self.action_columns]
@@ -498,7 +498,7 @@ class Simulation(Sensing):
         count = torch.arange(rows.shape[1], device=rows.device) < self._objects.total[:, None]
         self._has_row = count.repeat_interleave(2, dim=1)
         for name, places in self._action_places.items():
-            places.copy_(self._places_of_actions(name))
+            places.copy_(self._action_ranges(name))
 
 
 STATE_FIELDS = ("pos", "vel", "true_vel", "frozen", "status", "time")

@@ -164,7 +164,7 @@ def available_memory() -> int | None:
     On Linux the least of what the machine has available, what is left below the limits of its control groups
     (containers, jobs of clusters) and below its limit of addresses (``ulimit -v``).
     """
-    left = [value for value in (_linux_memory(), _left_of_groups(), _left_of_addresses()) if value is not None]
+    left = [value for value in (_linux_memory(), _memory_left_in_groups(), _address_space_left()) if value is not None]
     return max(0, min(left)) if left else None
 
 
@@ -179,11 +179,11 @@ def _linux_memory(root: Path = Path("/")) -> int | None:
     return None
 
 
-def _left_of_groups(root: Path = Path("/")) -> int | None:
+def _memory_left_in_groups(root: Path = Path("/")) -> int | None:
     """Return the unused memory below the limits of all control groups, in bytes; None without limits."""
     files = ["memory.max", "memory.current", "inactive_file"]
     older = ["memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"]
-    found = (_left_of_group(folder, *names) for names, folder in _control_groups(root, "memory", files, older))
+    found = (_memory_left_in_group(folder, *names) for names, folder in _control_groups(root, "memory", files, older))
     return min((left for each in found for left in each), default=None)
 
 
@@ -209,7 +209,7 @@ def _control_groups(root: Path, controller: str, new: list[str], old: list[str])
             yield names, folder
 
 
-def _left_of_group(folder: Path, limit: str, used: str, cache: str) -> list[int]:
+def _memory_left_in_group(folder: Path, limit: str, used: str, cache: str) -> list[int]:
     """Return the unused memory below one control group's limit as a list of one number; empty without a limit."""
     try:
         most = (folder / limit).read_text().strip()
@@ -223,7 +223,7 @@ def _left_of_group(folder: Path, limit: str, used: str, cache: str) -> list[int]
     return [int(most) - int(now) + (int(reclaimable[1]) if reclaimable else 0)]
 
 
-def _left_of_addresses() -> int | None:
+def _address_space_left() -> int | None:
     """Return the unused address space below ``ulimit -v``, in bytes; None without a limit."""
     try:
         import resource

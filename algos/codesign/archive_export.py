@@ -84,6 +84,7 @@ def _row(record: Record) -> dict[str, Any]:
     """Convert a record to a row of the table."""
     item = record.candidate
     known = vars(record) | vars(item) | {"body": body_text(item.body), "parents": list(item.parents)}
+    known["policy"] = record.policy_file
     known |= dict(zip(("rows", "columns"), item.body.shape, strict=True))
     for place, name in enumerate(("curve_steps", "curve_values")):
         known[name] = [point[place] for point in record.curve]

@@ -131,8 +131,8 @@ class Loop:
         """Store new ``candidates``; RunError if a resumed search proposes others than before."""
         stored = self.archive.records(self.generation)
         if stored:
-            proposed = [_identity(candidate) for candidate in candidates]
-            if proposed != [_identity(record.candidate) for record in stored]:
+            proposed = [_reproducible_parts(candidate) for candidate in candidates]
+            if proposed != [_reproducible_parts(record.candidate) for record in stored]:
                 raise RunError(
                     f"The search now proposes other designs for generation {self.generation} than the archive holds: it"
                     " was made on another machine, by another version of warpvox or of the library that the search"
@@ -225,7 +225,7 @@ class Loop:
         # 0 steps, because none were simulated: all steps must sum to the cost of the experiment
         fitness = -math.inf if record.diverged else cast(float, record.fitness)
         outcome = Outcome(fitness, steps=0, stopped=bool(record.stopped))
-        return Finished(number, outcome, record.policy, record.policy_sha256, reused=original)
+        return Finished(number, outcome, record.policy_file, record.policy_sha256, reused=original)
 
     def _parents(self, work: Sequence[Batch]) -> Parents:
         """Load the parents of the candidates in ``work`` with their policies; empty without inheritance."""
@@ -236,13 +236,13 @@ class Loop:
         for number in sorted(numbers):
             record = self.archive.record(number)
             # Earlier generations only: a resumed search would know more policies of its own than an uninterrupted one.
-            if record.policy is not None and record.candidate.generation < self.generation:
-                policy = self.policies.load(record.policy)
+            if record.policy_file is not None and record.candidate.generation < self.generation:
+                policy = self.policies.load(record.policy_file)
                 parents[number] = Parent(record.candidate.body, policy, cast(float, record.fitness))
         return parents
 
 
-def _identity(candidate: Candidate) -> tuple[int, str, tuple[int, ...], str]:
+def _reproducible_parts(candidate: Candidate) -> tuple[int, str, tuple[int, ...], str]:
     """Return the parts of a candidate that a resumed search must reproduce."""
     return candidate.id, body_text(candidate.body), tuple(candidate.parents), candidate.origin
 

@@ -88,7 +88,7 @@ class Results(Listener):
             "best_design": best and best.id,
             "design": best and best.candidate.body.tolist(),
             **({"fresh_seeds": self.fresh} if self.fresh else {}),
-            **(self._screening() if self.settings.evaluation.finalists else {}),
+            **(self._screening() if self.settings.fitness.finalists else {}),
             "elapsed_seconds": round(elapsed, 3),
             "steps_per_second": round(steps / elapsed, 1) if steps else None,
         }
@@ -101,7 +101,7 @@ class Results(Listener):
         screened = [record for record in self.archive.records() if record.candidate.origin != FINALIST]
         known = [record.fitness for record in screened if record.fitness is not None]
         return {
-            "evaluation": self.settings.evaluation.name,
+            "fitness": self.settings.fitness.name,
             "finalists": self.archive.finalists(),
             "screened_fitness": max(known, default=None),
             "screening_steps": sum(record.steps or 0 for record in screened),
@@ -119,8 +119,8 @@ class Results(Listener):
         }
         if summary.get("fresh_seeds"):
             facts["winner on fresh seeds"] = fresh_text(summary["fresh_seeds"])
-        if self.settings.evaluation.finalists:
-            facts["evaluation"] = self.settings.evaluation.name
+        if self.settings.fitness.finalists:
+            facts["fitness"] = self.settings.fitness.name
         write_text(self.folder / REPORT, report_page(self.archive, facts, self.folder))
 
     def film(self, settings: Any) -> None:
@@ -130,7 +130,7 @@ class Results(Listener):
         user has named.
         """
         for one in self.archive.best(self.settings.top):
-            policy = self.folder / str(one.policy)
+            policy = self.folder / str(one.policy_file)
             file = policy.with_name(FILM)
             if file.is_file() or not policy.is_file():
                 continue
@@ -147,19 +147,19 @@ def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
     """Evaluate the best design in episodes with an unused seed; return the mean return.
 
     Each design is judged by few episodes, always the same, and the best of many is chosen by them: that return is too
-    good for what else the task, or the noise of ``fitness=robust``, may draw.
+    good for what else the task, or the noise of ``protocol=noise``, may draw.
 
     Returns:
         ``mean``, ``low`` and ``high`` (95 % interval, Student's t), ``episodes``, ``seed``; empty if nothing is
         random, or no design has a policy.
     """
-    if settings.fitness == NOMINAL and not get_task(settings.task).under(settings.rules).is_random:
+    if settings.protocol == NOMINAL and not get_task(settings.task).under(settings.rules).is_random:
         return {}
-    if not any(best.policy for best in results.archive.best()):
+    if not any(best.policy_file for best in results.archive.best()):
         return {}
     seed = 1000 + (settings.seed == 1000)  # not the seed that the search compared its designs with
     device = settings.device if settings.executor == "local" else "cpu"
-    how: dict[str, Any] = {"protocol": NOMINAL if settings.fitness == NOMINAL else "noise"} | own_code(settings)
+    how: dict[str, Any] = {"protocol": settings.protocol} | own_code(settings)
     play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **how)
     found = evaluate_run(find_run(str(results.folder), settings.output_dir), play)[0].interval
     return {"mean": found.mean, "low": found.low, "high": found.high, "episodes": FRESH, "seed": seed}
@@ -175,6 +175,27 @@ def evaluated_text(summary: Mapping[str, Any]) -> str:
     finalists = summary.get("finalists", 0)
     text = counted(summary["evaluations"] - finalists, "designs")
     return f"{text} and {counted(finalists, 'finalists')}" if finalists else text
+
+
+@dataclass(frozen=True, repr=False)
+class FoundDesign(Record):
+    """A design of a finished search, with its policy.
+
+    ``kept`` keeps a temporary folder of the search alive.
+    """
+
+    kept: Any = dataclasses.field(default=None, compare=False)
+
+    @property
+    def policy(self) -> Policy:
+        """Policy of the design, on the CPU; see :func:`warpvox.load_policy`.
+
+        Raises:
+            RunError: none was kept.
+        """
+        from warpvox.algos.training.loading import load_policy
+
+        return load_policy(self)
 
 
 @dataclass(frozen=True)
@@ -194,16 +215,17 @@ class Found:
     kept: Any = dataclasses.field(default=None, repr=False)
 
     @cached_property
-    def designs(self) -> list[Record]:
-        """Evaluated designs, best first: body, fitness, learning curve, ancestors.
+    def designs(self) -> list[FoundDesign]:
+        """Evaluated designs, best first: body, policy, fitness, learning curve, ancestors.
 
         Equal bodies come once, but for a finalist and the design that it comes from.
         """
         with Archive.read(self.folder / ARCHIVE) as archive:
-            return archive.best(max(1, archive.count()), with_parents=True)
+            records = archive.best(max(1, archive.count()), with_parents=True)
+        return [FoundDesign(**vars(record), kept=self.kept) for record in records]
 
     @property
-    def best(self) -> Record:
+    def best(self) -> FoundDesign:
         """Design with the best fitness."""
         return self.designs[0]
 
@@ -220,14 +242,7 @@ class Found:
     @property
     def policy(self) -> Policy:
         """Policy of the best design, on the CPU; see :func:`warpvox.load_policy`."""
-        return self.policy_of(self.best.id)
-
-    def policy_of(self, design: int, device: str = "cpu") -> Policy:
-        """Load the policy of the design with the id ``design``."""
-        from warpvox.algos.training.loading import load_policy
-
-        with Archive.read(self.folder / ARCHIVE) as archive:
-            return load_policy(archive.record(design), device=device)
+        return self.best.policy
 
     @property
     def curve(self) -> dict[str, np.ndarray]:

@@ -74,7 +74,7 @@ def robots_of(source: str | Path, top: int = 1) -> list[Robot]:
     if (source / ARCHIVE).is_file():
         with Archive.read(source / ARCHIVE) as archive:
             ranked = archive.best(max(1, archive.count()))
-        return _robots_of_search(source, [record for record in ranked if record.policy is not None][:top])
+        return _robots_of_search(source, [record for record in ranked if record.policy_file is not None][:top])
     if source.name.isdecimal() and (search / ARCHIVE).is_file():
         with Archive.read(search / ARCHIVE) as archive:
             record = archive.record(int(source.name))
@@ -94,9 +94,9 @@ def _robots_of_search(folder: Path, records: Sequence[Record]) -> list[Robot]:
     run = find_codesign(str(folder), "")
     robots = []
     for record in records:
-        if record.policy is None:
+        if record.policy_file is None:
             raise RunError(f"Design {record.id} of {folder} has no policy of its own.")
-        robots.append(_robot(run.config["task"], record.candidate.body, folder / record.policy))
+        robots.append(_robot(run.config["task"], record.candidate.body, folder / record.policy_file))
     return robots
 
 

@@ -15,8 +15,6 @@ FARTHEST = 8.0
 """Clipping limit of scaled inputs, in standard deviations."""
 BLOCK = 1024
 """Rows per block when updating the moments; a block fits into a CPU's cache."""
-LEAST = 1e-4
-"""Minimum of standard deviations: 1/1000 of a voxel's side, or that per second for velocities."""
 
 
 class VoxelNormalizer(nn.Module):
@@ -41,14 +39,14 @@ class VoxelNormalizer(nn.Module):
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
         """Compute a network's inputs from observations ``[rows, num_obs]``, then actuator order and kinds."""
         features, present, actions, kinds = self.inputs(obs)
-        deviation = self.var.sqrt() + LEAST
+        deviation = self.var.sqrt() + 1e-4  # 1/1000 of a voxel's side, for velocities per second
         moving = features[..., :MOVING].sub_(self.mean[:MOVING]).div_(deviation[:MOVING])
         moving.clamp_(-FARTHEST, FARTHEST).mul_(present)
-        rest = (self._rest(obs) - self.mean[MOVING:]) / deviation[MOVING:]
+        rest = (self._between_grid_and_time(obs) - self.mean[MOVING:]) / deviation[MOVING:]
         rest = [rest.clamp_(-FARTHEST, FARTHEST), *([self.inputs.clock(obs[:, -1:])] if self.layout.timed else [])]
         return torch.cat([features.flatten(1), *rest, actions.to(obs.dtype), kinds], dim=1)
 
-    def _rest(self, obs: torch.Tensor) -> torch.Tensor:
+    def _between_grid_and_time(self, obs: torch.Tensor) -> torch.Tensor:
         """Return the observations between the grid and the time."""
         last = obs.shape[1] - int(self.layout.timed)
         return obs[:, last - self.layout.scaled : last]
@@ -73,7 +71,7 @@ class VoxelNormalizer(nn.Module):
         """Return sums and sums of squares of scaled entries, number of voxels and number of rows, float64."""
         features, present, _, _ = self.inputs(obs)
         moving = features[..., :MOVING]
-        rest = self._rest(obs)
+        rest = self._between_grid_and_time(obs)
         sums = torch.cat([moving.sum((0, 1)), rest.sum(0), moving.square().sum((0, 1)), rest.square().sum(0)])
         return torch.cat([sums.double(), present.sum().double()[None], sums.new_full((1,), len(obs)).double()])
 

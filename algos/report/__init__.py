@@ -120,8 +120,8 @@ def _card(record: Record, folder: Path) -> str:
 
     # The folder of its policy
     film = ""
-    place = (folder / str(record.policy)).parent
-    if record.policy is not None and (place / CONFIG).is_file():
+    place = (folder / str(record.policy_file)).parent
+    if record.policy_file is not None and (place / CONFIG).is_file():
         try:
             keys = words_of_code(find_run(str(place), "").config)
             text += f"<code>warpvox play {in_html(shell_argument('run', place) + keys)}</code>"

@@ -61,7 +61,7 @@ def curves_of_searches(members: Sequence[SearchResult], x: str) -> dict[str, lis
 
 
 def curves_of(groups: Sequence[Group], x: str = "steps") -> list[Curve]:
-    """Return, by task, a curve of the deterministic return of each group, over the column ``x`` of ``metrics.csv``.
+    """Return a curve of the mean deterministic return for each group, over the column ``x`` of ``metrics.csv``.
 
     A run that has stopped early keeps its last return.
     """

@@ -68,7 +68,7 @@ def network_policy(
         for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
             state[f"mlp.{2 * layer}.weight"] = np.asarray(weight, np.float32)
             state[f"mlp.{2 * layer}.bias"] = np.asarray(bias, np.float32)
-        return _checked(spec, state)
+        return _float64_policy(spec, state)
     except (TypeError, ValueError, RuntimeError, LookupError) as error:
         raise RunError(f"The network of a policy cannot be made: {first_line(error):.200}") from None
 
@@ -122,12 +122,12 @@ def gait_policy(
             action_scale=ACTION_SCALE,
             gait={"stages": stages, "rows": body.shape[0], "columns": body.shape[1]},
         )
-        return _checked(spec, state)
+        return _float64_policy(spec, state)
     except (TypeError, ValueError, LookupError) as error:
         raise RunError(f"The gait is none of this body: {first_line(error):.200}") from None
 
 
-def _checked(spec: PolicySpec, state: dict[str, np.ndarray]) -> Policy:
+def _float64_policy(spec: PolicySpec, state: dict[str, np.ndarray]) -> Policy:
     """Validate ``state`` against ``spec``, and return the policy in float64."""
     tensors = {name: torch.as_tensor(value) for name, value in state.items()}
     check_spec(spec, tensors)

@@ -41,7 +41,9 @@ class BayesianSearch(BaseSearch):
         """Return random bodies in the first generation, later maximisers of the acquisition function."""
         if self.generation == 0:
             return [self.random_proposal(rng) for _ in range(count)]
-        propose = self._by_posterior if self.settings.acquisition == "pathwise" else self._by_improvement
+        propose = (
+            self._propose_by_posterior if self.settings.acquisition == "pathwise" else self._propose_by_improvement
+        )
         # The model takes squares, which overflow for a fitness beyond 1e9.
         scale = max(1.0, *(abs(value) / 1e9 for value in self.fitness))
         with seeded_torch(int(rng.integers(2**63))):
@@ -53,7 +55,7 @@ class BayesianSearch(BaseSearch):
         """Accept ``candidates`` without fitting the process again, which would take minutes."""
         self.adopt(candidates)
 
-    def _by_improvement(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
+    def _propose_by_improvement(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
         """Propose bodies of high expected improvement, starting from Thompson samples."""
         pool, _ = self.pool(rng, self.settings.candidates, 0)
         if not len(pool):
@@ -65,7 +67,7 @@ class BayesianSearch(BaseSearch):
         if self.settings.acquisition == "lbfgs":
             chosen = self._ends_or_starts(starts, ends)
         else:
-            chosen = self._climbed(log_improvement(model, best), starts, ends)
+            chosen = self._climb_ends(log_improvement(model, best), starts, ends)
         return [Proposal(body, (), "improvement" if moved else "thompson") for body, moved in chosen]
 
     def _ends_or_starts(self, starts: np.ndarray, ends: np.ndarray) -> Iterator[tuple[np.ndarray, bool]]:
@@ -76,7 +78,7 @@ class BayesianSearch(BaseSearch):
             elif self.claim(start):  # False if an earlier climb ended at this start
                 yield start, False
 
-    def _climbed(
+    def _climb_ends(
         self, values: Callable[[np.ndarray], np.ndarray], starts: np.ndarray, ends: np.ndarray
     ) -> Iterator[tuple[np.ndarray, bool]]:
         """Yield the end of each climb, and whether it differs from the start."""
@@ -89,7 +91,7 @@ class BayesianSearch(BaseSearch):
             if summit is not None and self.claim(summit):
                 yield summit, not np.array_equal(summit, start)
 
-    def _by_posterior(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
+    def _propose_by_posterior(self, rng: np.random.Generator, count: int, fitness: list[float]) -> list[Proposal]:
         """Propose the maximisers of ``count`` functions drawn from the posterior."""
         # A quarter of the pool is random; the rest are mutants of the best.
         random = max(1, round(self.settings.candidates * 0.25))

@@ -35,9 +35,9 @@ class SearchSettings(Settings):
 
     algorithm: str = key("", "which search")
     population: int = key(25, "designs of a generation", low=2)
-    max_evaluations: int = key(
+    max_designs: int = key(
         250,
-        "number of different designs to evaluate, also max_designs; in the paper 250, 500 or 750",
+        "number of different designs to evaluate; in the paper 250, 500 or 750",
         low=1,
         high=1_000_000,
     )
@@ -86,9 +86,9 @@ class BO(SearchSettings):
 
     acquisition: str = key(
         "pathwise",
-        "how designs are proposed: pathwise (hill climbing on samples of the posterior, over valid designs),"
-        " paper (expected improvement by L-BFGS, then voxel by voxel over new valid designs), lbfgs (expected"
-        " improvement by L-BFGS alone)",
+        "how designs are proposed: pathwise (hill climbing on posterior samples, over valid designs); paper (expected"
+        " improvement by L-BFGS, then voxel by voxel over new valid designs); lbfgs (expected improvement by L-BFGS"
+        " alone)",
         choices=("pathwise", "paper", "lbfgs"),
     )
     # Limits: the fit cannot start from its own bounds (see ``_make_model`` in ``bo_acquire.py``).

@@ -31,8 +31,6 @@ HELD_OUT_SEED = 1_000_003
 HELD_OUT = 32
 """Default number of random held-out bodies."""
 MOST = 1_000_000
-RECENT = 0.3
-"""Weight of the newest episode in a body's running mean return."""
 
 
 def load_bodies(spec: Any, seed: int) -> list[Design | dict[str, Design]]:
@@ -258,7 +256,8 @@ class Bodies:
             value = float(returns[env])
             if body >= 0:
                 old = self._returns[body]
-                self._returns[body] = value if np.isnan(old) else old + RECENT * (value - old)
+                # A running mean, in which the newest episode has a weight of 0.3
+                self._returns[body] = value if np.isnan(old) else old + 0.3 * (value - old)
 
     def exchange(self, env: RslRlVecEnv, ended: torch.Tensor) -> None:
         """Give environments in the mask ``ended`` (bool ``[num_envs]``) other bodies, according to ``refresh``."""

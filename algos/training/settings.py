@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from warpvox.algos.protocols import FITNESS, NOMINAL
+from warpvox.algos.protocols import CHOOSING, NOMINAL
 from warpvox.algos.settings import LOGGERS, PRESETS, REFRESH, PhysicsConfig, Ppo
 from warpvox.examples import bare_id, design_for
 from warpvox.keys import Settings, check_values, convert, key, plain
@@ -38,8 +38,8 @@ class Designs(Settings):
     )
     refresh: str = key(
         "none",
-        "what replaces a body at the end of its episode: nothing (none), a new random body (new), any of the"
-        " bodies (random), or any of them, more often those on which the policy does worse (performance)",
+        "what replaces a body after its episode: none (nothing), new (a new random body), random (any of the bodies),"
+        " performance (bodies with low returns more often)",
         choices=REFRESH,
     )
     held_out: Any = key(
@@ -65,9 +65,9 @@ class Training(Settings):
     task: str = key("Walker-v0", TASK)
     design: Any = key(
         "walker",
-        "body: the name of an example, auto (the example made for the task), random, random:5x7, zoo:TASK (in this"
-        " task, unless task is given), a file or folder with a body, or rows of cells;"
-        " for a task with several robots {name:body}",
+        "body: an example's name, auto (the example for the task), random, random:5x7, zoo:TASK, a file or folder with"
+        " a body, or rows of cells; zoo:TASK also sets the task unless task is given; for a task with several robots"
+        " {name:body}",
     )
     rules: str = key("evogym", RULE_SETS, choices=RULES)
     policy: str = key(
@@ -84,12 +84,12 @@ class Training(Settings):
     num_envs: int = key(512, "environments stepped in parallel", low=1)
     max_iterations: int = key(400, "training iterations in total, including those before a resume", low=1)
     eval_interval: int = key(10, "iterations between deterministic evaluations", low=1)
-    eval_envs: int | None = key(None, "evaluation episodes for each design; null: 1, with fitness=robust 8", low=1)
-    fitness: str = key(
+    episodes: int | None = key(None, "evaluation episodes for each design; null: 1, with protocol=noise 8", low=1)
+    protocol: str = key(
         NOMINAL,
         "episodes by which the best policy is chosen: undisturbed (nominal), or several with noise on the actions,"
-        " whose mean counts (robust)",
-        choices=FITNESS,
+        " whose mean counts (noise)",
+        choices=CHOOSING,
     )
     stop_return: float | None = key(None, "stop as soon as an evaluation reaches this return; null: never")
     save_interval: int = key(50, "iterations between checkpoints", low=1)

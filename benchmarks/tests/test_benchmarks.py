@@ -1,4 +1,4 @@
-"""Each benchmark at a tiny size, and that no time is reported of a wrong result."""
+"""Tests of each benchmark at a tiny size; wrong results must not be timed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ gymnasium.register("Walker-v0", entry_point=Env, max_episode_steps=100, kwargs={
 
 
 class Outcome(NamedTuple):
-    """Results of a benchmark: exit code (None: it has raised), tables, rows by their names."""
+    """Results of a benchmark: exit code (None after an error), tables, and rows by name."""
 
     code: int | None
     tables: str
@@ -43,7 +43,7 @@ class Outcome(NamedTuple):
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Outcome]]:
-    """``run("tasks", "--tasks", "Walker-v0")`` runs a benchmark; with ``fails`` it is to raise that."""
+    """Run a benchmark, such as ``run("tasks", "--tasks", "Walker-v0")``; ``fails``: the expected error."""
     monkeypatch.syspath_prepend(str(SCRIPTS))
     names = [path.stem for path in SCRIPTS.glob("*.py")]
     for name in names:
@@ -69,7 +69,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..
 
 @pytest.fixture
 def fake_evogym(tmp_path: Path) -> Callable[..., list[str]]:
-    """Make an interpreter with a package ``evogym`` whose centres of mass are off by so much; returns the option."""
+    """Create an interpreter with a fake package ``evogym`` whose centres of mass are off; return the option."""
 
     def make(offset: float = 0.0) -> list[str]:
         (tmp_path / "evogym").mkdir()
@@ -120,11 +120,17 @@ def test_tasks_without_evogym(run: Callable) -> None:
     assert "of one environment alone in float64" in tables
 
 
-def test_scaling_in_four_ways(run: Callable) -> None:
+def test_scaling_in_five_ways(run: Callable) -> None:
     words = "--sizes 2 3 --bodies 2 --simulated 0.04 --envs 1 8".split()
     _, tables, rows = run("scaling", *NO_REFERENCE, *words)
     assert {"2 x 2 sampled", "3 x 3 sampled", "1", "8"} <= rows.keys()
-    for heading in ("robots | voxels", "environments | physics alone", "threads | step only", "| 8 different bodies"):
+    for heading in (
+        "robots | voxels",
+        "environments | physics alone",
+        "threads | step only",
+        "arithmetic | ",
+        "| 8 different bodies",
+    ):
         assert heading in tables
     assert "1 of 8 were exchanged" in tables
 

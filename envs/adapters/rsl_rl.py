@@ -1,4 +1,4 @@
-"""A :class:`VoxelVecEnv` behind rsl-rl's interface of environments."""
+"""Adapter of a :class:`VoxelVecEnv` to rsl-rl's environment interface."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from warpvox.errors import ConfigError
 from warpvox.types import ACTION_CENTER, ACTION_SCALE
 
 STOP_CAUSES = ("unstable", "diverged")
-"""Causes of a termination that are logged: a stopped step, and divergence among those."""
+"""Logged reasons for stopping an episode: an undone step, and divergence in particular."""
 EPISODE_SUMS = ("sum_episodes", "sum_return", "sum_length", *(f"sum_{name}" for name in STOP_CAUSES))
-"""Names of the sums over the episodes that have ended."""
+"""Names of the sums over finished episodes."""
 OBS_GROUP = "policy"
-"""rsl-rl's name for the one group of observations that there is."""
+"""Name of the observation group in rsl-rl."""
 
 
 class RslRlVecEnv(VecEnv):
@@ -80,17 +80,17 @@ class RslRlVecEnv(VecEnv):
 
     @property
     def unwrapped(self) -> RslRlVecEnv:
-        """This adapter, in which rsl-rl looks for :attr:`step_dt`."""
+        """This adapter, because rsl-rl reads :attr:`step_dt` from here."""
         return self
 
     @property
     def step_dt(self) -> float:
-        """Duration of a control step, by which rsl-rl multiplies the weight of intrinsic rewards."""
+        """Duration of a control step, which rsl-rl multiplies with the weight of intrinsic rewards."""
         return self.env.sim.physics.substeps * self.env.sim.physics.dt
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
-        """Control steps of the present episodes, long ``[num_envs]``; rsl-rl assigns it for random starts."""
+        """Control steps of the present episodes, long ``[num_envs]``; rsl-rl sets it for random starts."""
         return self.env.episode_length
 
     @episode_length_buf.setter  # a variable in rsl-rl
@@ -100,27 +100,27 @@ class RslRlVecEnv(VecEnv):
         self._shortened.fill_(True)
 
     def get_observations(self) -> TensorDict:
-        """Return the current observations, group ``policy``: ``[num_envs, num_obs]`` in the precision of networks."""
+        """Return the present observations, group ``policy``, ``[num_envs, num_obs]``."""
         return self._group(self._obs.clone())
 
     def set_designs(self, designs: Sequence[object], mask: torch.Tensor) -> None:
-        """Give environments other bodies (:meth:`VoxelVecEnv.set_designs`); they begin new episodes."""
+        """Replace the bodies of environments (:meth:`VoxelVecEnv.set_designs`), which begin new episodes."""
         self._begin(self.env.set_designs(designs, mask), mask)
 
     def reset(self) -> TensorDict:
-        """Begin new episodes everywhere; return the observations."""
+        """Begin new episodes in all environments; return the observations."""
         self._begin(self.env.reset()[0], torch.ones_like(self._shortened))
         return self.get_observations()
 
     def _begin(self, obs: torch.Tensor, mask: torch.Tensor) -> None:
-        """Store the observations ``obs`` and forget returns where ``mask`` is True: new episodes begin there."""
+        """Store ``obs`` as the present observations, and reset returns where ``mask`` is True."""
         self._obs.copy_(obs)
         self._shortened.logical_and_(~mask)
         if self.reward_norm is not None:
             self.reward_norm.forget(mask)
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """Do one control step; ``actions`` ``[num_envs, num_actions]`` are outputs of the policy."""
+        """Do one control step with policy outputs ``actions`` ``[num_envs, num_actions]``."""
         obs, reward, terminated, truncated, info = self.env.step(self.goals(actions))
         self._obs.copy_(obs)
         episode = info["episode"]
@@ -153,14 +153,14 @@ class RslRlVecEnv(VecEnv):
         return self._group(obs), reward * self.reward_scale, done, extras
 
     def goals(self, outputs: torch.Tensor) -> torch.Tensor:
-        """Return the actions of the environments for outputs of the policy, both ``[num_envs, num_actions]``."""
+        """Convert policy outputs to actions of the environments, both ``[num_envs, num_actions]``."""
         return ACTION_CENTER + self.action_scale * outputs
 
     def _group(self, obs: torch.Tensor) -> TensorDict:
         return TensorDict({OBS_GROUP: obs.to(self.network_dtype)}, batch_size=[self.num_envs], device=self.device)
 
     def pop_episodes(self) -> dict[str, float]:
-        """Return the number of episodes that ended since the last call, and their mean return and length (NaN: none).
+        """Return number, mean return and mean length of the episodes ended since the last call (NaN: none).
 
         Returns are the task's own, not scaled. Episodes that were shortened for a random start do not count, except
         in ``unstable`` and ``diverged``: how many ended by a step that was stopped, and by divergence among them.
@@ -169,7 +169,7 @@ class RslRlVecEnv(VecEnv):
         return self.episodes_of(dict(zip(EPISODE_SUMS, map(float, self.take_sums().cpu()), strict=True)))
 
     def take_sums(self) -> torch.Tensor:
-        """Return the sums :data:`EPISODE_SUMS` over episodes that ended since the last call, and set them to 0.
+        """Return the sums :data:`EPISODE_SUMS` over episodes ended since the last call, and reset them.
 
         They are float64, on the device.
         """
@@ -179,14 +179,14 @@ class RslRlVecEnv(VecEnv):
 
     @staticmethod
     def episodes_of(sums: Mapping[str, float]) -> dict[str, float]:
-        """Return the result of :meth:`pop_episodes` from sums by name."""
+        """Compute the result of :meth:`pop_episodes` from sums by name."""
         count, total, length, *ends = (sums[name] for name in EPISODE_SUMS)
         means = (total / count, length / count) if count else (nan, nan)
         names = ("episodes", "return", "length", *STOP_CAUSES)
         return dict(zip(names, (int(count), *means, *map(int, ends)), strict=True))
 
     def state(self) -> dict[str, Any]:
-        """Return everything that changes, as tensors, for :meth:`set_state`."""
+        """Return the complete state as tensors, for :meth:`set_state`."""
         return {
             "env": self.env.state(),
             "obs": self._obs.clone(),
@@ -196,7 +196,7 @@ class RslRlVecEnv(VecEnv):
         }
 
     def pick(self, designs: Sequence[int]) -> dict[str, Any]:
-        """Return :meth:`state` as it would be with these designs alone, in this order.
+        """Return the :meth:`state` that these designs alone would have, in this order.
 
         Raises:
             ConfigError: the designs do not scale their rewards apart.
@@ -228,7 +228,7 @@ class RslRlVecEnv(VecEnv):
 
 
 class _ReturnScale:
-    """Divides rewards by the running standard deviation of the discounted return (population variance).
+    """Divides rewards by the running standard deviation of the discounted return.
 
     Environments come in ``groups`` of equal size, each with a deviation of its own.
     """
@@ -241,7 +241,7 @@ class _ReturnScale:
         self._moments = start[:, None].repeat(1, groups)
 
     def __call__(self, reward: torch.Tensor, done: torch.Tensor) -> torch.Tensor:
-        """Divide rewards by the running standard deviation of discounted returns, updated first; clip to +-10."""
+        """Update the running deviation, and divide rewards by it; the result is clipped to +-10."""
         self._return.mul_(self.gamma).add_(reward)
         count, mean, squares = self._moments
         grouped = self._return.view(len(count), -1)
@@ -255,14 +255,14 @@ class _ReturnScale:
         return (reward / scale).clamp(-10.0, 10.0).to(reward.dtype)
 
     def forget(self, mask: torch.Tensor) -> None:
-        """Set the discounted return to 0 where ``mask`` is True, as episodes begin there."""
+        """Reset the discounted returns where ``mask`` is True, at the start of episodes."""
         self._return.masked_fill_(mask, 0.0)
 
     def state(self) -> dict[str, torch.Tensor]:
         return {"return": self._return.clone(), "moments": self._moments.clone()}
 
     def pick(self, rows: torch.Tensor, groups: list[int]) -> dict[str, torch.Tensor]:
-        """Return :meth:`state` of these environments and groups alone."""
+        """Return the :meth:`state` of these environments and groups only."""
         return {"return": self._return[rows], "moments": self._moments[:, groups]}
 
     def set_state(self, state: dict[str, torch.Tensor]) -> None:

@@ -1,4 +1,4 @@
-"""The paper's experiments: the genetic algorithm on all tasks, three searches on ten of them.
+"""The paper's experiments: the genetic algorithm on all tasks, and three searches on ten tasks.
 
 python -m lab.comparison.paper run outputs/paper     # searches without a row in paper_members.csv
 python -m lab.comparison.paper add outputs/paper     # rows of those that are finished, into the two tables here
@@ -32,31 +32,31 @@ BENCHMARK10 = (
     "Walker-v0", "BridgeWalker-v0", "UpStepper-v0", "Traverser-v0", "Climber-v0", "Carrier-v0", "Thrower-v0",
     "Catcher-v0", "Lifter-v0", "BeamSlider-v0",
 )  # fmt: skip
-"""The tasks of the paper's main comparison (section B)."""
+"""Tasks of the paper's main comparison (section B)."""
 SLOWEST = "Traverser-v0"
-"""Task each of whose searches takes as long as six others."""
+"""Task whose searches take six times as long as others."""
 NAMES = {"ga": "GA", "bo_paper": "BO", "cppn_neat": "CPPN-NEAT"}
-"""Searches, and what the paper calls them."""
+"""Names of the searches in the paper."""
 SEEDS = 3
 SETTINGS = {"training": "fast", "training.iterations": 60}
-"""Training of a body, 122,880 control steps; the paper's 512,000 would leave 39 bodies of the budget."""
+"""Settings of each design's training: 122,880 control steps. The paper's 512,000 would leave only 39 designs."""
 STEPS = 20_000_000
-"""Control steps of a search."""
+"""Budget of a search in control steps."""
 DESIGNS = STEPS // 122_880
 FRACTIONS = [part / 20 for part in range(1, 21)]
 KEY = ("task", "search", "seed")
 FACTS = ("evaluations", "control_steps", "generations", "return", "noise", "seconds", "processor", "commit")
-"""``return``: of the best design, in exact arithmetic; ``noise``: its mean in episodes with noise on the actions."""
+"""Columns of results: ``return`` of the best design in exact arithmetic, ``noise`` its mean under action noise."""
 AXES = ("control_steps", "evaluations")
 CURVE_COLUMNS = (*KEY, "axis", *map("{:g}".format, FRACTIONS))
-"""The best fitness so far at fractions of the budget in control steps, or in evaluations."""
+"""Columns with the best fitness so far at fractions of the budget, in control steps or evaluations."""
 EPISODES = 32
 
 Row = dict[str, str]
 
 
 def members() -> list[Member]:
-    """All design searches in the order in which they are made, so that a cut leaves something to compare."""
+    """List all design searches in the order of running, so that an early stop leaves comparable results."""
     found = []
     for seed in range(SEEDS):
         for task in BENCHMARK10:
@@ -78,7 +78,7 @@ def keys_of(rows: Sequence[Row]) -> set[tuple[str, str, int]]:
 
 
 def add(home: Path) -> int:
-    """Evaluate the best designs of finished members without a row and add their rows; returns how many."""
+    """Evaluate the best designs of finished searches without a row and add the rows; return their number."""
     known = keys_of(read_rows(MEMBERS))
     new = [m for m in members() if (m.task, m.search, m.seed) not in known and finished(m.folder(home))]
     for member in new:
@@ -109,7 +109,7 @@ def add(home: Path) -> int:
 
 
 def page(text: str) -> str:
-    """A page with the tables of this folder between its marks."""
+    """Insert the tables into a page's text, between its marks."""
     returns = returns_of(read_rows(MEMBERS))
     parts = {"ga": ga_table(returns), "compared": compared_table(returns), "searches": searches_table()}
     for name, lines in parts.items():
@@ -119,7 +119,7 @@ def page(text: str) -> str:
 
 
 def returns_of(rows: Sequence[Row]) -> dict[tuple[str, str], np.ndarray]:
-    """Returns ``[seeds, 2]``, nominal and under noise, by task and search."""
+    """Collect returns ``[seeds, 2]``, nominal and under noise, by task and search."""
     found: dict[tuple[str, str], list[tuple[float, float]]] = {}
     for row in rows:
         found.setdefault((row["task"], row["search"]), []).append((float(row["return"]), float(row["noise"])))
@@ -137,7 +137,7 @@ def ga_table(returns: Mapping[tuple[str, str], np.ndarray]) -> list[str]:
 
 
 def compared_table(returns: Mapping[tuple[str, str], np.ndarray]) -> list[str]:
-    """Means of three searches on ten tasks, their scores, and on how many tasks each is the best."""
+    """Build the table of three searches on ten tasks: means, scores, and number of tasks won."""
     names = list(NAMES.values())
     heads = [*names, *(f"{name} under noise" for name in names)]
     lines = [f"| task | {' | '.join(heads)} |", f"|---{'|---:' * len(heads)}|"]
@@ -181,7 +181,7 @@ def compared_table(returns: Mapping[tuple[str, str], np.ndarray]) -> list[str]:
 
 
 def searches_table() -> list[str]:
-    """Mean returns of ``ga`` and ``auto`` by task, and how often the latter is better."""
+    """Build the table of ``ga`` and ``auto``: mean returns by task, and how often ``auto`` wins."""
     known = known_returns()
     found: dict[str, dict[str, dict[int, float]]] = {}
     for row in read_rows(SEARCHES):
@@ -204,7 +204,7 @@ def searches_table() -> list[str]:
 
 
 def picture() -> bytes:
-    """Best fitness over control steps, a panel for each task."""
+    """Draw the best fitness over control steps, one panel per task."""
     panels: dict[str, dict[str, tuple[list[float], np.ndarray]]] = {}
     rows = read_rows(CURVES)
     for task in wv.task_ids():

@@ -1,4 +1,4 @@
-"""Compare design searches that are finished, or under way, by their archives.
+"""Report that compares finished or running design searches by their archives.
 
     python -m lab.comparison.report outputs/look          # every search that lies in the folder
 
@@ -27,14 +27,14 @@ from warpvox.algos.report.members import SearchResult, read_members
 from warpvox.envs.registry import known_returns
 
 PANELS = 4
-"""Panels beside each other."""
+"""Maximum number of panels in a row."""
 RESULTS = ("task", "search", "seed", "best_return", "designs", "control_steps", "seconds", "status", "folder")
 Groups = dict[str, dict[str, list[SearchResult]]]
-"""Searches with a result by task and name."""
+"""Searches with results, by task and name."""
 
 
 def read_searches(folders: Sequence[Path]) -> list[SearchResult]:
-    """All searches in these folders that have evaluated a design.
+    """Read all searches in these folders that have evaluated a design.
 
     Raises:
         SystemExit: there is none, or seeds of one search differ by other settings, too.
@@ -52,7 +52,7 @@ def read_searches(folders: Sequence[Path]) -> list[SearchResult]:
 
 
 def _difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str | None:
-    """The first setting but the seed in which two searches differ."""
+    """Return the first setting, other than the seed, in which two searches differ."""
     for key in one:
         if key != "seed" and one[key] != other.get(key):
             return key
@@ -60,7 +60,7 @@ def _difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str | None:
 
 
 def grouped(searches: Sequence[SearchResult]) -> Groups:
-    """Searches by task and name, tasks in the order of the paper."""
+    """Group searches by task and name, with tasks in the order of the paper."""
     order = [*wv.task_ids(), *sorted({one.task for one in searches})]
     groups: Groups = {}
     for one in sorted(searches, key=lambda one: order.index(one.task)):
@@ -69,7 +69,7 @@ def grouped(searches: Sequence[SearchResult]) -> Groups:
 
 
 def scores_of(groups: Groups) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, int]]:
-    """Scores by search and task, and the control steps after which they are taken, by task.
+    """Compute scores by search and task, and the common number of control steps of each task.
 
     A score is 0 for the return of random bodies under random actions, 1 for the best published one. It is taken after
     the control steps that every run of the task has spent. Tasks without a published return, or without runs of every
@@ -89,7 +89,7 @@ def scores_of(groups: Groups) -> tuple[dict[str, dict[str, np.ndarray]], dict[st
 
 
 def write_report(folder: Path, searches: Sequence[SearchResult]) -> Path:
-    """Write the page, its pictures and table into ``folder``; returns the path of the page."""
+    """Write the report's page, pictures and table into ``folder``; return the path of the page."""
     folder.mkdir(parents=True, exist_ok=True)
     groups = grouped(searches)
 
@@ -131,7 +131,7 @@ def write_report(folder: Path, searches: Sequence[SearchResult]) -> Path:
 
 
 def write(path: Path, content: bytes) -> None:
-    """Write a file of the folder; a link of its name, which may lead elsewhere, is replaced."""
+    """Write a file of the folder; a symbolic link of that name is replaced, not followed."""
     path.unlink(missing_ok=True)
     path.write_bytes(content)
 
@@ -143,7 +143,7 @@ def write_csv(path: Path, names: Sequence[str], rows: Sequence[Sequence[Any]]) -
 
 
 def draw_curves(groups: Groups) -> bytes:
-    """The best return over control steps as SVG: a panel for each task, a colour for each search."""
+    """Draw the best return over control steps as SVG: one panel per task, one colour per search."""
     names = list(dict.fromkeys(name for named in groups.values() for name in named))
     panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
     for task, named in groups.items():
@@ -156,7 +156,7 @@ def draw_curves(groups: Groups) -> bytes:
 
 
 def draw_panels(panels: Mapping[str, Mapping[str, tuple[Any, np.ndarray]]], names: Sequence[str]) -> bytes:
-    """Curves over control steps as SVG: means of runs with their ranges.
+    """Draw curves over control steps as SVG: means of runs with their ranges.
 
     Args:
         panels: places ``[k]`` and returns ``[runs, k]`` by title and name.
@@ -201,7 +201,7 @@ def _table(heads: Sequence[str], groups: Groups) -> str:
 
 
 def _comparison(groups: Groups) -> str:
-    """The interquartile mean of each search, and the probability that a run of one is better than one of another."""
+    """Compute each search's interquartile mean, and the probabilities that one search beats another."""
     scores, steps = scores_of(groups)
     if not scores:
         return "<p>No task with a published return has runs of every search yet.</p>"

@@ -1,4 +1,4 @@
-"""Make the design searches of a comparison: every search on every task with every seed, several at a time.
+"""Runner of a comparison: every search on every task with every seed, several in parallel.
 
     python -m lab.comparison.run outputs/look --tasks Walker-v0 Carrier-v0 --searches ga bo --seeds 3 --designs 24
 
@@ -29,14 +29,14 @@ from warpvox.configs.composition import settings_named
 from warpvox.envs.registry import get_task
 
 SHAPES = {"Lifter-v0": [5, 7]}
-"""Rows and columns of the paper's bodies where they are not 5 x 5."""
+"""Grid sizes (rows, columns) of the paper's bodies, where not 5 x 5."""
 OF_MEMBERS = ("task", "seed", "device", "threads")
-"""Settings of a search that a comparison gives by itself."""
+"""Settings that a comparison sets itself for every search."""
 
 
 @dataclass(frozen=True)
 class Member:
-    """One design search of a comparison.
+    """One design search of a comparison: search, task and seed.
 
     Attributes:
         search: its name in the comparison.
@@ -50,12 +50,12 @@ class Member:
     settings: Mapping[str, Any]
 
     def folder(self, home: Path) -> Path:
-        """Folder of its run in that of the comparison."""
+        """Folder of the search in the comparison's folder."""
         return home / "members" / self.task / self.search / f"seed{self.seed}"
 
 
 def named_settings(task: str, search: str, designs: int | None, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of ``wv.codesign`` for a search by its name on the command line, ``bo_paper`` for instance.
+    """Return the arguments of ``wv.codesign`` for a search given by name, for instance ``bo_paper``.
 
     Args:
         designs: how many it may evaluate; None: as many as by default.
@@ -63,7 +63,7 @@ def named_settings(task: str, search: str, designs: int | None, changes: Mapping
     """
     # Sets of settings that have a name
     names: dict[str, str] = {"search": search}
-    for group in ("evaluation", "training"):
+    for group in ("fitness", "training"):
         if group in changes:
             names[group] = changes[group]
     settings = wv.Codesign(**settings_named("codesign", **names))
@@ -71,7 +71,7 @@ def named_settings(task: str, search: str, designs: int | None, changes: Mapping
     # Single values
     values: dict[str, Any] = {"shape": SHAPES.get(task, [5, 5])}
     if designs is not None:
-        values["search.max_evaluations"] = designs
+        values["search.max_designs"] = designs
     values.update(changes)
     for key, value in values.items():
         if key in OF_MEMBERS:
@@ -82,7 +82,7 @@ def named_settings(task: str, search: str, designs: int | None, changes: Mapping
 
 
 def changed(settings: Any, key: str, value: Any) -> Any:
-    """Settings with another value of a dotted key."""
+    """Change one setting by dotted key."""
     name, _, rest = key.partition(".")
     if name not in [field.name for field in dataclasses.fields(settings)]:
         known = ", ".join(field.name for field in dataclasses.fields(settings))
@@ -93,7 +93,7 @@ def changed(settings: Any, key: str, value: Any) -> Any:
 
 
 def finished(folder: Path) -> bool:
-    """Return whether the search in ``folder`` has come to its end."""
+    """Return whether the search in ``folder`` has finished."""
     try:
         return json.loads((folder / "summary.json").read_text(encoding="utf-8"))["status"] == "done"
     except (OSError, ValueError, KeyError):
@@ -101,7 +101,7 @@ def finished(folder: Path) -> bool:
 
 
 def run(members: Sequence[Member], home: Path, workers: int, device: str = "cpu") -> list[tuple[Member, str]]:
-    """Make all members that are not finished; returns those that have failed, with their errors.
+    """Run all unfinished searches; return those that failed, with their errors.
 
     Raises:
         RunError: a link stands where a member's folder is to lie; nothing is written.
@@ -143,7 +143,7 @@ def run(members: Sequence[Member], home: Path, workers: int, device: str = "cpu"
 
 
 def make(member: Member, folder: Path, device: str, threads: int) -> str:
-    """Make a member, or continue it, in a process of the pool; returns its error, which may be nothing."""
+    """Run or resume one search in a worker process; return the error message, empty if none."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         options = {"device": device, "threads": threads, "progress": False}
@@ -158,7 +158,7 @@ def make(member: Member, folder: Path, device: str, threads: int) -> str:
 
 
 def _begin_process() -> None:
-    """Ignore Ctrl-C between members, and end with the process that has started this one."""
+    """Set up a worker process: ignore Ctrl-C between searches, and exit with the parent process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
@@ -171,7 +171,7 @@ def _end_with_parent() -> None:
 
 
 def value_of(word: str) -> tuple[str, Any]:
-    """The key and the value of ``KEY=VALUE``; what is no Python literal is a text."""
+    """Parse ``KEY=VALUE``; a value that is no Python literal is a string."""
     key, given, text = word.partition("=")
     if not given:
         raise argparse.ArgumentTypeError(f"expected KEY=VALUE, got '{word}'")
@@ -182,7 +182,7 @@ def value_of(word: str) -> tuple[str, Any]:
 
 
 def part_of(word: str) -> tuple[int, int]:
-    """The numbers of ``K/N``."""
+    """Parse ``K/N`` into two numbers."""
     part, _, parts = word.partition("/")
     if not (part.isdigit() and parts.isdigit() and 1 <= int(part) <= int(parts)):
         raise argparse.ArgumentTypeError(f"expected K/N with K from 1 to N, got '{word}'")
@@ -190,7 +190,7 @@ def part_of(word: str) -> tuple[int, int]:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what all scripts that make members can be told."""
+    """Add the common command-line options of scripts that run searches."""
     parser.add_argument("folder", type=Path, help="folder of the comparison, new or to be continued")
     parser.add_argument("--workers", type=int, help="members at a time; by default one a core, with a GPU one in all")
     parser.add_argument("--device", default="cpu", help="cpu, cuda, cuda:1, ...")
@@ -198,7 +198,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run_given(members: Sequence[Member], given: argparse.Namespace) -> int:
-    """Make members as told on the command line; returns the exit code."""
+    """Run the searches selected on the command line; return the exit code."""
     part, parts = given.part
     workers = given.workers or (os.cpu_count() or 1 if given.device == "cpu" else 1)
     try:

@@ -1,4 +1,4 @@
-"""Comparisons over several tasks and few seeds, after Agarwal et al. (2021), arXiv:2108.13264.
+"""Statistics over several tasks and few seeds, after Agarwal et al. (2021), arXiv:2108.13264.
 
 Scores of a search are a mapping from tasks to float64 ``[..., runs]``; tasks need not have equally many runs. Leading
 dimensions are those of bootstrap samples.
@@ -12,20 +12,20 @@ import numpy as np
 
 Scores = Mapping[str, np.ndarray]
 SAMPLES = 2000
-"""Bootstrap samples of an interval."""
+"""Number of bootstrap samples for an interval."""
 LEVEL = 95.0
 """Confidence level of intervals, in percent."""
 
 
 def interquartile_mean(scores: Scores) -> np.ndarray:
-    """The mean of the middle half of all runs of all tasks: a quarter of them is left out at either end."""
+    """Compute the mean of the middle half of all runs of all tasks."""
     runs = np.sort(np.concatenate([np.asarray(values, np.float64) for values in scores.values()], axis=-1), axis=-1)
     cut = runs.shape[-1] // 4
     return runs[..., cut : runs.shape[-1] - cut].mean(-1)
 
 
 def improvement(first: Scores, second: Scores) -> np.ndarray:
-    """The probability that a run of ``first`` is better than one of ``second`` on the same task; ties count half.
+    """Compute the probability that a run of ``first`` beats one of ``second`` on the same task; ties count half.
 
     The mean over the tasks of both of the Mann-Whitney statistic, divided by the number of pairs.
     """
@@ -39,7 +39,7 @@ def improvement(first: Scores, second: Scores) -> np.ndarray:
 
 
 def interval(statistic: Callable[..., np.ndarray], *searches: Scores) -> tuple[float, float, float]:
-    """A statistic of the scores of one or more searches, and the ends of its stratified bootstrap interval.
+    """Compute a statistic of scores with its stratified bootstrap interval.
 
     Runs are drawn with replacement within each task of each search; the interval lies between percentiles of the
     statistic of such draws. It is NaN where every task has one run. Equal arguments give equal intervals.

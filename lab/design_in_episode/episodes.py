@@ -1,4 +1,4 @@
-"""The body inside the episode: the first steps of an episode set voxels, later ones act with the body that they made.
+"""Design inside the episode: the first steps set voxels, later steps control the finished body.
 
 An episode has two stages. In the **design stage** the physics of an environment stands still. Each of its
 ``design_steps`` steps sets the types of cells, of all at once (``revise="all"``, as a neural cellular automaton does)
@@ -23,16 +23,16 @@ from warpvox.envs.adapters.rsl_rl import RslRlVecEnv
 from warpvox.envs.vec_env import VoxelVecEnv
 
 NUM_TYPES = 5
-"""Number of types of a robot's cell: empty, rigid, soft, horizontal and vertical actuator (:class:`warpvox.Cell`)."""
+"""Number of cell types of a robot: empty, rigid, soft, horizontal and vertical actuator (:class:`warpvox.Cell`)."""
 CHOICES = {"revise": ("all", "one"), "actions": ("types", "logits"), "invalid": ("repair", "end")}
-"""Values of the arguments of :func:`design_episodes` that are names."""
+"""Valid names for arguments of :func:`design_episodes`."""
 AT_REST = 1.0
-"""Goal length of actuators whose action does not count."""
+"""Goal length of actuators without a valid action."""
 
 
 @dataclass(frozen=True)
 class DesignLayout:
-    """Composition of observations and actions.
+    """Layout of observations and actions of both stages.
 
     An observation is the task's (``task`` entries, 0 in the design stage), the types of the cells as one-hot vectors
     (``cells * 5``, row-major), with ``revise="one"`` the cell that the next design step sets as a one-hot vector
@@ -55,48 +55,48 @@ class DesignLayout:
 
     @property
     def cells(self) -> int:
-        """Cells of the grid."""
+        """Number of cells in the grid."""
         return self.rows * self.columns
 
     @property
     def revised(self) -> int:
-        """Cells that a design step sets."""
+        """Number of cells set by a design step."""
         return self.cells if self.revise == "all" else 1
 
     @property
     def design(self) -> int:
-        """Entries of the design stage's action: a type, or five logits, for each cell that a step sets."""
+        """Number of action entries in the design stage: a type, or five logits, per cell set by a step."""
         return self.revised * (NUM_TYPES if self.actions == "logits" else 1)
 
     @property
     def num_obs(self) -> int:
-        """Entries of an observation."""
+        """Number of observations."""
         return self.task + self.cells * (NUM_TYPES + (self.revise == "one")) + 2
 
     @property
     def num_actions(self) -> int:
-        """Entries of an action."""
+        """Number of actions."""
         return self.control + self.design
 
     def types(self, obs: torch.Tensor) -> torch.Tensor:
-        """``[..., cells, 5]``: the types of the cells, one-hot, of observations ``[..., num_obs]``."""
+        """Extract one-hot cell types ``[..., cells, 5]`` from observations ``[..., num_obs]``."""
         types = obs[..., self.task : self.task + self.cells * NUM_TYPES]
         return torch.unflatten(types, -1, (self.cells, NUM_TYPES))
 
     def cursor(self, obs: torch.Tensor) -> torch.Tensor:
-        """``[..., cells]``: 1 for the cell that the next design step sets (``revise="one"``), else without entries."""
+        """Extract the mask of the cell that the next design step sets, ``[..., cells]`` (``revise="one"``)."""
         return obs[..., self.task + self.cells * NUM_TYPES : -2]
 
     def designing(self, obs: torch.Tensor) -> torch.Tensor:
-        """bool ``[...]``: whether observations are of the design stage."""
+        """Return a mask of observations from the design stage, bool ``[...]``."""
         return obs[..., -2] > 0.5
 
     def progress(self, obs: torch.Tensor) -> torch.Tensor:
-        """``[...]``: the share of the design steps that are done; 1 in the control stage."""
+        """Extract the fraction of finished design steps, ``[...]``; 1 in the control stage."""
         return obs[..., -1]
 
     def action_mask(self, obs: torch.Tensor) -> torch.Tensor:
-        """bool ``[..., num_actions]``: the entries of an action that count after observations ``[..., num_obs]``.
+        """Return a mask of the action entries with an effect in the next step, bool ``[..., num_actions]``.
 
         In the design stage those of the design; in the control stage one for each actuator of the body.
         """
@@ -106,7 +106,7 @@ class DesignLayout:
         return torch.cat([control, designing.expand(*designing.shape[:-1], self.design)], dim=-1)
 
     def dict(self) -> dict[str, Any]:
-        """The layout as stored in a checkpoint."""
+        """Convert the layout to a dictionary for a checkpoint."""
         return asdict(self)
 
 
@@ -124,7 +124,7 @@ def design_episodes(
     seed: int = 0,
     **options: Any,
 ) -> DesignVecEnv:
-    """Make environments in which the body is designed within the episode.
+    """Create environments in which the body is designed within the episode.
 
     Args:
         task: a task with one robot.
@@ -178,7 +178,7 @@ def design_episodes(
 
 
 class DesignVecEnv:
-    """Environments whose episodes begin with the design of a body; made by :func:`design_episodes`.
+    """Environments whose episodes begin with designing a body; made by :func:`design_episodes`.
 
     It steps, resets and spreads episodes as :class:`warpvox.envs.vec_env.VoxelVecEnv` does; an episode, its length,
     return and time limit comprise both stages. Returned tensors are fresh.
@@ -225,22 +225,22 @@ class DesignVecEnv:
 
     @property
     def num_designs(self) -> int:
-        """Different bodies of the environments in use."""
+        """Number of distinct bodies in use."""
         return self.env.num_designs
 
     @property
     def design_index(self) -> torch.Tensor:
-        """long ``[num_envs]``: each environment designs a body of its own."""
+        """Index of each environment's body, long ``[num_envs]``: its own."""
         return torch.arange(self.num_envs, device=self.device)
 
     @property
     def max_episode_steps(self) -> int:
-        """Steps after which an episode is truncated, the design stage included."""
+        """Time limit of an episode in steps, the design stage included."""
         return self.design_steps + self.env.max_episode_steps
 
     @property
     def episode_length(self) -> torch.Tensor:
-        """long ``[num_envs]``: steps of the episode so far, those of the design stage included.
+        """Steps of the present episodes, the design stage included, long ``[num_envs]``.
 
         May be assigned, to spread the ends of episodes over time: a running episode then ends as much earlier as its
         length was raised.
@@ -259,7 +259,7 @@ class DesignVecEnv:
 
     @property
     def action_mask(self) -> torch.Tensor:
-        """bool ``[num_envs, num_actions]``: what counts in the next step (:meth:`DesignLayout.action_mask`)."""
+        """Mask of the action entries with an effect in the next step, bool ``[num_envs, num_actions]``."""
         control = self.env.action_mask[self.env.design_index] & ~self.designing[:, None]
         return torch.cat([control, self.designing[:, None].expand(-1, self.layout.design)], dim=1)
 
@@ -282,7 +282,7 @@ class DesignVecEnv:
         return self._observe(self._task), {}
 
     def _begin(self, mask: torch.Tensor) -> None:
-        """Begin the design stage of environments; the control stage's episode of theirs is over."""
+        """Begin the design stage in environments where ``mask`` is True, which ends their episodes."""
         # tensors are replaced, not written to: those made in inference mode could not be changed outside of it
         rows = mask.nonzero()[:, 0].tolist()
         if self._start is None:
@@ -302,7 +302,7 @@ class DesignVecEnv:
         self.env.episodes.truncated.logical_or_(mask)  # the next step does not move them
 
     def _observe(self, task: torch.Tensor) -> torch.Tensor:
-        """``[num_envs, num_obs]`` with the task's observations ``[num_envs, n]``."""
+        """Build observations ``[num_envs, num_obs]`` from the task's observations ``[num_envs, n]``."""
         layout = self.layout
         task = torch.where(self.designing[:, None], 0.0, task)
         types = torch.nn.functional.one_hot(self.cells.long().flatten(1), NUM_TYPES).flatten(1)
@@ -316,7 +316,7 @@ class DesignVecEnv:
     def step(
         self, actions: torch.Tensor | np.ndarray
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """One step everywhere: of the design or of control, whichever stage an environment is in.
+        """Do one step in all environments, of design or of control according to each one's stage.
 
         Args:
             actions: ``[num_envs, num_actions]``. Entries that do not count (:attr:`action_mask`) may hold anything.
@@ -371,7 +371,7 @@ class DesignVecEnv:
         return obs, (reward + paid).to(self.dtype), terminated, truncated, info
 
     def _revised(self, actions: torch.Tensor) -> torch.Tensor:
-        """int8 ``[num_envs, rows, columns]``: the cells after a design step with these actions everywhere."""
+        """Apply a design step's actions to the cells, int8 ``[num_envs, rows, columns]``."""
         layout = self.layout
         if layout.actions == "logits":
             types = torch.unflatten(actions, 1, (layout.revised, NUM_TYPES)).argmax(-1)
@@ -384,7 +384,7 @@ class DesignVecEnv:
         return torch.unflatten(types, 1, (layout.rows, layout.columns))
 
     def _complete(self, complete: torch.Tensor, task: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Begin the control stage where designs are complete.
+        """Begin the control stage in environments with a finished design.
 
         Returns:
             Where the bodies are valid, or no body is complete (bool); what the design stage adds to rewards (float64);
@@ -413,17 +413,17 @@ class DesignVecEnv:
         return valid, paid, task
 
     def retimed(self, obs: torch.Tensor) -> torch.Tensor:
-        """See :meth:`VoxelVecEnv.retimed`."""
+        """Return observations with updated time, as :meth:`VoxelVecEnv.retimed` does."""
         task = torch.where(self.designing[:, None], 0.0, self._task)
         return torch.cat([task.to(obs.dtype), obs[:, self.layout.task :]], dim=1)
 
     def not_finite(self) -> dict[str, int]:
-        """See :meth:`VoxelVecEnv.not_finite`."""
+        """Count non-finite terms, as :meth:`VoxelVecEnv.not_finite` does."""
         return self.env.not_finite()
 
 
 class RslRlDesignEnv(RslRlVecEnv):
-    """:class:`RslRlVecEnv` for environments of :func:`design_episodes`.
+    """Adapter to rsl-rl for environments of :func:`design_episodes`.
 
     Outputs of the policy for the control stage are scaled as there; those for the design stage are taken as they are.
     """
@@ -440,7 +440,7 @@ class RslRlDesignEnv(RslRlVecEnv):
     def controller(
         self, policy: Callable[[TensorDict], torch.Tensor], bodies: Sequence[object]
     ) -> Callable[[torch.Tensor], torch.Tensor]:
-        """The policy of the control stage, for environments whose bodies are given.
+        """Return the policy of the control stage, for environments with given bodies.
 
         Args:
             policy: TensorDict of observations to outputs, as ``runner.get_inference_policy()`` gives.

@@ -1,4 +1,4 @@
-"""A policy for the body inside the episode: a cellular automaton designs it, a network for voxels controls it.
+"""Policy for design inside the episode: a cellular automaton designs the body, a voxel network controls it.
 
 Both are one model of rsl-rl's kind, which stock PPO trains on :class:`lab.design_in_episode.episodes.RslRlDesignEnv`.
 """
@@ -18,11 +18,11 @@ from warpvox.algos.policies.model import VoxelModel
 from warpvox.errors import ConfigError
 
 GROUP = "policy"
-"""Name of the one group of observations."""
+"""Name of the observation group."""
 
 
 def joined(model: MLPModel, obs: TensorDict) -> torch.Tensor:
-    """The observations of a model, ``[rows, num_obs]``."""
+    """Concatenate a model's observations, ``[rows, num_obs]``."""
     return torch.cat([obs[name] for name in model.obs_groups], dim=-1)
 
 
@@ -33,7 +33,7 @@ def design_models(
     channels: int = 32,
     init_std: float = 0.5,
 ) -> dict[str, Any]:
-    """The entries ``obs_groups``, ``actor`` and ``critic`` of the dictionary that rsl-rl's runner takes.
+    """Build the entries ``obs_groups``, ``actor`` and ``critic`` of rsl-rl's configuration.
 
     Args:
         env: made with ``obs="voxel"`` and ``actions="types"``.
@@ -54,7 +54,7 @@ def design_models(
 
 
 class Automaton(nn.Module):
-    """Features of a partial body, from every cell and its neighbours, by the same weights in all places.
+    """Cellular automaton: computes features of a partial body from each cell's neighbourhood with shared weights.
 
     Two convolutions of 3x3 cells with tanh. Inputs of a cell: its type, one-hot; 1, which tells the rim of the grid
     from what lies beyond; its place in the grid, -1 to 1 in both directions; the share of the design steps that are
@@ -78,7 +78,7 @@ class Automaton(nn.Module):
         self.register_buffer("places", places, persistent=False)
 
     def forward(self, obs: torch.Tensor) -> torch.Tensor:
-        """Observations ``[rows, num_obs]`` to ``[rows, cells, outputs]``."""
+        """Compute features ``[rows, cells, outputs]`` from observations ``[rows, num_obs]``."""
         layout, count = self.layout, len(obs)
         grid = (layout.rows, layout.columns)
         types = layout.types(obs).transpose(1, 2).unflatten(2, grid)
@@ -89,7 +89,7 @@ class Automaton(nn.Module):
 
 
 class DesignDistribution(Distribution):
-    """Categorical types of cells in the design stage, Gaussian actions of the body's actuators in the control stage.
+    """Action distribution: categorical cell types in the design stage, Gaussian actions in the control stage.
 
     What belongs to the other stage, and actions that a body has not, are 0 and take no part: they add nothing to
     likelihood, entropy, divergence or gradients. :meth:`look` says, before :meth:`update`, which rows are which.
@@ -103,18 +103,18 @@ class DesignDistribution(Distribution):
         self.layout, self.gaussian = layout, gaussian
 
     def look(self, designing: torch.Tensor) -> None:
-        """``designing``: bool ``[rows]``."""
+        """Set the mask of rows in the design stage, bool ``[rows]``."""
         self._designing = designing
 
     def update(self, mlp_output: torch.Tensor) -> None:
-        """Take over means of actions and logits of types, ``[rows, control + revised * 5]``."""
+        """Set action means and type logits, ``[rows, control + revised * 5]``."""
         self.gaussian.update(mlp_output[:, : self.layout.control])
         logits = mlp_output[:, self.layout.control :].unflatten(1, (-1, NUM_TYPES))
         # 0 where nothing is designed: such rows add 0 to all sums
         self._log_p = torch.where(self._designing[:, None, None], logits.log_softmax(-1), 0.0)
 
     def sample(self) -> torch.Tensor:
-        """``[rows, actions]``, without a gradient; types as numbers 0 to 4."""
+        """Sample actions ``[rows, actions]`` without gradient; types are numbers 0 to 4."""
         noise = torch.empty_like(self._log_p).exponential_().log()  # the largest of log p - log(noise) is drawn with p
         types = (self._log_p.detach() - noise).argmax(-1)
         return torch.cat([self.gaussian.sample(), self._of_design(types)], dim=1)
@@ -124,27 +124,27 @@ class DesignDistribution(Distribution):
 
     @property
     def mean(self) -> torch.Tensor:
-        """``[rows, actions]``: of types, the most likely ones."""
+        """Mean actions and most likely types, ``[rows, actions]``."""
         return torch.cat([self.gaussian.mean, self._of_design(self._log_p.argmax(-1))], dim=1)
 
     @property
     def std(self) -> torch.Tensor:
-        """``[rows, control]``."""
+        """Standard deviations of the control actions, ``[rows, control]``."""
         return self.gaussian.std
 
     @property
     def entropy(self) -> torch.Tensor:
-        """``[rows]``."""
+        """Entropy of each row's distribution, ``[rows]``."""
         design = -(self._log_p.exp() * self._log_p).sum((1, 2))
         return self.gaussian.entropy + design
 
     @property
     def params(self) -> tuple[torch.Tensor, ...]:
-        """Means and deviations ``[rows, control]`` and logarithms of the probabilities ``[rows, revised, 5]``."""
+        """Means and deviations ``[rows, control]``, and log-probabilities of types ``[rows, revised, 5]``."""
         return (*self.gaussian.params, self._log_p)
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
-        """``[rows]`` of actions ``[rows, actions]``."""
+        """Compute log-probabilities ``[rows]`` of actions ``[rows, actions]``."""
         control = self.layout.control
         # entries that do not count may hold anything, also values that are no type
         types = torch.where(self._designing[:, None], outputs[:, control:], 0.0).long()
@@ -152,14 +152,14 @@ class DesignDistribution(Distribution):
         return self.gaussian.log_prob(outputs[:, :control]) + design
 
     def kl_divergence(self, old_params: tuple[torch.Tensor, ...], new_params: tuple[torch.Tensor, ...]) -> torch.Tensor:
-        """KL(old || new), ``[rows]``; entries that do not count are alike in both."""
+        """Compute KL(old || new), ``[rows]``; masked entries are equal in both."""
         (old_mean, old_std, old), (mean, std, new) = old_params, new_params
         gaussian = (std / old_std).log() + (old_std.square() + (old_mean - mean).square()) / (2 * std.square()) - 0.5
         return gaussian.sum(1) + (old.exp() * (old - new)).sum((1, 2))
 
 
 class DesignModel(MLPModel):
-    """Actor or critic of both stages.
+    """Actor or critic for both stages.
 
     Args:
         layout: of observations and actions (:class:`DesignLayout`).
@@ -203,7 +203,7 @@ class DesignModel(MLPModel):
         self.distribution: DesignDistribution | None = None if gaussian is None else DesignDistribution(plan, gaussian)
 
     def _task(self, obs: torch.Tensor) -> TensorDict:
-        """The observations of the control stage, as its model takes them."""
+        """Extract the control stage's observations for its model."""
         return TensorDict({GROUP: obs[:, : self.layout.task]}, batch_size=[len(obs)])
 
     def forward(
@@ -218,7 +218,7 @@ class DesignModel(MLPModel):
         return self.distribution.sample() if stochastic_output else self.distribution.mean
 
     def _outputs(self, obs: torch.Tensor) -> torch.Tensor:
-        """Means and logits ``[rows, control + revised * 5]`` of an actor, values ``[rows, 1]`` of a critic."""
+        """Compute an actor's means and logits ``[rows, control + revised * 5]``, or a critic's values ``[rows, 1]``."""
         layout, designing = self.layout, self.layout.designing(obs)
         control = self.control.run(self.control.obs_normalizer(obs[:, : layout.task]))
         rows = designing.nonzero()[:, 0]

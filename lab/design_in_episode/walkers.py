@@ -1,4 +1,4 @@
-"""Learn to design walkers of 4x4 cells and to control them: python -m lab.design_in_episode.walkers 60 [random]"""
+"""Training to design and control walkers of 4x4 cells: python -m lab.design_in_episode.walkers 60 [random]"""
 
 import contextlib
 import io
@@ -18,7 +18,7 @@ TASK, SHAPE, LIMIT, DESIGN_STEPS = "Walker-v0", (4, 4), 100, 3
 
 
 class RandomBodies(RslRlDesignEnv):
-    """Bodies stay the random ones that designs begin with; only their control is learnt."""
+    """Baseline that keeps the random initial bodies and learns only their control."""
 
     def goals(self, outputs):
         goals, control = super().goals(outputs), self.env.layout.control
@@ -58,7 +58,7 @@ def learn(env, iterations, seed=0):
 
 @torch.no_grad()
 def design(env, runner):
-    """A body for each environment, drawn from the policy."""
+    """Sample a body for each environment from the policy."""
     obs = env.reset()
     for _ in range(DESIGN_STEPS):
         obs = env.step(runner.alg.get_policy()(obs, stochastic_output=True))[0]
@@ -66,7 +66,7 @@ def design(env, runner):
 
 
 def play(env, runner, bodies):
-    """An episode of each body under the learnt control, without exploration."""
+    """Run an episode of each body under the trained control, without exploration."""
     options = {"obs": "voxel", "grid": SHAPE, "max_episode_steps": LIMIT, "device": "cpu", "auto_reset": False}
     plain = wv.make_vec(TASK, bodies, len(bodies), **options)
     return wv.record(plain, env.controller(runner.get_inference_policy(), bodies))

@@ -1,4 +1,4 @@
-"""Training by gradients through the physics, of a policy that moves by body and time alone."""
+"""Training by gradients through the physics of a policy that depends on body and time only."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from lab.gradients.cpg import DRIVEN, CpgNetwork, clock, describe_bodies
 from warpvox.envs.snapshot import Snapshot
 
 UNIVERSAL = Path(__file__).with_name("universal.pt")
-"""The policy of ``train.py`` with its defaults: for bodies up to 5x5 on Walker-v0."""
+"""Policy trained by ``train.py`` with its defaults, for bodies up to 5x5 on Walker-v0."""
 DERIVED = ("com", "velocity")
-"""Quantities of a state that are differentiated, and that rewards may be made of."""
+"""State quantities with gradients, which rewards may use."""
 CENTER, SCALE = 1.1, 0.5
-"""An action is ``CENTER + SCALE * output``."""
+"""Scaling of outputs to actions: ``CENTER + SCALE * output``."""
 PROBE = 40
-"""Control steps in which some reward must have a derivative."""
+"""Control steps within which some reward must have a gradient."""
 STEP = 0.25
-"""Distance from the weights of a body to its target, root mean square."""
+"""Distance from a body's weights to the target, root mean square."""
 ROLLOUTS = 16
-"""Number of rollouts whose bodies keep their targets."""
+"""Number of past rollouts whose targets are kept."""
 BATCH = 256
-"""Number of bodies in a step of Adam."""
+"""Number of bodies per step of Adam."""
 SMOOTHING = 0.995
-"""Share of the policy that stays when the learner has made a step."""
+"""Fraction of the averaged policy kept at each step of the learner."""
 DECAY, MAX_GRAD_NORM = 0.01, 1.0
-"""Weight decay of the learner, and the norm to which its gradients are scaled down."""
+"""Weight decay and gradient clipping of the learner."""
 
 
 class Motion:
-    """The actions of a network for the bodies of environments: a function of observations whose last column is time.
+    """Policy made of a network's weights for given bodies: a function of observations that end with the time.
 
     Args:
         weights: of the network for the bodies, ``[num_envs, cells, 1 + clock]``.
@@ -54,7 +54,7 @@ class Motion:
         self.weights = weights.new_zeros(len(weights), cells + 1, weights.shape[2]).scatter(1, place, weights)[:, :-1]
 
     def at(self, time: torch.Tensor) -> torch.Tensor:
-        """Actions ``[num_envs, cells]`` at times ``[num_envs or 1, 1]``."""
+        """Compute actions ``[num_envs, cells]`` at times ``[num_envs or 1, 1]``."""
         swing = self.weights[..., 1:] * clock(time)[:, None]
         return CENTER + SCALE * torch.tanh(self.weights[..., 0] + swing.sum(-1))
 
@@ -63,7 +63,7 @@ class Motion:
 
 
 class Targets:
-    """Targets of the policy: weights of the last bodies; a body that comes again has its newest ones."""
+    """Replay buffer of training targets: bodies and weights; a repeated body replaces the old entry."""
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
@@ -73,7 +73,7 @@ class Targets:
         return len(self._known)
 
     def add(self, bodies: torch.Tensor, targets: torch.Tensor) -> None:
-        """Add ``[rows, ...]`` of both; of equal bodies the last row counts."""
+        """Add bodies and weights, ``[rows, ...]`` each; of equal bodies the last row counts."""
         for body, target in zip(bodies, targets, strict=True):
             key = body.cpu().numpy().tobytes()
             self._known.pop(key, None)
@@ -82,7 +82,7 @@ class Targets:
             self._known.pop(next(iter(self._known)))
 
     def draw(self, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """So many bodies and targets, drawn at random with torch's generator of the CPU."""
+        """Sample bodies and targets at random, with torch's CPU generator."""
         pairs = list(self._known.values())
         chosen = [pairs[row] for row in torch.randint(len(pairs), (count,)).tolist()]
         return torch.stack([body for body, _ in chosen]), torch.stack([target for _, target in chosen])
@@ -91,7 +91,7 @@ class Targets:
 def roll_out(
     env: Any, gradients: wv.Gradients, weights: torch.Tensor, bodies: torch.Tensor, steps: int
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Control steps of episodes that have just begun, differentiated.
+    """Simulate the first control steps of episodes, and differentiate the sum of their rewards.
 
     Bonuses at ends of episodes do not count.
 
@@ -118,19 +118,19 @@ def roll_out(
 
 
 def _snapshot(gradients: wv.Gradients, state: torch.Tensor) -> Snapshot:
-    """The state for rewards, differentiable."""
+    """Build a differentiable state for rewards."""
     return Snapshot(_Differentiated(**{name: partial(getattr(gradients, name), state) for name in DERIVED}))
 
 
 class _Differentiated(SimpleNamespace):
-    """The quantities of a state that are differentiated, in the place of a simulation."""
+    """Differentiable replacement of a simulation for rewards."""
 
     def __getattr__(self, quantity: str) -> Any:
         raise wv.ConfigError(f"Rewards made of centres of mass and velocities are differentiated, not of {quantity}.")
 
 
 class Ascent:
-    """Trains one policy by the derivatives of what it gets in the first control steps of episodes.
+    """Trains one policy by the gradients of the rewards in the first control steps.
 
     In each iteration all environments begin an episode, and each body gets a target: the weights that the network gives
     it, and :data:`STEP` along the derivative of its return. A copy of the network, the learner, is fitted to the
@@ -182,14 +182,14 @@ class Ascent:
             )
 
     def look(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Descriptions of the environments' bodies, ``[num_envs, cells, 10]``, and the network's weights for them."""
+        """Return the bodies' descriptions ``[num_envs, cells, 10]``, and the network's weights for them."""
         designs = [self.env.designs[number] for number in self.env.design_index.tolist()]
         bodies = describe_bodies(pad_bodies(designs, self.network.shape)).to(self.env.device)
         with torch.no_grad():
             return bodies, self.network(bodies)
 
     def iterate(self) -> dict[str, float]:
-        """One iteration: roll out, set targets, fit the learner.
+        """Run one iteration: simulate, set targets, fit the learner.
 
         Returns:
             ``return``: the mean return of the first control steps (NaN: all were stopped), ``stopped``: the number of
@@ -235,13 +235,13 @@ class Ascent:
 
 
 def make_env(task: Any, bodies: Sequence[Any], shape: tuple[int, int], **options: Any) -> Any:
-    """Environments, one for each body, in which control steps can be differentiated; they observe the time."""
+    """Create differentiable environments, one for each body, with the time as observation."""
     settings = {"obs": "timed_voxel", "layout": "lanes", "arithmetic": "fast", "auto_reset": False} | options
     return wv.make_vec(task, list(bodies), len(bodies), grid=shape, **settings)
 
 
 def judge(network: CpgNetwork, env: Any, bodies: Sequence[Any]) -> np.ndarray:
-    """Return of an episode of each body, ``[num_envs]``; ``env`` has these bodies and ``auto_reset=False``."""
+    """Return each body's return in one episode, ``[num_envs]``; ``env`` has these bodies and ``auto_reset=False``."""
     described = describe_bodies(pad_bodies(bodies, network.shape)).to(env.device)
     with torch.no_grad():
         motion = Motion(network(described), described)
@@ -254,7 +254,7 @@ def judge(network: CpgNetwork, env: Any, bodies: Sequence[Any]) -> np.ndarray:
 
 
 def pad_bodies(bodies: Sequence[np.ndarray], shape: tuple[int, int]) -> np.ndarray:
-    """Bodies in the upper left corner of a grid of ``shape``, ``[n, rows, columns]``."""
+    """Place bodies in the upper left corner of a grid of ``shape``, ``[n, rows, columns]``."""
     grids = np.zeros((len(bodies), *shape), np.int64)
     for grid, body in zip(grids, bodies, strict=True):
         rows, columns = body.shape
@@ -265,7 +265,7 @@ def pad_bodies(bodies: Sequence[np.ndarray], shape: tuple[int, int]) -> np.ndarr
 
 
 def load_network(file: str | Path = UNIVERSAL, shape: tuple[int, int] = (5, 5)) -> CpgNetwork:
-    """A network for a grid of ``shape`` from a file that ``train.py`` has written; by default the one beside it."""
+    """Load a network for a grid of ``shape`` from a file of ``train.py`` (default: the packaged one)."""
     network = CpgNetwork(*shape)
     network.load_state_dict(torch.load(file, weights_only=True))
     return network

@@ -1,4 +1,4 @@
-"""A central pattern generator: rhythms of the actuators, which follow from the body alone."""
+"""Central pattern generator: rhythms of the actuators as a function of the body alone."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from lab.gradients.response import LinearResponse
 from warpvox.algos.policies.transformer import AttentionBlock
 
 PERIODS = (10.0, 5.0)
-"""Periods of the rhythms, in control steps."""
+"""Periods of the rhythms in control steps."""
 MOVED = (0.035, 0.016)
-"""Typical motion of random bodies' voxels, in voxels, in a random wave of amplitude 0.4, for each period."""
+"""Typical displacement of voxels in random bodies under a random wave of amplitude 0.4, in voxels, by period."""
 WAVE = (-0.3, -1.0, -2.6)
 """Phases by which the first motion of all bodies runs ahead, in radians: of a column, of a row (counted downward), of a
 vertical actuator. The best of 96 random waves for 256 random bodies on Walker-v0."""
 TYPE, PLACE, FEATURES = slice(2, 6), slice(0, 2), 10
 """Columns of the type and of the place in :func:`describe_bodies`, and their number."""
 DRIVEN = slice(4, 6)
-"""Columns of the types with an actuator."""
+"""Columns of the actuator types."""
 
 
 def describe_bodies(bodies: np.ndarray) -> torch.Tensor:
-    """The inputs of the network, from bodies.
+    """Convert bodies to the network's inputs.
 
     Args:
         bodies: integers ``[n, rows, columns]``, types of cells (:class:`warpvox.Cell`).
@@ -51,14 +51,14 @@ def describe_bodies(bodies: np.ndarray) -> torch.Tensor:
 
 
 def clock(time: torch.Tensor) -> torch.Tensor:
-    """Sines, then cosines, ``[n, 4]``, of control steps ``[n, 1]`` since the episode began."""
+    """Compute sines, then cosines, ``[n, 4]``, of control steps ``[n, 1]``."""
     periods = torch.tensor(PERIODS, dtype=time.dtype, device=time.device)
     phase = 2 * math.pi * torch.remainder(time, periods) / periods
     return torch.cat([phase.sin(), phase.cos()], dim=1)
 
 
 class CpgNetwork(nn.Module):
-    """Motion without feedback: only the body and the time matter.
+    """Network that computes open-loop rhythms for a body.
 
     The output for voxel c at time t is ``tanh(w_c0 + sum over k of w_ck clock_k(t))``, with sines and cosines of
     :data:`PERIODS`. At first the weights ``w_c`` are those of a travelling wave, the same for all bodies. Each layer
@@ -101,7 +101,7 @@ class CpgNetwork(nn.Module):
         self.wave = nn.Parameter(wave)
 
     def forward(self, bodies: torch.Tensor) -> torch.Tensor:
-        """Weights ``[n, cells, 1 + clock]`` for bodies ``[n, cells, 10]`` (:func:`describe_bodies`)."""
+        """Compute weights ``[n, cells, 1 + clock]`` from bodies ``[n, cells, 10]`` (:func:`describe_bodies`)."""
         types, places = bodies[..., TYPE], bodies[..., PLACE]
         present, driven = types.sum(-1, keepdim=True), types[..., 2:].sum(-1)[:, None, :, None]
         distance = (places[:, :, None] - places[:, None]).square().sum(-1).add(1e-6).sqrt()[:, None]
@@ -129,7 +129,7 @@ class CpgNetwork(nn.Module):
 
 
 def _moved(response: torch.Tensor, swing: torch.Tensor) -> torch.Tensor:
-    """How voxels move, ``[n, periods, 2 * cells, 2]``, by actions ``[n, periods, cells, 2]``.
+    """Compute the motion of voxels ``[n, periods, 2 * cells, 2]`` from actions ``[n, periods, cells, 2]``.
 
     The last axis are the factors of sine and cosine.
     """
@@ -139,7 +139,7 @@ def _moved(response: torch.Tensor, swing: torch.Tensor) -> torch.Tensor:
 
 
 def _driving(response: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-    """The transposed of :func:`_moved`."""
+    """Apply the transpose of :func:`_moved`."""
     real, imaginary = response.mT.unbind(2)
     quarter = torch.stack([wanted[..., 1], -wanted[..., 0]], dim=-1)
     return real @ wanted + imaginary @ quarter

@@ -1,4 +1,4 @@
-"""How the voxels of a body move when its actuators oscillate, to first order."""
+"""Linear response: the motion of a body's voxels to oscillating actuators, to first order."""
 
 import math
 from collections.abc import Sequence
@@ -11,15 +11,15 @@ from torch import nn
 from warpvox import Cell, Physics
 
 DEGREE = 64
-"""Degree of the polynomials: for a period of 10 control steps they are off by 1.3 % of their largest value."""
+"""Degree of the Chebyshev polynomials; the error is 1.3 % of the maximum for a period of 10 control steps."""
 KEPT = 400 << 20
-"""Limit on the responses that are kept for bodies that come again, bytes."""
+"""Maximum memory for cached responses, in bytes."""
 KINDS = (Cell.RIGID, Cell.SOFT, Cell.H_ACT, Cell.V_ACT)
-"""Types of voxels, in the order of the inputs of the network."""
+"""Voxel types in the order of the network's inputs."""
 
 
 class LinearResponse(nn.Module):
-    """Displacement of the voxels' centres by actions that are sines and cosines of the time.
+    """Computes displacements of voxel centres under sinusoidal actions.
 
     Of a body in the air whose springs hardly turn: point masses in the corners of the grid, springs and relaxation of
     rest lengths of the preset ``evogym``, no drag. With K the matrix of the springs, over the mass, a response is
@@ -70,14 +70,14 @@ class LinearResponse(nn.Module):
         self._known: dict[tuple[str, bytes], torch.Tensor] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copies and pickles begin without known responses, which may be hundreds of megabytes."""
+        """Leave cached responses out of copies and pickles, as they take hundreds of megabytes."""
         return self.__dict__ | {"_known": {}}
 
     def _keep(self, name: str, values: np.ndarray) -> None:
         self.register_buffer(name, torch.from_numpy(values), persistent=False)
 
     def forward(self, types: torch.Tensor) -> torch.Tensor:
-        """Responses of bodies, computed in float64.
+        """Compute responses of bodies in float64.
 
         Args:
             types: ``[bodies, cells, 4]``, one of (rigid, soft, horizontal actuator, vertical actuator) is 1.
@@ -106,7 +106,7 @@ class LinearResponse(nn.Module):
         return self.coefficients[..., k].reshape(-1, 1, 1) * power[:, None]
 
     def _stiffness(self, types: torch.Tensor) -> torch.Tensor:
-        """``[bodies, springs]``; of two voxels that share a side the stiffer one counts."""
+        """Compute spring stiffness ``[bodies, springs]``; a shared side takes the stiffer voxel's."""
         of_cells = torch.stack([types @ kinds for kinds in self.stiffness], dim=-1)
         of_cells = torch.cat([of_cells, torch.zeros_like(of_cells[:, :1])], dim=1)
         of_springs = of_cells[:, self.owners].amax(2)
@@ -114,7 +114,7 @@ class LinearResponse(nn.Module):
 
     @torch.no_grad()
     def known(self, types: torch.Tensor) -> torch.Tensor:
-        """:meth:`forward`, float32; those of bodies that were here before are kept."""
+        """Compute responses in float32, cached for repeated bodies."""
         bodies, where = (types.argmax(-1) + types.sum(-1)).to(torch.int8).cpu().numpy(), str(types.device)
         keys = [(where, row.tobytes()) for row in bodies]
         first = {key: row for row, key in enumerate(keys)}
@@ -129,7 +129,7 @@ class LinearResponse(nn.Module):
 
 
 def _extension(ends: np.ndarray, columns: int, points: int) -> np.ndarray:
-    """``[springs, 2 * points]``: how much longer a spring gets by displacements of the points, x and y alternately."""
+    """Build the matrix ``[springs, 2 * points]`` from point displacements (x, y interleaved) to spring extensions."""
     matrix, row = np.zeros((len(ends), 2 * points)), np.arange(len(ends))
     x, y = ends % columns, -(ends // columns)
     along = np.stack([x[:, 1] - x[:, 0], y[:, 1] - y[:, 0]], axis=1)
@@ -141,7 +141,7 @@ def _extension(ends: np.ndarray, columns: int, points: int) -> np.ndarray:
 
 
 def _centre(corners: np.ndarray, points: int) -> np.ndarray:
-    """``[2 * cells, 2 * points]``: from the displacements of points to those of the cells' centres."""
+    """Build the matrix ``[2 * cells, 2 * points]`` from point displacements to displacements of cell centres."""
     matrix, cell = np.zeros((2 * len(corners), 2 * points)), np.arange(len(corners))
     for corner in corners.T:
         for axis in (0, 1):
@@ -150,7 +150,7 @@ def _centre(corners: np.ndarray, points: int) -> np.ndarray:
 
 
 def _polynomial(physics: Physics, period: float, largest: float) -> np.ndarray:
-    """``[2, DEGREE + 1]``: Chebyshev coefficients of H on [0, ``largest``], real and imaginary part."""
+    """Compute Chebyshev coefficients ``[2, DEGREE + 1]`` of H on [0, ``largest``], real and imaginary part."""
     nodes = np.cos(math.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
     values = _transfer(physics, period, (nodes + 1) * largest / 2)
     order = np.arange(DEGREE + 1)[:, None]
@@ -160,7 +160,7 @@ def _polynomial(physics: Physics, period: float, largest: float) -> np.ndarray:
 
 
 def _transfer(physics: Physics, period: float, stiffness: np.ndarray) -> np.ndarray:
-    """H: complex displacement of a mass on a spring, over the force by which an oscillating goal changes its length.
+    """Compute the transfer function H: complex displacement of a mass on a spring per driving force.
 
     In a sub-step the rest length stays at ``l + rate (goal - l)``, l the length at its beginning. The exact motion to
     the next sub-step is a linear recursion, solved here for motions that are multiplied by z in each sub-step.

@@ -1,4 +1,4 @@
-"""Search for bodies that are compared by the policy tuned for them: python -m lab.gradients.search [evaluations]"""
+"""Search for bodies, compared by a pretrained policy tuned for them: python -m lab.gradients.search [evaluations]"""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from warpvox.algos.candidate import Candidate, Outcome
 
 
 class Tuned:
-    """Fitness of a body is its return under the pretrained policy, tuned for all bodies of its generation together.
+    """Evaluation by the pretrained policy, tuned for all bodies of a generation together.
 
     Each generation begins with the pretrained weights again.
 
@@ -61,4 +61,4 @@ if __name__ == "__main__":
     torch.set_num_threads(1)
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 150
     tuned = Tuned(device="cpu", threads=1)
-    print(wv.codesign("Walker-v0", (5, 5), search=wv.GA(max_evaluations=count), evaluation=tuned, device="cpu"))
+    print(wv.codesign("Walker-v0", (5, 5), search=wv.GA(max_designs=count), fitness=tuned, device="cpu"))

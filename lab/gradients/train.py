@@ -1,4 +1,4 @@
-"""Train one policy for many bodies by gradients through the physics, or tune it for some."""
+"""Training or tuning of one policy for many bodies by gradients through the physics."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lab.gradients.ascent import UNIVERSAL, Ascent, judge, load_network, make_en
 from lab.gradients.cpg import CpgNetwork
 
 HELD_OUT_SEED = 1_000_003
-"""Seed of the bodies that the policy is judged on, whatever the seed of the training."""
+"""Seed of the held-out bodies, independent of the training's seed."""
 
 
 def read_arguments(words: list[str] | None = None) -> argparse.Namespace:
@@ -44,7 +44,7 @@ def random_bodies(count: int, shape: tuple[int, int], rng: np.random.Generator) 
 
 
 def train(given: argparse.Namespace) -> list[float]:
-    """Train; the best policy is in ``given.out`` afterwards. Returns the mean return of each evaluation."""
+    """Train the policy and save the best version to ``given.out``; return the mean return of each evaluation."""
     torch.manual_seed(given.seed)
     rng = np.random.default_rng(given.seed)
     shape: tuple[int, int] = (given.shape[0], given.shape[1])

@@ -1,4 +1,4 @@
-"""Search for bodies that one policy compares: python -m lab.shared_policy.search FOLDER [--pretrained RUN]"""
+"""Search for bodies compared by one shared policy: python -m lab.shared_policy.search FOLDER [--pretrained RUN]"""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from warpvox.algos.candidate import Candidate, Outcome
 
 
 class CommonPolicy:
-    """Fitness of a body is its return under a policy that has just learned on all bodies of its batch.
+    """Evaluation by one policy trained on all bodies of the batch.
 
     Each batch is a training of its own, in a folder that is named by its first candidate. A search that is killed and
     goes on makes the training under way again, to the same results.
@@ -52,7 +52,7 @@ class CommonPolicy:
         parents: Mapping[int, Any],
         report: Callable[[dict[str, Any]], None] | None = None,
     ) -> list[Outcome]:
-        """Outcomes in the order of the candidates; ``report`` is called after each iteration."""
+        """Evaluate candidates and return outcomes in their order; ``report`` is called after each iteration."""
         first = candidates[0].id
         run_folder = self.folder / f"from_{first:06}"
         # What is left of a training that was killed
@@ -101,7 +101,7 @@ def search(
     seed: int = 0,
     **policy: Any,
 ) -> tuple[wv.Found, wv.Found]:
-    """A search by a common policy, and after it a training for each of the best bodies.
+    """Run a search by a shared policy, then train each of the best bodies.
 
     Args:
         settings: of the search, ``wv.GA(...)`` for instance.
@@ -114,15 +114,15 @@ def search(
     """
     common = {"shape": shape, "seed": seed, "progress": False}
     common |= {name: policy[name] for name in ("device", "threads") if name in policy}
-    evaluation = CommonPolicy(folder / "policy", task, seed=seed, **policy)
-    found = wv.codesign(task, search=settings or wv.GA(), evaluation=evaluation, folder=folder / "search", **common)
+    fitness = CommonPolicy(folder / "policy", task, seed=seed, **policy)
+    found = wv.codesign(task, search=settings or wv.GA(), fitness=fitness, folder=folder / "search", **common)
 
     best = sorted(found.designs, key=lambda record: -(record.fitness or 0.0))
     bodies: dict[bytes, Any] = {}
     for record in best:
         bodies.setdefault(record.candidate.body.tobytes(), record.candidate.body)
     start = list(bodies.values())[:finalists]
-    again = wv.RandomDesigns(population=len(start), max_evaluations=len(start))
+    again = wv.RandomDesigns(population=len(start), max_designs=len(start))
     more = {} if training is None else {"training": training}
     finals = wv.codesign(task, search=again, start=start, folder=folder / "finalists", **common, **more)
     return found, finals
@@ -140,7 +140,7 @@ def main() -> None:
     found, finals = search(
         given.folder,
         given.task,
-        settings=wv.GA(max_evaluations=given.designs),
+        settings=wv.GA(max_designs=given.designs),
         finalists=given.finalists,
         pretrained=given.pretrained,
         seed=given.seed,

@@ -1,4 +1,4 @@
-"""Add robots to the zoo: the best of each search or training replaces an entry that is worse under noise.
+"""Add the best robot of each search or training to the zoo, if better under noise than the present entry.
 
 python -m lab.zoo.add FOLDER ...    # of searches, of designs in them (designs/17) or of trainings; or checkpoints
 """
@@ -28,22 +28,22 @@ from warpvox.algos.codesign.robots import robots_of
 from warpvox.algos.robots import Robot, judge, read_robot, save_robot
 
 ENTRIES = Path(__file__).resolve().parents[2] / "warpvox" / "data"
-"""Folder of the zoo that comes with warpvox."""
+"""Folder of the packaged zoo."""
 RECORDED_SEED, CHOOSING_SEED = 1000, 2000
-"""First seeds of the episodes under noise that an entry records, and of those that it is chosen by."""
+"""First seeds of the noisy episodes for an entry's record, and for choosing between robots."""
 RECORDED_EPISODES, CHOOSING_EPISODES = 32, 128
 FEEDBACK_MARGIN = 1e-3
-"""Share of its return that a gait must be better by to be preferred to a policy with feedback."""
+"""Relative margin by which a gait must beat a policy with feedback."""
 DIGITS = 9
 """Decimals of recorded returns."""
 WEIGHT_BITS = 8
-"""Bits of a weight's 23 that are set to zero, so that the compressed entries of all tasks fit into a megabyte."""
+"""Number of low bits of each weight (of 23) set to zero, so that the compressed zoo fits into a megabyte."""
 COUNTED = ("control_steps", "wall_s")
-"""Costs of an entry, which include those of the robots and policies that it was made from."""
+"""Costs of an entry, including those of earlier robots and policies."""
 ELSEWHERE = {"output_dir", "name", "resume", "preset", "threads", "device", "executor", "workers"}
-"""Keys that do not change what is found, or that name places on a machine."""
+"""Keys that do not affect results or name places on a machine."""
 PLAIN = re.compile(r"[\w./:+-]+")
-"""Text that Hydra reads without quotes."""
+"""Pattern of text that Hydra reads without quotes."""
 
 
 def read_arguments(words: list[str] | None = None) -> argparse.Namespace:
@@ -55,7 +55,7 @@ def read_arguments(words: list[str] | None = None) -> argparse.Namespace:
 
 
 def add(source: Path, folder: Path, top: int) -> str:
-    """Compare the robots of ``source`` with the entry of their task, and write the best if it is better.
+    """Compare the robots of ``source`` with the zoo's entry for their task, and write the best if better.
 
     Returns a line that says what was done.
 
@@ -87,7 +87,7 @@ def add(source: Path, folder: Path, top: int) -> str:
 
 
 def is_better(robot: Robot, returns: list[float], known: Robot, known_returns: list[float]) -> bool:
-    """Return whether the mean of ``returns`` is higher; feedback may be :data:`FEEDBACK_MARGIN` below a gait."""
+    """Return whether the mean of ``returns`` is higher, with a margin (:data:`FEEDBACK_MARGIN`) for feedback."""
     ours, theirs = float(np.mean(returns)), float(np.mean(known_returns))
     if robot.has_feedback and not known.has_feedback:
         return ours >= theirs - FEEDBACK_MARGIN * abs(theirs)
@@ -97,7 +97,7 @@ def is_better(robot: Robot, returns: list[float], known: Robot, known_returns: l
 
 
 def shortened(robot: Robot) -> Robot:
-    """The robot with the last bits of a network's weights set to zero."""
+    """Zero the low bits of a network's weights."""
     if robot.policy is None or not robot.has_feedback:
         return robot
     policy = copy.deepcopy(robot.policy)
@@ -112,7 +112,7 @@ def _rounded(values: np.ndarray) -> np.ndarray:
 
 
 def returns_under_noise(robot: Robot, seed: int, episodes: int) -> list[float]:
-    """Returns of episodes with noise on the actions, in exact arithmetic."""
+    """Run episodes with action noise in exact arithmetic, and return the returns."""
     with tempfile.TemporaryDirectory() as folder:
         file = save_robot(Path(folder) / "robot.npz", robot)
         (row,) = wv.evaluate(f"zoo:{file}", protocol="noise", seed=seed, episodes=episodes, device="cpu")
@@ -120,7 +120,7 @@ def returns_under_noise(robot: Robot, seed: int, episodes: int) -> list[float]:
 
 
 def measured(robot: Robot) -> dict[str, Any]:
-    """The returns that an entry records: of its undisturbed episodes, and under noise."""
+    """Measure the returns recorded in an entry: undisturbed and under noise."""
     nominal = judge(robot)
     noisy = returns_under_noise(robot, RECORDED_SEED, RECORDED_EPISODES)
     return {
@@ -134,7 +134,7 @@ def measured(robot: Robot) -> dict[str, Any]:
 
 
 def facts(source: Path) -> dict[str, Any]:
-    """Read what the files of a run say of it: command, configuration, version, and what it has cost with all before it.
+    """Read a run's command, configuration and version, and its cost including earlier runs.
 
     ``start`` are the facts of the robots and policies that it began with, the earliest first.
     """
@@ -156,14 +156,14 @@ def facts(source: Path) -> dict[str, Any]:
 
     config = {name: value for name, value in config.items() if name not in ("output_dir", "name")}
     if config.get("pretrained"):
-        config["pretrained"] = _end(config["pretrained"])
+        config["pretrained"] = _path_end(config["pretrained"])
     if config.get("start"):
-        config["start"] = [text if ":" in text else _end(text) for text in config["start"]]
+        config["start"] = [text if ":" in text else _path_end(text) for text in config["start"]]
     return about | {"command": command_of(config), "config": config}
 
 
 def earlier(home: Path, config: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Facts of the runs and robots that a run began with; of a run that is gone without its costs."""
+    """Read the facts of the runs and robots that a run started from; costs are missing for deleted runs."""
     runs = [config["pretrained"]] if config.get("pretrained") else config.get("start", [])
     for text in runs:
         place = Path(text)
@@ -180,10 +180,10 @@ def earlier(home: Path, config: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def command_of(config: dict[str, Any]) -> str:
-    """The command that ``config``, the content of a ``config.yaml``, comes from: the keys that are no defaults."""
+    """Reconstruct the command from ``config``, the content of a ``config.yaml``, without default keys."""
     words = ["train"]
     if "search" in config:
-        words = ["codesign", f"search={config['search']['algorithm']}", f"evaluation={config['evaluation']['name']}"]
+        words = ["codesign", f"search={config['search']['algorithm']}", f"fitness={config['fitness']['name']}"]
     line = [sys.executable, "-m", "warpvox", *words, "--cfg", "job"]
     usual = yaml.safe_load(subprocess.run(line, check=True, stdout=subprocess.PIPE, encoding="utf-8").stdout)
     preset = wv.Physics.preset(config["physics"]["preset"])  # a run's configuration has all constants
@@ -203,8 +203,8 @@ def _differences(config: dict[str, Any], usual: dict[str, Any], prefix: str = ""
             yield f"{prefix}{name}={json.dumps(value, separators=(',', ':'))}"
 
 
-def _end(path: str) -> str:
-    """The end of a path, which says as much on another machine as the whole."""
+def _path_end(path: str) -> str:
+    """Return the last parts of a path that are meaningful on another machine."""
     return "/".join(Path(path).parts[-3:])
 
 

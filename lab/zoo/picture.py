@@ -1,4 +1,4 @@
-"""Draw the robots of the zoo at work: python -m lab.zoo.picture [zoo|front|nudge]
+"""Pictures of the zoo's robots in motion: python -m lab.zoo.picture [zoo|front|nudge]
 
 Every robot repeats its recorded episode. Its first six seconds are a film for the page of its task, and a tile of the
 film of all. ``front`` draws four of them large and side by side, for the front page. ``nudge`` draws two robots of one
@@ -23,29 +23,29 @@ from warpvox.view.rollout import Rollout
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 FRAGILE = Path(__file__).with_name("UpStepper-v0_one_episode.npz")
-"""A gait chosen by its return in one undisturbed episode."""
+"""Gait chosen by its return in a single undisturbed episode."""
 FILM = (320, 150)
-"""Size of the film of one robot; every other picture is shown, to keep it small."""
+"""Size of one robot's film, at half the frame rate to keep files small."""
 COLUMNS, TILE, LABEL, GAP = 8, (112, 76), 13, 4
 FRONT, FRONT_TILE = ("Walker-v0", "UpStepper-v0", "Carrier-v0", "BridgeWalker-v0"), (300, 220)
-"""Robots of the front page, and the size of each."""
+"""Robots on the front page, and the size of each picture."""
 VOXELS = 13.0
-"""Voxels from the bottom to the top of a picture."""
+"""Height of a picture in voxels."""
 PICTURES, PAUSE = 60, 80
-"""Pictures of a film, and milliseconds of each."""
+"""Number of pictures in a film, and milliseconds between them."""
 LONGEST = 300
-"""Control steps that are shown of an episode."""
+"""Maximum number of control steps shown."""
 PAPER, INK = (255, 255, 255), (28, 30, 36)
 
 
 def pictures(rollout: Rollout, size: tuple[int, int], last: int, env: int = 0) -> list[Image.Image]:
-    """Pictures of an environment up to a frame, evenly spread."""
+    """Paint pictures of an environment, evenly spread up to a frame."""
     film = Film(rollout, env, size, hud=False, voxels=VOXELS)
     return [film.image(int(frame)) for frame in np.linspace(0, last, PICTURES).round()]
 
 
 def save(target: Path, frames: list[Image.Image], pause: int, quality: int) -> None:
-    """Write an animation that repeats."""
+    """Write a looping animation."""
     target.parent.mkdir(parents=True, exist_ok=True)
     options = {"save_all": True, "append_images": frames[1:], "duration": pause, "loop": 0, "method": 6}
     frames[0].save(target, quality=quality, **options)
@@ -57,14 +57,14 @@ def sheets(width: int, height: int) -> list[Image.Image]:
 
 
 def episode(name: str) -> tuple[Rollout, int]:
-    """The first recorded episode of a robot of the zoo, and the last frame of it that is shown."""
+    """Record an episode of a zoo robot; return it with the last frame to show."""
     robot = wv.zoo(name)
     rollout = wv.record(robot_env(robot, robot.about["seeds"][:1]), robot.own_policy)
     return rollout, min(int(rollout.lengths[0]), LONGEST)
 
 
 def tiles_of(name: str, images: Path) -> list[Image.Image]:
-    """Tiles of a robot of the zoo; writes the film for the page of its task."""
+    """Paint the pictures of a zoo robot, and write the film for its task's page."""
     rollout, last = episode(name)
     film = pictures(rollout, FILM, last)
     save(images / "tasks" / f"{name}.webp", film[::2], 2 * PAUSE, quality=40)
@@ -83,7 +83,7 @@ def draw_front(images: Path = IMAGES, tasks: tuple[str, ...] = FRONT) -> None:
 
 
 def draw_zoo(images: Path = IMAGES, tasks: list[str] | None = None) -> None:
-    """Write the film of all robots, a tile a task in the order of the paper, and one for the page of each task."""
+    """Write a film of all robots, tiled in the order of the paper, and one film per task."""
     names = wv.task_ids() if tasks is None else tasks
     width, height = TILE[0] + GAP, TILE[1] + LABEL + GAP
     rows = -(-len(names) // COLUMNS)
@@ -101,7 +101,7 @@ def draw_zoo(images: Path = IMAGES, tasks: list[str] | None = None) -> None:
 
 
 def draw_nudge(images: Path = IMAGES) -> None:
-    """Write the film of a gait and a policy with feedback, without noise and with it.
+    """Write a film that compares a gait and a policy with feedback, with and without noise.
 
     Of the episodes with noise it shows that with the median return.
     """
@@ -123,7 +123,7 @@ def draw_nudge(images: Path = IMAGES) -> None:
 
 
 def play(source: str, protocol: str) -> Rollout:
-    """Episodes of a robot of the zoo, or of a file: 32 where they differ."""
+    """Play episodes of a zoo robot or a file: 32 if the protocol disturbs them."""
     with tempfile.TemporaryDirectory() as folder:
         words = [
             f"zoo={source}",

@@ -1,4 +1,4 @@
-"""Repeat the trainings of the zoo's robots with other seeds: python -m lab.zoo.repeats [TASK ...]
+"""Repeated training of the zoo's robots with other seeds: python -m lab.zoo.repeats [TASK ...]
 
 A training runs by the commands of its entry with another seed, for the same body. Its best policy is measured under
 noise, as an entry is, and becomes a row of repeats.csv; the entry itself counts as one of five. What has a row is left
@@ -51,7 +51,7 @@ def main(given: argparse.Namespace) -> None:
 
 
 def repeat(about: Mapping[str, Any], seed: int, folder: Path) -> Path:
-    """Run the trainings of an entry with another seed, each from the one before; returns the last one's folder."""
+    """Repeat an entry's chain of trainings with another seed; return the last run's folder."""
     shutil.rmtree(folder, ignore_errors=True)  # of a repeat that was interrupted
     place = None
     for number, one in enumerate([*about.get("start", ()), about]):
@@ -64,14 +64,14 @@ def repeat(about: Mapping[str, Any], seed: int, folder: Path) -> Path:
 
 
 def repeated(command: str, seed: int, before: Path | None) -> list[str]:
-    """The words of a command with another seed, that begins with the policy of the run ``before``."""
+    """Change a command to another seed and to the policy of the run ``before``."""
     words = [word for word in shlex.split(command) if not word.startswith(("seed=", "pretrained="))]
     begin = [] if before is None else [f"pretrained={before}"]
     return [*words, f"seed={seed}", *begin]
 
 
 def store(task: str, seed: int, noise: float, about: Mapping[str, Any]) -> None:
-    """Add a row; ``noise`` is the mean return under noise."""
+    """Append a row of results; ``noise`` is the mean return under noise."""
     row = {"task": task, "seed": str(seed), "noise": f"{noise:.6g}"}
     row |= {"control_steps": str(about["control_steps"]), "seconds": f"{about['wall_s']:.0f}"}
     row |= {name: str(about[name]) for name in ("processor", "commit")}

@@ -1,4 +1,4 @@
-"""Write docs/results.md, or measure what it shows.
+"""Generator of docs/results.md, and the measurements behind it.
 
 python -m lab.zoo.results                       # the page: the zoo, the tables here and envs/known_returns.csv
 python -m lab.zoo.results protocols [TASK ...]  # the zoo's robots in disturbed episodes, into protocols.csv
@@ -24,22 +24,22 @@ ROOT = FOLDER.parents[1]
 PAGE = ROOT / "docs" / "results.md"
 KNOWN_RETURNS = ROOT / "envs" / "known_returns.csv"
 DISTURBED = FOLDER / "protocols.csv"
-"""Returns in disturbed episodes; ``low`` and ``high`` are the 95 % interval of the mean (Student's t)."""
+"""Table of returns in disturbed episodes; ``low`` and ``high`` are the 95 % interval of the mean."""
 REPEATED = FOLDER / "repeats.csv"
-"""Trainings of the zoo's robots with several seeds, and their mean returns under noise."""
+"""Table of repeated trainings with several seeds, and their mean returns under noise."""
 EPISODES = 32
-"""Episodes of each disturbance."""
+"""Number of episodes for each disturbance."""
 NOISE_DEVIATION = 0.01
-"""Deviation of the noise on each action, in units of target length."""
+"""Standard deviation of the noise on each action, in units of target length."""
 RUNS = 5
-"""Trainings behind an interquartile mean."""
+"""Number of trainings for an interquartile mean."""
 MANY = 6
-"""Number of tasks from which on it is given instead of their names."""
+"""Number of tasks from which a count replaces their names."""
 BODIES = 64
-"""Random bodies of 5 x 5 cells, one episode each."""
+"""Number of random 5 x 5 bodies, with one episode each."""
 Row = Mapping[str, str]
 TEXT = FOLDER / "results_page.txt"
-"""The page without its tables."""
+"""Text of the page without its tables."""
 SUMMARY = """\
 Under 1 % Gaussian action noise, {held} of {known} robots match or beat the best published return (mean of {episodes}
 episodes): {networks} networks with feedback and {gaits} open-loop gaits. With sticky actions {sticky} do, after random
@@ -54,7 +54,7 @@ def read_arguments(words: list[str] | None = None) -> argparse.Namespace:
 
 
 def page(robots: Sequence[Robot], disturbed: Sequence[Row], repeated: Sequence[Row]) -> str:
-    """``docs/results.md`` from the zoo's robots and the rows of two tables."""
+    """Build ``docs/results.md`` from the zoo's robots and two tables."""
     by_task: dict[str, dict[str, Row]] = {}
     for row in disturbed:
         by_task.setdefault(row["task"], {})[row["episodes"]] = row
@@ -77,7 +77,7 @@ def page(robots: Sequence[Robot], disturbed: Sequence[Row], repeated: Sequence[R
 
 
 def summary(robots: Sequence[Robot], disturbed: Sequence[Row]) -> str:
-    """The sentences that README repeats."""
+    """Build the sentences for README."""
     best = {task: one.best for task, one in known_returns().items() if one.best is not None}
     ours = [robot for robot in robots if robot.task in best]
     held = [robot for robot in ours if robot.robust_return >= best[robot.task]]
@@ -95,7 +95,7 @@ def summary(robots: Sequence[Robot], disturbed: Sequence[Row]) -> str:
 
 
 def repeated_means(rows: Sequence[Row]) -> dict[str, float]:
-    """Interquartile mean under noise of the trainings of each task that has all of them."""
+    """Compute the interquartile mean under noise of each fully repeated task."""
     returns: dict[str, list[float]] = {}
     for row in rows:
         returns.setdefault(row["task"], []).append(float(row["noise"]))
@@ -131,7 +131,7 @@ def read_table(path: Path) -> list[Row]:
 
 
 def write_table(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write rows in the order of the tasks; columns are those of the first."""
+    """Write rows in the order of the tasks, with the columns of the first row."""
     ordered = sorted(rows, key=lambda row: wv.task_ids().index(row["task"]))
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(ordered[0]), lineterminator="\n")
@@ -140,14 +140,14 @@ def write_table(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
 
 
 def random_return(task: str) -> float:
-    """The mean return of random bodies under actions that are uniform in each control step."""
+    """Measure the mean return of random bodies under uniformly random actions."""
     bodies = [wv.sample_design((5, 5), seed=seed) for seed in range(BODIES)]
     env = wv.make_vec(task, designs=bodies, num_envs=BODIES, seed=0, device="cpu", dtype="float64", auto_reset=False)
     return float(wv.record(env, "random").returns[-1].mean())
 
 
 def measure_random(tasks: Sequence[str]) -> None:
-    """Renew the column ``random`` of the known returns."""
+    """Measure the column ``random`` of the known returns again."""
     rows = {row["task"]: dict(row) for row in read_table(KNOWN_RETURNS)}
     for task in tasks:
         rows[task]["random"] = f"{random_return(task):.3f}"
@@ -156,7 +156,7 @@ def measure_random(tasks: Sequence[str]) -> None:
 
 
 def disturbed_rows(task: str) -> list[Row]:
-    """Rows of the zoo's robot: a disturbance each.
+    """Measure a zoo robot under each disturbance and return rows.
 
     Raises:
         ValueError: the robot does not get the returns that its entry records.
@@ -175,7 +175,7 @@ def disturbed_rows(task: str) -> list[Row]:
 
 
 def measure_disturbed(tasks: Sequence[str]) -> None:
-    """Renew the rows of ``tasks`` in the table of returns in disturbed episodes."""
+    """Measure ``tasks`` under all disturbances and update the table."""
     rows = [row for row in read_table(DISTURBED) if row["task"] not in tasks]
     for task in tasks:
         rows += disturbed_rows(task)

@@ -32,7 +32,6 @@ class Lane:
         self.number = {point: n for n, point in enumerate(self.order)}
 
     def point(self, row: int) -> int:
-        """Number of a point or of its leader."""
         return self.number[row // 4 * 4 + int(self.meshes.leader[0, row, self.lane])]
 
     def ends(self, spring: int) -> tuple[int, ...]:

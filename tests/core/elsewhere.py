@@ -21,7 +21,6 @@ NAMES = {
 
 
 def import_all() -> None:
-    """Every module of warpvox."""
     import warpvox
 
     packages = ("kernels", "envs", "algos", "configs")  # they lie beside the package in a checkout

@@ -53,7 +53,6 @@ def grads():
 
 
 def lifted(grads):
-    """A state in the air."""
     state = grads.state()
     state[:, 0, 1::2] += HEIGHT * grads.sim.rows[1][:, 1::2]
     return state

@@ -78,9 +78,9 @@ def test_the_least_of_nested_control_groups_counts(tmp_path: Path) -> None:
         files[f"{place}{name}__memory_DOT_current"] = f"{used}\n"
         files[f"{place}{name}__memory_DOT_stat"] = f"anon 7\ninactive_file {cache}\n"
     write(tmp_path, **files)
-    assert system._left_of_groups(tmp_path) == 150
+    assert system._memory_left_in_groups(tmp_path) == 150
     (tmp_path / "sys/fs/cgroup/jobs/memory.max").write_text("max\n")
-    assert system._left_of_groups(tmp_path) == 4900
+    assert system._memory_left_in_groups(tmp_path) == 4900
 
 
 def test_control_groups_limit_cores(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_usable_cores_are_those_of_the_quota(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_control_groups_of_version_1_and_none(tmp_path: Path) -> None:
-    assert system._left_of_groups(tmp_path) is None
+    assert system._memory_left_in_groups(tmp_path) is None
     place = "sys__fs__cgroup__memory__memory_DOT_"
     write(
         tmp_path,
@@ -117,9 +117,9 @@ def test_control_groups_of_version_1_and_none(tmp_path: Path) -> None:
             f"{place}stat": "cache 3\ntotal_inactive_file 500\n",
         },
     )
-    assert system._left_of_groups(tmp_path) == 3000
+    assert system._memory_left_in_groups(tmp_path) == 3000
     write(tmp_path, **{f"{place}limit_in_bytes": str(2**63 - 4096)})
-    assert system._left_of_groups(tmp_path) is None
+    assert system._memory_left_in_groups(tmp_path) is None
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of addresses are those of Linux")

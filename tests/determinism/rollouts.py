@@ -66,7 +66,6 @@ def digest(task: str, precision: str, **options: object) -> str:
 
 
 def digests(tasks: Sequence[str], **options: object) -> dict[str, dict[str, str]]:
-    """``{precision: {task: digest}}``."""
     return {name: {task: digest(task, name, **options) for task in tasks} for name in PRECISIONS}
 
 

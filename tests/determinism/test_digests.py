@@ -19,7 +19,6 @@ mine = cache(digest)
 
 
 def elsewhere(tasks: list[str], options: dict[str, object], environment: dict[str, str]) -> dict[str, dict[str, str]]:
-    """The digests as another process finds them."""
     program = [sys.executable, str(PROGRAM), json.dumps(options), *tasks]
     done = subprocess.run(program, env=os.environ | environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

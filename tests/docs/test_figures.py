@@ -18,7 +18,6 @@ def text_of(page: str) -> str:
 
 
 def tables(suite: str) -> str:
-    """The tables of a benchmark in the page of figures."""
     return text_of("docs/figures.md").split(f"<!-- bench {suite} -->")[1].split("<!-- end -->")[0]
 
 

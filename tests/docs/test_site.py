@@ -75,7 +75,6 @@ def test_the_tables_of_keys_are_current(page: Path) -> None:
 
 @pytest.fixture
 def site() -> Path:
-    """The built site."""
     if (folder := os.environ.get("WARPVOX_SITE")) is None:
         pytest.skip("`make docs` builds it and runs this")
     return ROOT / folder

@@ -45,7 +45,6 @@ def inject(sim: Simulation, kind: str, env: int = VICTIM, point: int = 2) -> Non
 
 
 def flat(result: tuple) -> dict[str, torch.Tensor]:
-    """Everything that a step returns, by name."""
     obs, reward, terminated, truncated, info = result
     parts = {f"{group}/{name}": value for group in ("episode", "reward_terms") for name, value in info[group].items()}
     parts |= {name: info[name] for name in ("final_obs", "unstable", "diverged")}

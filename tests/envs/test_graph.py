@@ -22,7 +22,6 @@ from warpvox.view.rollout import record
 
 @pytest.fixture(params=["simulated", pytest.param("real", marks=pytest.mark.gpu)])
 def cuda(request: pytest.FixtureRequest) -> Iterator[None]:
-    """A device ``cuda``."""
     if request.param == "real":
         yield
     else:

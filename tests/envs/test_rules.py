@@ -187,7 +187,6 @@ BOTH = pytest.mark.parametrize("rules", ["evogym", "paper"])
 
 
 def thing_of(spec) -> str | None:
-    """The package or the beam."""
     return next((obj.name for obj in spec.objects if obj.name in ("package", "beam")), None)
 
 

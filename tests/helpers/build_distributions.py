@@ -1,4 +1,4 @@
-"""Builds the wheel and the source distribution as a package index would get them."""
+"""Builds of the wheel and the source distribution, as for a package index."""
 
 import shutil
 import subprocess
@@ -6,12 +6,12 @@ import sys
 from pathlib import Path
 
 LINKED = ("kernels", "envs", "algos", "configs")
-"""Top-level folders that are subpackages of warpvox, by links in its folder."""
+"""Top-level folders that are linked into warpvox as subpackages."""
 FOLDERS = ("warpvox", *LINKED, "benchmarks", "lab", "tests")
 
 
 def copy_sources(repository: Path, place: Path) -> Path:
-    """Everything of a checkout that a build may look at, lab and tests included, since they must stay out."""
+    """Copy all of a checkout that a build could read, including lab and tests, which distributions must leave out."""
     for path in repository.iterdir():
         if path.name in FOLDERS:
             ignore = shutil.ignore_patterns("__pycache__", "recordings")
@@ -22,7 +22,7 @@ def copy_sources(repository: Path, place: Path) -> Path:
 
 
 def build(kind: str, sources: Path, out: Path) -> Path:
-    """Builds ``wheel`` or ``sdist`` with the setuptools that is installed, and returns the file in ``out``."""
+    """Build ``wheel`` or ``sdist`` with the installed setuptools; return the file in ``out``."""
     code = f"import sys; from setuptools import build_meta; build_meta.build_{kind}(sys.argv[1])"
     out.mkdir(exist_ok=True)
     run = subprocess.run([sys.executable, "-c", code, str(out)], cwd=sources, capture_output=True, text=True)

@@ -1,4 +1,4 @@
-"""What our declared dependencies bring along, as the metadata of the installed distributions say it."""
+"""Dependencies of dependencies, from the metadata of installed distributions."""
 
 import re
 from collections.abc import Iterator
@@ -8,12 +8,11 @@ from packaging.requirements import Requirement
 
 
 def canonical(name: str) -> str:
-    """A name as package indexes compare it."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def required(found: Distribution, extras: set[str]) -> Iterator[Requirement]:
-    """What a distribution requires on this Python and platform, with these of its extras."""
+    """List the requirements of a distribution on this Python and platform, with the given extras."""
     for text in found.requires or ():
         asked = Requirement(text)
         if asked.marker is None or any(asked.marker.evaluate({"extra": extra}) for extra in ("", *extras)):
@@ -25,7 +24,7 @@ def extras_of(name: str) -> set[str]:
 
 
 def installed_closure(name: str, extras: set[str]) -> dict[str, Distribution]:
-    """Everything installed that ``name`` requires, directly or not, by canonical name.
+    """Collect all installed direct and indirect requirements of ``name``, by canonical name.
 
     What an extra asks for need not be installed and is left out; whether anything else is missing says `pip check`.
     """

@@ -1,4 +1,4 @@
-"""A search, an evaluator and a store that are cheap and exact: for tests of the loop and the archive."""
+"""A cheap, exact search, evaluator and store for tests of the loop and the archive."""
 
 import dataclasses
 import json
@@ -26,15 +26,15 @@ EVERY = pytest.mark.parametrize(
     "algorithm", [pytest.param(name, marks=NEEDS.get(name, ())) for name in ALGORITHMS if name != "custom"]
 )
 HASTY = {"bo": {"optimizer_restarts": 1, "optimizer_iterations": 5, "candidates": 40}}
-"""Turns, seeds and records are the same with a hasty fit."""
+"""Settings of Bayesian optimisation with few fitting steps; turns, seeds and records do not depend on the fit."""
 
 
 class Killed(Exception):
-    """Ends a process's work where a kill would."""
+    """Raised to stop a process's work at the point of a simulated kill."""
 
 
 class ToySearch:
-    """Random bodies at first, then mutants of the two best and, as the last of a generation, an old body again."""
+    """Search that proposes random bodies, then mutants of the two best and one repeated body per generation."""
 
     def __init__(self, seed: int = SEED, population: int = POPULATION, generations: int = GENERATIONS) -> None:
         self.rng = np.random.default_rng(seed)
@@ -78,7 +78,7 @@ class ToySearch:
 
 
 class ToyEvaluator:
-    """Fitness from the body, the candidate's seed and its parents' policies; each design takes ``seconds``."""
+    """Evaluator whose fitness depends on the body, the candidate's seed and its parents' policies."""
 
     def __init__(self, seconds: float = 0.0, seed: int = SEED) -> None:
         self.seconds, self.seed = seconds, seed
@@ -105,15 +105,11 @@ class ToyEvaluator:
 
 
 class Judge(ToyEvaluator):
-    """An evaluation without policies."""
-
     def evaluate(self, *given: Any) -> list[Outcome]:
         return [dataclasses.replace(outcome, policy=None) for outcome in super().evaluate(*given)]
 
 
 class ToyStore:
-    """Policies as JSON files."""
-
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
@@ -130,7 +126,7 @@ History = list[tuple[list[Candidate], list[float]]]
 
 
 def run(search: Any, fitness: Callable[[np.ndarray], float], generations: int = 10**6) -> History:
-    """All generations of a search, or the first ``generations``, with the fitness of their bodies."""
+    """Run all generations of a search, or the first ``generations``, with a fitness computed from the bodies."""
     history: History = []
     while len(history) < generations and (asked := search.ask()):
         values = [fitness(candidate.body) for candidate in asked]
@@ -140,7 +136,7 @@ def run(search: Any, fitness: Callable[[np.ndarray], float], generations: int = 
 
 
 def make_loop(folder: Path, **changes: Any) -> Loop:
-    """A loop over the toys with its archive in ``folder``, new or one to go on with."""
+    """Create a loop with toy search and evaluator, and an archive in ``folder``, new or resumed."""
     folder.mkdir(exist_ok=True)
     path = folder / FILE
     archive = Archive.open(path) if path.exists() else Archive.create(path, {"seed": SEED})

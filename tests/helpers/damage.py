@@ -1,4 +1,4 @@
-"""Damaged inputs, the same on every run, and an object that fails whatever it is asked for."""
+"""Damaged inputs, reproducible, and an object that fails at every use."""
 
 import copy
 import random
@@ -8,11 +8,11 @@ from typing import Any
 from warpvox.errors import WarpvoxError
 
 STRANGE = (None, True, -1, 10**400, 1e308, "x", "\ud800", [], {}, [[1]], {"a": [None]})
-"""Values that JSON may hold where others are expected."""
+"""JSON values to put where others are expected."""
 
 
 class Stranger:
-    """An object that fails whatever it is asked for."""
+    """An object that fails at every use."""
 
     def __array__(self, *_: object, **__: object) -> None:
         raise KeyError("no array")
@@ -22,7 +22,7 @@ class Stranger:
 
 
 def damaged_bytes(data: bytes, count: int) -> Iterator[bytes]:
-    """``data`` cut, with bytes changed, or with bytes inserted."""
+    """Damage ``data`` by cutting, changing or inserting bytes."""
     rng = random.Random(0)
     for number in range(count):
         place = rng.randrange(len(data))
@@ -34,7 +34,7 @@ def damaged_bytes(data: bytes, count: int) -> Iterator[bytes]:
 
 
 def damaged_tree(tree: Any, count: int) -> Iterator[Any]:
-    """``tree``, of lists and mappings, with one part removed or replaced by something strange."""
+    """Damage a tree of lists and mappings by removing or replacing one part."""
     rng = random.Random(0)
     for _ in range(count):
         changed = part = copy.deepcopy(tree)
@@ -52,7 +52,7 @@ def damaged_tree(tree: Any, count: int) -> Iterator[Any]:
 
 
 def refusals(use: Callable[[Any], object], inputs: Iterator[Any]) -> int:
-    """Give ``use`` all inputs; how many it refuses by a sentence. Another error than one of warpvox gets through."""
+    """Pass all inputs to ``use``, and count the WarpvoxErrors; other errors are raised."""
     sentences = []
     for one in inputs:
         try:

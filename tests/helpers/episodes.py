@@ -1,4 +1,4 @@
-"""Episodes that are over soon: whole ones are most of what tests of commands, searches and pages would do."""
+"""Short episodes, for fast tests of commands, searches and pages."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,7 +11,7 @@ from warpvox.envs import registry
 
 @contextmanager
 def short_episodes(*tasks: str, steps: int = 50) -> Iterator[None]:
-    """Within the block episodes of these tasks have so many control steps at most."""
+    """Limit the episodes of these tasks to a number of control steps within the block."""
     with pytest.MonkeyPatch.context() as patch:
         for task in tasks:
             own = registry.get_task(task)

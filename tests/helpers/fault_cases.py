@@ -1,4 +1,4 @@
-"""Commands that tests of faults run, and what must be true of what these leave."""
+"""Commands for tests of faults, and checks of the folders that they leave."""
 
 import json
 import math
@@ -21,7 +21,7 @@ CODESIGN = tiny("codesign", *"batch=2 training.iterations=2 training.eval_interv
 
 
 def same(one: Any, other: Any) -> bool:
-    """Whether what checkpoints hold is equal bit for bit, times aside."""
+    """Return whether two checkpoints' contents are equal bit for bit, except for times."""
     if isinstance(one, torch.Tensor):
         return one.dtype == other.dtype and torch.equal(one, other)
     if isinstance(one, dict):
@@ -33,14 +33,14 @@ def same(one: Any, other: Any) -> bool:
 
 
 def only(folder: Path, command: str) -> Path | None:
-    """The folder of the run in ``folder``, if there is one."""
+    """Return the single run's folder in ``folder``, if there is one."""
     found = list(folder.glob(f"outputs/{command}/*/*"))
     assert len(found) <= 1
     return found[0] if found else None
 
 
 def check_files(run: Path) -> None:
-    """Every file is whole: what a killed process was writing bears a name of its own."""
+    """Assert that every file is complete, except temporary files of a killed process."""
     for file in run.rglob("*"):
         if file.name.startswith(MARK) or not file.is_file():
             continue
@@ -57,7 +57,7 @@ def check_files(run: Path) -> None:
 
 
 def check_models(run: Path, whole: Path) -> None:
-    """Every checkpoint of a training is the one that the undisturbed training has left."""
+    """Assert that every checkpoint equals the undisturbed training's."""
     check_files(run)
     for file in run.glob("model_?.pt"):
         assert same(load_checkpoint(file), load_checkpoint(whole / file.name)), file
@@ -65,7 +65,7 @@ def check_models(run: Path, whole: Path) -> None:
 
 
 def check_training(run: Path, whole: Path) -> None:
-    """A training has come to the same end as the undisturbed one."""
+    """Assert that a training ended with the same result as the undisturbed one."""
     check_models(run, whole)
     for name in ("model_3.pt", "model_best.pt", "state.pt"):
         assert same(load_checkpoint(run / name), load_checkpoint(whole / name)), name
@@ -80,7 +80,7 @@ def digest(run: Path) -> str:
 
 
 def check_archive(run: Path, whole: Path) -> None:
-    """What the archive of a search says is true: its policies are there and are those of the undisturbed search."""
+    """Assert that an archive's policies exist and equal the undisturbed search's."""
     check_files(run)
     if not (run / FILE).is_file():
         return
@@ -94,12 +94,12 @@ def check_archive(run: Path, whole: Path) -> None:
                     twin.curve,
                     twin.policy_sha256,
                 )
-                policy = load_checkpoint(run / record.policy)["actor_state_dict"]
+                policy = load_checkpoint(run / record.policy_file)["actor_state_dict"]
                 assert policy_sha256(policy) == record.policy_sha256
 
 
 def check_search(run: Path, whole: Path) -> None:
-    """A search has come to the same end as the undisturbed one."""
+    """Assert that a search ended with the same result as the undisturbed one."""
     check_archive(run, whole)
     assert digest(run) == digest(whole)
     assert json.loads((run / "summary.json").read_text())["status"] == "done"
@@ -113,5 +113,4 @@ WHEN_DONE = {"train": check_training, "codesign": check_search}
 
 
 def has_begun(run: Path) -> bool:
-    """Whether there is something to resume."""
     return (run / "state.pt").is_file() or (run / FILE).is_file()

@@ -1,10 +1,9 @@
-"""Flooding a body by its cells: a second way to see whether it hangs together."""
+"""Connected pieces of a body by flood fill, as a second implementation."""
 
 import numpy as np
 
 
 def pieces(body: np.ndarray) -> int:
-    """Groups of filled cells that hang together."""
     left = set(zip(*np.nonzero(body), strict=True))
     count = 0
     while left:

@@ -1,4 +1,4 @@
-"""What the tests of trainings share: quick settings, a small environment, and how two trainings are compared."""
+"""Helpers for tests of trainings: fast settings, a small environment, and comparisons of trainings."""
 
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ TIMING = {"steps_per_second", "elapsed"}
 
 
 def ppo_settings(**changes: object) -> Ppo:
-    """The settings of ``ppo=parallel`` with a short rollout, small networks and these changes."""
+    """Return the settings of ``ppo=parallel`` with a short rollout, small networks and changes."""
     ppo = load("train", []).ppo
     for name, value in {"steps": 6, "hidden": [8], "epochs": 2, "minibatches": 2, **changes}.items():
         assert hasattr(ppo, name)
@@ -28,13 +28,13 @@ def ppo_settings(**changes: object) -> Ppo:
 
 
 def small_env(num_envs: int = ENVS, **changes: Any) -> VoxelVecEnv:
-    """Walkers that share a vector of lanes."""
+    """Create walkers that share one pack of lanes."""
     options = {"task": "Walker-v0", "designs": ["mini"], "device": "cpu", "threads": 1, "lanes": 8} | changes
     return make_vec(num_envs=num_envs, **options)
 
 
 def stock_ppo(env: RslRlVecEnv, ppo: Ppo, device: str = "cpu") -> StockPPO:
-    """rsl-rl's own PPO with the same settings."""
+    """Create rsl-rl's own PPO with the same settings."""
     config = rsl_rl_config(ppo, 100) | {"multi_gpu": None}
     config["actor"] |= {"class_name": "MLPModel"}
     config["actor"]["distribution_cfg"] |= {"class_name": "GaussianDistribution"}
@@ -52,11 +52,11 @@ def weights(runner: Runner) -> dict[str, torch.Tensor]:
 
 
 def assert_same_weights(one: Runner, other: Runner) -> None:
-    """Bit for bit."""
+    """Assert that two networks' weights are equal bit for bit."""
     for name, value in weights(one).items():
         assert torch.equal(value, weights(other)[name]), name
 
 
 def rows(folder: Path) -> str:
-    """The metrics of a run but for the timing, as text, because NaN is not equal to itself."""
+    """Read a run's metrics as text, without timings."""
     return str([{name: value for name, value in row.items() if name not in TIMING} for row in read_metrics(folder)])

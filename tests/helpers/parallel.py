@@ -1,4 +1,4 @@
-"""Tests in several processes at once: how many, with how many threads, and who compiles a kernel."""
+"""Tests in several processes: number of processes and threads, and compilation of kernels in turn."""
 
 import functools
 import os
@@ -8,14 +8,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 MEMORY_OF_A_WORKER = 2.5 * 2**30
-"""Bytes; a process with torch, Warp, their kernels and a child that is one itself take about that much."""
+"""Memory of a test process with torch, Warp, kernels and a child process, in bytes."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
 LIMIT = Path("/sys/fs/cgroup/memory.max")
 
 
 def one_thread_each() -> None:
-    """Keep libraries of linear algebra, also those of children, to one thread, unless the environment says otherwise.
+    """Limit linear algebra libraries, also in child processes, to one thread, unless the environment says otherwise.
 
     To be called before they are imported.
     """
@@ -24,7 +24,7 @@ def one_thread_each() -> None:
 
 
 def workers() -> int:
-    """As many processes as this one may use cores, and as have room in memory."""
+    """Return the number of test processes, limited by cores and memory."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     share, _, period = _words(QUOTA).partition(" ")
     if share.isdigit():
@@ -43,7 +43,7 @@ def _words(path: Path) -> str:
 
 @contextmanager
 def turn(name: str) -> Iterator[None]:
-    """Within the block no other process of these tests is in a block of this name."""
+    """Exclude other test processes from blocks of the same name."""
     from filelock import FileLock
 
     user = os.getuid() if hasattr(os, "getuid") else "all"
@@ -55,7 +55,7 @@ def turn(name: str) -> Iterator[None]:
 
 @contextmanager
 def compiling_in_turn() -> Iterator[None]:
-    """Within the block a kernel that another process is compiling is waited for, and then read from the cache."""
+    """Wait for other processes that compile the same kernel, and then use the cache."""
     from warp._src.context import Module
 
     compile_one = Module._compile

@@ -1,4 +1,4 @@
-"""What the tests of evaluations share: settings that are quick, bodies and an environment factory."""
+"""Helpers for tests of evaluations: fast settings, bodies and an environment factory."""
 
 from dataclasses import replace
 from typing import Any
@@ -17,13 +17,13 @@ LIMIT = 16  # control steps of an episode
 
 
 def training_preset(name: str, ppo: dict[str, Any] | None = None, **changes: Any) -> DesignTraining:
-    """The settings ``training=<name>`` of a design search, with other ``training.ppo.*`` and ``training.*``."""
+    """Return the settings ``training=<name>`` of a design search with changes."""
     preset = settings_named("codesign", training=name).get("training", DesignTraining())
     return replace(preset, ppo=replace(preset.ppo, **(ppo or {})), **changes)
 
 
 def small(preset: str = "fast", **changes: object) -> DesignTraining:
-    """Few environments, short rollouts, small networks."""
+    """Return settings with few environments, short rollouts and small networks."""
     quick = {"steps": 4, "epochs": 2, "minibatches": 2, "hidden": [32]}
     return training_preset(preset, quick, **({"envs": 4, "iterations": 6, "eval_interval": 2} | changes))
 
@@ -33,7 +33,7 @@ def factory(task: str = "Walker-v0", dtype: str = "float32", limit: int = LIMIT)
 
 
 def bodies(count: int) -> list[np.ndarray]:
-    """Different bodies with different numbers of points and actuators."""
+    """Return bodies with different numbers of points and actuators."""
     return [sample_design((3, 3), seed=number) for number in range(count)]
 
 

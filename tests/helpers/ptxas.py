@@ -1,4 +1,4 @@
-"""Reports of NVIDIA's assembler on a kernel, without a GPU.
+"""Resource usage of a kernel as reported by NVIDIA's assembler, without a GPU.
 
 The program ``ptxas`` is in build/ptxas, where ``make ptxas`` (and ``make test``) fetches it, or on PATH.
 """
@@ -18,19 +18,19 @@ from warpvox.errors import WarpvoxError
 from warpvox.kernels.group import WARP
 
 ARCHITECTURES = {80: "A100", 89: "RTX 40", 90: "H100, H200", 100: "B200", 120: "RTX 50"}
-"""Compute capabilities for which limits are held, and what has them."""
+"""Compute capabilities with tested limits, and GPUs that have them."""
 FETCHED = Path(__file__).resolve().parents[2] / "build" / "ptxas" / "nvidia"
 REGISTERS = 65536
-"""Registers of a multiprocessor."""
+"""Number of registers of a multiprocessor."""
 SHARED = {80: 164, 89: 100, 90: 228, 100: 228, 120: 100}
-"""Shared memory of a multiprocessor by compute capability, KiB; a block may ask for one less."""
+"""Shared memory of a multiprocessor in KiB, by compute capability; a block can use one less."""
 RESERVED = 1024
-"""Bytes of it that CUDA takes for every block."""
+"""Shared memory that CUDA reserves in every block, in bytes."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Resources of a kernel, of a thread; of a block ``shared`` and what it asks for. Bytes but for ``registers``."""
+    """Resources of a kernel: registers and bytes per thread, shared memory per block."""
 
     registers: int
     stack: int
@@ -40,7 +40,7 @@ class Limits:
 
 
 def find_program() -> Path:
-    """``ptxas``, fetched or on PATH; WarpvoxError: it is nowhere."""
+    """Find ``ptxas``, downloaded or on PATH; WarpvoxError: not found."""
     found = max(map(str, FETCHED.glob("*/bin/ptxas")), default=shutil.which("ptxas"))
     if found is None:
         raise WarpvoxError("There is no program 'ptxas': `make ptxas` fetches it (Linux, x86-64).")
@@ -48,7 +48,7 @@ def find_program() -> Path:
 
 
 def assemble(kernel: wp.Kernel, architecture: int, folder: Path) -> Limits:
-    """Resources of a kernel that is compiled for a compute capability (90: 9.0) in ``folder``."""
+    """Compile a kernel for a compute capability (90: 9.0) in ``folder``, and return its resources."""
     wp.compile_aot_module(kernel.module, arch=architecture, module_dir=str(folder), use_ptx=True)
     ptx = next(folder.glob("*.ptx"))  # ends in NUL, which ptxas refuses
     ptx.write_text(ptx.read_text(encoding="utf-8").replace("\0", ""), encoding="utf-8")
@@ -75,6 +75,6 @@ def assemble(kernel: wp.Kernel, architecture: int, folder: Path) -> Limits:
 
 
 def blocks(limits: Limits, architecture: int) -> int:
-    """Blocks of a warp that a multiprocessor has registers and shared memory for."""
+    """Return the number of one-warp blocks that fit a multiprocessor's registers and shared memory."""
     by_registers = 4 * (REGISTERS // 4 // (-(-limits.registers // 8) * 8 * WARP))  # a quarter has its own
     return min(by_registers, SHARED[architecture] * 1024 // (limits.shared + RESERVED))

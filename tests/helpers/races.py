@@ -1,4 +1,4 @@
-"""Races between the threads of a block in the group kernel, found on the CPU by gcc and ``races.cpp``.
+"""Detection of data races in the group kernel, on the CPU by gcc and ``races.cpp``.
 
 A race is that a thread reads or writes what another has written since the last barrier, or writes what another has
 read since they last met. Votes are no barriers: CUDA promises nothing about memory there.
@@ -34,7 +34,7 @@ SHARED_ARRAYS = (
 def races(
     sim: Simulation, steps: int, folder: Path, parts: int | None = None, change: Callable[[str], str] = str
 ) -> tuple[list[str], int]:
-    """Conflicts in so many control steps with random actions, and how many accesses were watched.
+    """Run control steps with random actions; return conflicts and the number of watched accesses.
 
     Args:
         sim: float32, in the group layout on the CPU, whole warps of it.
@@ -77,7 +77,7 @@ def races(
 
 
 def _source(kernel: wp.Kernel, folder: Path) -> str:
-    """The C++ of the kernel, in which barriers and votes meet apart."""
+    """Generate the kernel's C++ with distinguishable barriers and votes."""
     before, wp.config.enable_cpu_blocks = wp.config.enable_cpu_blocks, True
     try:
         wp.compile_aot_module(kernel.module, device="cpu", module_dir=str(folder))
@@ -107,7 +107,7 @@ def _build(compiler: str, text: str, folder: Path) -> Path:
 
 
 def _conflicts(library: ctypes.CDLL, path: str, text: str) -> Iterator[str]:
-    """Each with the lines of the source."""
+    """Describe each conflict with its source lines."""
     rows = np.zeros((1000, 4), np.uintp)
     found = rows[: library.conflicts(rows.ctypes.data, len(rows))].tolist()
     maps = Path("/proc/self/maps").read_text(encoding="utf-8").splitlines()

@@ -1,4 +1,4 @@
-"""The Python that has the reference: the one that ``WARPVOX_REFERENCE`` names, or ``make reference`` has made."""
+"""Python with EvoGym: named by ``WARPVOX_REFERENCE``, or installed by ``make reference``."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Errors as people meet them: one sentence, which has what was given and what it takes."""
+"""Check of error messages: one sentence with the given value and the allowed ones."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,7 +9,7 @@ import pytest
 
 @contextmanager
 def refused(error: Any, *named: object) -> Iterator[pytest.ExceptionInfo]:
-    """Assert that the block raises this error, or one of these, in a line that names all of ``named``."""
+    """Assert that the block raises one of these errors, in one line that contains all of ``named``."""
     with pytest.raises(error) as caught:
         yield caught
     sentence = str(caught.value)

@@ -1,4 +1,4 @@
-"""Valid files of every format that warpvox reads, small, to be damaged."""
+"""Small valid files of every format that warpvox reads, for damaging."""
 
 import json
 import tempfile
@@ -14,7 +14,7 @@ from warpvox.world import World
 
 @cache
 def world_tree() -> dict:
-    """A world as JSON has it; the stone has a ``box``, because its grid has empty cells around it."""
+    """Build a world as JSON values; the stone has a ``box``, because its grid has empty cells around it."""
     world = World(12, 8)
     world.add_from_array("ground", np.full((1, 12), 5), 0, 0)
     world.add_from_array("robot", sample_design((3, 3), 0), 2, 2)
@@ -24,7 +24,7 @@ def world_tree() -> dict:
 
 @cache
 def rollout_bytes() -> bytes:
-    """A short rollout of two environments with different bodies."""
+    """Record a short rollout of two environments with different bodies."""
     from warpvox.envs.vec_env import make_vec
     from warpvox.view.rollout import record
 
@@ -35,7 +35,7 @@ def rollout_bytes() -> bytes:
 
 @cache
 def checkpoint_content() -> dict[str, Any]:
-    """What a checkpoint of a small policy holds."""
+    """Build the content of a small policy's checkpoint."""
     import torch
 
     from warpvox.algos.checkpoints.files import PolicySpec, build_actor, spec_dict
@@ -49,7 +49,7 @@ def checkpoint_content() -> dict[str, Any]:
 
 @cache
 def archive_bytes() -> bytes:
-    """An archive of two generations."""
+    """Create an archive of two generations."""
     from warpvox.algos.archive import Archive, Finished
     from warpvox.algos.candidate import Candidate, Outcome
 
@@ -67,7 +67,7 @@ def archive_bytes() -> bytes:
 
 @cache
 def config_text() -> str:
-    """The configuration of a run as it is stored."""
+    """Build a run's stored configuration."""
     from warpvox.cli.config import load
     from warpvox.io.writing import to_yaml
     from warpvox.runs import END

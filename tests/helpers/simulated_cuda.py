@@ -1,4 +1,4 @@
-"""A CUDA device without a GPU: memory on the CPU that says that it lies on ``cuda:0``, for what the host does.
+"""Simulated CUDA device without a GPU: CPU tensors that claim to lie on ``cuda:0``, for testing host code.
 
 Which tensors lie on the device is a matter of their storage, so that views, parameters and gradients need no care.
 Operations that mix devices raise as torch does; where the host would wait for the device is noted; every Warp kernel
@@ -48,13 +48,13 @@ FROM_HOST = {"tensor", "as_tensor", "asarray", "new_tensor", "from_numpy"}
 INDEXING = {"__getitem__", "__setitem__", "index_put_", "index_put"}
 PROPERTIES = {"device": (CUDA, CPU), "is_cuda": (True, False), "is_cpu": (False, True)}
 SHARED_MEMORY = 227 * 1024
-"""Bytes of shared memory that a block may ask for, as on an H200."""
+"""Shared memory available to a block in bytes, as on an H200."""
 TOGETHER, LANES = "group_step", "control_step"
-"""Kernels: that whose threads wait for each other, and the control step of the lanes layout."""
+"""Names of the kernel whose threads wait for each other, and of the control step in the lanes layout."""
 
 
 class Tape(TorchDispatchMode):
-    """A recording as a CUDA graph is one: operations and launches in their order, on fixed addresses.
+    """Recording of a CUDA graph: operations and launches in order, on fixed addresses.
 
     Played, it does them again on the tensors of the recording; what Python computed, looked at or chose is as it was.
     Only tensors that are written to in place tell it about the present.
@@ -81,14 +81,14 @@ class Tape(TorchDispatchMode):
 
 
 class Stream:
-    """Stands for torch's class."""
+    """Replacement of torch's CUDA stream."""
 
     def __init__(self, device: Any = None, number: int = 99) -> None:
         self.cuda_stream = number
 
 
 class _Generator(torch.Generator):
-    """Random numbers of a device."""
+    """Random generator of the simulated device."""
 
     def __new__(cls, device: Any = "cpu") -> _Generator:
         made = super().__new__(cls)
@@ -110,14 +110,14 @@ class _Generator(torch.Generator):
 
 
 class _Graph:
-    """Stands for torch's class; what is captured is done at once, which stands for the first replay."""
+    """Replacement of torch's CUDA graph; a capture also runs, in place of the first replay."""
 
     def __init__(self) -> None:
         self.tape, self.replays = Tape(), 0
         self.generators: list[torch.Generator] = []
 
     def register_generator_state(self, generator: torch.Generator) -> None:
-        """Have each replay draw further numbers of a generator."""
+        """Make each replay draw new numbers from a generator."""
         self.generators.append(generator)
 
     def replay(self) -> None:
@@ -128,7 +128,7 @@ class _Graph:
 
 
 class _Event:
-    """Stands for torch's class; the device does at once what is launched."""
+    """Replacement of torch's CUDA event; launches finish at once."""
 
     def __init__(self, enable_timing: bool = False, external: bool = False) -> None:
         self._seconds = 0.0
@@ -141,8 +141,6 @@ class _Event:
 
 
 class _Command:
-    """A recorded launch."""
-
     def __init__(self, owner: SimulatedCuda, name: str, command: wp.Launch) -> None:
         self._owner, self._name, self._command = owner, name, command
 
@@ -151,7 +149,7 @@ class _Command:
 
 
 class SimulatedCuda(TorchFunctionMode):
-    """Within, the machine has one CUDA device.
+    """Context in which the machine has one CUDA device.
 
     Args:
         own_capacities: compile the group kernel as for CUDA, with capacities of the worlds and approximate; takes long.
@@ -229,12 +227,11 @@ class SimulatedCuda(TorchFunctionMode):
     # ------------------------------------------------------------------------------------------------ memory
 
     def holds(self, tensor: torch.Tensor) -> bool:
-        """True if a tensor lies on the device."""
         with torch._C.DisableTorchFunction():
             return tensor.untyped_storage()._cdata in self._memory
 
     def _take(self, found: Any) -> Any:
-        """Put all tensors of a result on the device."""
+        """Move all tensors of a result to the simulated device."""
         for tensor in tree_leaves(found):
             if isinstance(tensor, torch.Tensor):
                 with torch._C.DisableTorchFunction():
@@ -245,14 +242,14 @@ class SimulatedCuda(TorchFunctionMode):
         return found
 
     def wait(self, what: str) -> None:
-        """The host waits for the device here."""
+        """Count a wait of the host for the device; RuntimeError during the capture of a graph."""
         if self._capturing is not None:
             raise RuntimeError(f"operation not permitted when stream is capturing: {what}")
         self.waits[(what, *_caller())] += 1
 
     @contextmanager
     def watched(self) -> Iterator[Counter[tuple[str, str, str]]]:
-        """Waits within the block alone."""
+        """Record waits within the block only."""
         before, self.waits = self.waits, Counter()
         try:
             yield self.waits
@@ -311,7 +308,6 @@ class SimulatedCuda(TorchFunctionMode):
         return found
 
     def _move(self, tensor: torch.Tensor, *words: Any, **named: Any) -> torch.Tensor:
-        """``Tensor.to``."""
         wanted, kind = named.get("device"), named.get("dtype")
         for word in words:
             if isinstance(word, torch.Tensor):
@@ -331,7 +327,7 @@ class SimulatedCuda(TorchFunctionMode):
         return self._take(found) if goal else found
 
     def _look(self, name: str, args: tuple, kwargs: dict, held: list, others: list) -> None:
-        """Note where an operation on the device waits, and refuse one that mixes devices."""
+        """Record operations that wait for the device, and refuse mixed devices."""
         others = [value for value in others if self._do(torch.Tensor.dim, (value,), {})]
         if name in ("numpy", "__array__"):
             raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu() to copy the tensor.")
@@ -343,7 +339,7 @@ class SimulatedCuda(TorchFunctionMode):
             self.wait(name)
 
     def _reads(self, index: Any) -> bool:
-        """True if an index is a mask, a list, or one number of the device."""
+        """Return whether an index is a mask, a list, or a number on the device."""
         with torch._C.DisableTorchFunction():
             for part in index if isinstance(index, tuple) else (index,):
                 if isinstance(part, torch.Tensor):
@@ -405,7 +401,7 @@ class SimulatedCuda(TorchFunctionMode):
         return _Command(self, name, launch()) if recorded else self.launched(name, stream, launch)
 
     def launched(self, name: str, stream: Any, launch: Callable[[], Any]) -> None:
-        """A kernel begins on a stream."""
+        """Launch a kernel on a stream, and count it."""
         self._check_stream(stream)
         self.launches[name] += 1
         with torch._C.DisableTorchFunction():
@@ -415,7 +411,7 @@ class SimulatedCuda(TorchFunctionMode):
 
 
 def _caller() -> tuple[str, str]:
-    """Module and name of the innermost function of warpvox or rsl-rl, besides this file."""
+    """Return module and name of the innermost calling function of warpvox or rsl-rl."""
     frame = sys._getframe(2)
     while frame is not None:
         module = str(frame.f_globals.get("__name__", ""))

@@ -1,4 +1,4 @@
-"""Stages of a sub-step, launched alone."""
+"""Stages of a sub-step, launched separately."""
 
 from warpvox.kernels.device import launch
 from warpvox.kernels.step import STAGES, stage_kernel
@@ -11,7 +11,7 @@ def launch_stage(build, state) -> None:
 
 
 def launch_stages(state, *names: str) -> None:
-    """Run stages by their names in the order given; without names all of a sub-step."""
+    """Run stages by name in the given order; without names, all of a sub-step."""
     stages = {build.__name__: build for build in STAGES[state.arithmetic]}
     for name in names or stages:
         launch_stage(stages[name], state)

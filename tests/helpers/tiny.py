@@ -1,4 +1,4 @@
-"""Commands that take a moment."""
+"""Command lines that run within a moment."""
 
 SEARCH = (
     "shape=[3,3] search.population=3 training.envs=8 training.iterations=1 training.eval_interval=1"
@@ -6,15 +6,15 @@ SEARCH = (
 )
 WORDS = {
     "train": "design=mini num_envs=8 max_iterations=1 eval_interval=2 ppo.steps=4 ppo.hidden=[8] ppo.epochs=1",
-    "codesign": f"{SEARCH} search.max_evaluations=5",
+    "codesign": f"{SEARCH} search.max_designs=5",
 }
 
 
 def once(*words: str) -> list[str]:
-    """Each key once, as it is given last."""
+    """Remove repeated keys from words, keeping the last."""
     return list({word.split("=")[0]: word for word in words}.values())
 
 
 def tiny(command: str, *words: str) -> list[str]:
-    """A command on one thread of the CPU that is as small as ``words`` let it be."""
+    """Build a small command for one CPU thread, with changes in ``words``."""
     return [command, *once("device=cpu", "threads=1", *WORDS[command].split(), *words)]

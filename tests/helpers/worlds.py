@@ -1,4 +1,4 @@
-"""Worlds in a line, and their fixed points."""
+"""Worlds in one line of code, and masks of fixed points."""
 
 import numpy as np
 import torch
@@ -9,7 +9,7 @@ from warpvox.world import World
 
 
 def world(width: int, height: int, **objects: tuple) -> World:
-    """A world of objects by name: cells, where their lower left corner is, and connections if not all."""
+    """Create a world from objects by name: cells, lower left corner, and optional connections."""
     made = World(width, height)
     for name, (cells, *place) in objects.items():
         made.add_from_array(name, np.asarray(cells), *place)
@@ -17,7 +17,7 @@ def world(width: int, height: int, **objects: tuple) -> World:
 
 
 def crowded_world(seed: int) -> World:
-    """A robot, of this seed, between boxes on a bumpy ground."""
+    """Create a random robot between boxes on bumpy ground."""
     bumps = np.full((2, 24), 5)
     bumps[0, ::3] = 0
     places = enumerate([(1, 2), (8, 2), (2, 8), (5, 8)])
@@ -27,7 +27,7 @@ def crowded_world(seed: int) -> World:
 
 
 def fixed_rows(sim: Simulation) -> torch.Tensor:
-    """bool [num_envs, rows]: which entries of the positions in ``sim.state()`` belong to points that never move."""
+    """Return a mask of fixed points among the positions in ``sim.state()``, bool ``[num_envs, rows]``."""
     pack, lane = sim.slot // sim.buffers.lanes, sim.slot % sim.buffers.lanes
     rows, real = sim.rows
     free = sim.array("free_lanes")[sim.array("pack_mesh").long()[pack][:, None], rows // 2]
@@ -35,5 +35,4 @@ def fixed_rows(sim: Simulation) -> torch.Tensor:
 
 
 def ground(width: int, rows: int = 1) -> tuple[np.ndarray, int, int]:
-    """Fixed cells at the bottom."""
     return np.full((rows, width), 5), 0, 0

@@ -36,7 +36,7 @@ def is_cut(obj: WorldObject) -> bool:
 
 
 class Frame:
-    """What all worlds of a group have in common (places of robots, other objects), and the tables of their packs.
+    """Common data of all worlds of a group (places of robots, other objects), and the tables of their packs.
 
     Args:
         worlds: all of one frame.
@@ -161,7 +161,7 @@ class _PackTables:
         self.lanes = lanes
         self.others = frame.arrays
         self.arrays: dict[str, np.ndarray] = {}
-        self._number()
+        self._assign_rows()
         self._points()
         self._twins()
         self._springs()
@@ -172,7 +172,7 @@ class _PackTables:
         self._voxels()
         self._objects()
 
-    def _number(self) -> None:
+    def _assign_rows(self) -> None:
         """Assign a table row to each point, spring and surface voxel that some lane uses."""
         # Rows of the points, springs and voxels of each robot that some lane has
         self.points: list[_Rows] = []
@@ -191,12 +191,12 @@ class _PackTables:
             self.first_voxel = voxels.stop
 
         # The other objects begin behind them.
-        self._count("points", self.first_point, len(self.others["fixed"]))
-        self._count("springs", self.first_spring, len(self.others["spring_rest"]))
-        self._count("voxels", self.first_voxel, len(self.others["body"]))
-        self._count("first_other", self.first_voxel, 0)
+        self._store_count("points", self.first_point, len(self.others["fixed"]))
+        self._store_count("springs", self.first_spring, len(self.others["spring_rest"]))
+        self._store_count("voxels", self.first_voxel, len(self.others["body"]))
+        self._store_count("first_other", self.first_voxel, 0)
 
-    def _count(self, name: str, robots: np.ndarray, others: int) -> None:
+    def _store_count(self, name: str, robots: np.ndarray, others: int) -> None:
         """Store the number of elements in each pack: ``robots``, int ``[packs]``, plus the other objects'."""
         self.arrays[name] = (robots + others).astype(np.int32)
 
@@ -236,7 +236,7 @@ class _PackTables:
         self._append(tied, self.first_point, len(fixed), others_tied)
 
         self.active = (free_lanes != 0) | tied  # [packs, points]
-        self._count("actives", self.active.sum(1), 0)
+        self._store_count("actives", self.active.sum(1), 0)
         self.arrays["rest_pos"] = rest_pos.reshape(self.packs, -1, self.lanes)
         self.arrays["free_lanes"] = free_lanes
 
@@ -271,7 +271,7 @@ class _PackTables:
         # Pairs of which some lane has none are left out.
         follows = np.concatenate(all_follows, axis=1)
         rows = _Rows(np.any(follows, -1), np.zeros(self.packs, int))
-        self._count("twins", rows.stop, 0)
+        self._store_count("twins", rows.stop, 0)
         twin = self._table("twins", 2)
         twin_lanes = self._table("twins")
         rows.put(twin, np.concatenate(all_pairs, axis=1))
@@ -329,7 +329,7 @@ class _PackTables:
             rigid_rows.append(rows)
             start = rows.stop
         others = self.others["rigid_spring"]
-        self._count("rigids", start, len(others))
+        self._store_count("rigids", start, len(others))
 
         rigid_spring = self._table("rigids")
         rigid_lanes = self._table("rigids")
@@ -410,7 +410,7 @@ class _PackTables:
         count = np.bincount(pack, minlength=self.packs)
         first = np.cumsum(count) - count  # [packs]
         row = np.arange(len(entries)) - first[pack]
-        self._count("twin_ends", count, 0)
+        self._store_count("twin_ends", count, 0)
         table = self._table("twin_ends", 4)
         table[pack, row] = entries[:, 1:]
         self.arrays["twin_end"] = table
@@ -481,7 +481,7 @@ class _PackTables:
         self._append(fixed_voxel, first, count, others["fixed_voxel"])
 
         # Voxels that can move: all of robots, some of the other objects
-        self._count("movables", first, len(others["movable"]))
+        self._store_count("movables", first, len(others["movable"]))
         movable = self._table("movables")
         row = np.arange(movable.shape[1])
         movable[:] = np.where(row < first[:, None], row, 0)

@@ -250,7 +250,7 @@ class GridMesh:
         self._link_springs()
         self._mark_surface()
 
-    def _around(self, values: np.ndarray) -> list[np.ndarray]:
+    def _four_cells_around(self, values: np.ndarray) -> list[np.ndarray]:
         """Return the values of the four cells around every node, ``[P, nodes, L]`` each."""
         padded = np.pad(values, ((0, 0), (1, 1), (1, 1), (0, 0)))
         parts = padded[:, :-1, :-1], padded[:, :-1, 1:], padded[:, 1:, :-1], padded[:, 1:, 1:]
@@ -258,11 +258,11 @@ class GridMesh:
 
     def _share_points(self) -> None:
         """Find the cell that creates each cell's corner point: ``owner`` ``[4, P, nodes, L]``."""
-        filled = self._around(self.grid != Cell.EMPTY)
+        filled = self._four_cells_around(self.grid != Cell.EMPTY)
 
         # Connections between the four cells
-        right = self._around(self.right)
-        down = self._around(self.down)
+        right = self._four_cells_around(self.right)
+        down = self._four_cells_around(self.down)
         above = right[ABOVE_LEFT]  # of the two above
         below = right[BELOW_LEFT]
         left = down[ABOVE_LEFT]
@@ -281,7 +281,7 @@ class GridMesh:
         for is_filled, owner in zip(filled, (first, second, third, fourth), strict=True):
             owners.append(np.where(is_filled, owner, NOBODY))
         self.owner = np.stack(owners)
-        self.slot = _spread(self.owner)
+        self.slot = _choose_slots(self.owner)
 
     def _number_points(self) -> None:
         """Decide which points exist, which lead and which are fixed, and set their positions."""
@@ -303,7 +303,7 @@ class GridMesh:
 
         # Points of fixed cells
         fixed = np.zeros(used.shape, bool)
-        for is_fixed, owner in zip(self._around(self.grid == Cell.FIXED), self.owner, strict=True):
+        for is_fixed, owner in zip(self._four_cells_around(self.grid == Cell.FIXED), self.owner, strict=True):
             fixed |= is_fixed[:, :, None] & (owner[:, :, None] == used) & (used >= 0)
 
         shape = (packs, nodes * 4, lanes)
@@ -344,7 +344,7 @@ class GridMesh:
         order = np.argsort(keys, axis=-1, kind="stable")[..., :most]
         self.order = np.where(np.arange(most) < self.count[..., None], order, NOBODY)
 
-    def _of(self, values: np.ndarray, cells: np.ndarray, empty: int) -> np.ndarray:
+    def _gather(self, values: np.ndarray, cells: np.ndarray, empty: int) -> np.ndarray:
         """Look up the values of ``cells`` in ``values`` [P, V, L]; ``empty`` where the cell index is -1."""
         out = values[:, np.maximum(cells, 0)]
         return np.where((cells >= 0)[None, :, None], out, empty)
@@ -354,9 +354,9 @@ class GridMesh:
         springs = self.springs
 
         # Bool [P, E, L]: whether the spring's own cell exists, whether the cell beside it does, and both are connected
-        has_cell = self._of(self.filled, springs.cell, False)
-        has_other = self._of(self.filled, springs.other, False)
-        joined = np.where(springs.across[:, None], self._joined(self.down), self._joined(self.right))
+        has_cell = self._gather(self.filled, springs.cell, False)
+        has_other = self._gather(self.filled, springs.other, False)
+        joined = np.where(springs.across[:, None], self._connected_sides(self.down), self._connected_sides(self.right))
 
         # The points it runs between; whether both entries of a side run between the same ones in this pack
         slots = self.slot[springs.place, :, springs.node]  # [E, 2, P]
@@ -373,8 +373,8 @@ class GridMesh:
 
         # The cells that determine the stiffness: the own one, and the other one if both share this side
         shared = np.where(second | ~side, False, has_other & (joined | ~has_cell))
-        kind = self._of(self.cells, springs.cell, Cell.EMPTY)
-        other_kind = self._of(self.cells, springs.other, Cell.EMPTY)
+        kind = self._gather(self.cells, springs.cell, Cell.EMPTY)
+        other_kind = self._gather(self.cells, springs.other, Cell.EMPTY)
         self.stiffness = self._stiffness(kind, other_kind, has_cell, shared)
 
         # The actions that drive a spring: those of its cells that are actuators along it
@@ -383,8 +383,8 @@ class GridMesh:
         actuator = np.where(springs.across, int(Cell.H_ACT), int(Cell.V_ACT))[:, None]
         drives = has_cell & side & (kind == actuator) & self.spring
         other_drives = shared & side & (other_kind == actuator) & self.spring
-        action = np.where(drives, self._of(number, springs.cell, NOBODY), NOBODY)
-        other_action = np.where(other_drives, self._of(number, springs.other, NOBODY), NOBODY)
+        action = np.where(drives, self._gather(number, springs.cell, NOBODY), NOBODY)
+        other_action = np.where(other_drives, self._gather(number, springs.other, NOBODY), NOBODY)
         one = np.where(action >= 0, action, other_action)
         two = np.where(action >= 0, other_action, NOBODY)
         self.drive = np.stack([one, two], axis=2)
@@ -405,11 +405,11 @@ class GridMesh:
         self.rigid = np.stack(parts, axis=2)
         self._drop_fixed()
 
-    def _joined(self, connections: np.ndarray) -> np.ndarray:
+    def _connected_sides(self, connections: np.ndarray) -> np.ndarray:
         """Return a mask of the sides between two connected cells, bool [P, E, L]."""
         springs = self.springs
         first = np.where(springs.second, springs.other, springs.cell)  # the upper or left one
-        return self._of(connections.reshape(self.cells.shape), first, False)
+        return self._gather(connections.reshape(self.cells.shape), first, False)
 
     def _stiffness(
         self, kind: np.ndarray, other_kind: np.ndarray, has_cell: np.ndarray, shared: np.ndarray
@@ -472,7 +472,7 @@ class GridMesh:
         self.corner = node * 4 + np.maximum(slots, 0)
 
 
-def _spread(owner: np.ndarray) -> np.ndarray:
+def _choose_slots(owner: np.ndarray) -> np.ndarray:
     """Choose the point slot of each cell around a node, int8 [4, P, nodes]; -1 where no lane has the cell.
 
     Cells that have different points in some lane lie on different ones. Two rows of cells on a point each are tried

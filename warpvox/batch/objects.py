@@ -109,7 +109,7 @@ class Objects:
             raise SimulationError(f"The object {name!r} is made of fixed cells only: it never moves.")
         return index
 
-    def _still(self, name: str) -> list[Body | None]:
+    def _fixed_meshes(self, name: str) -> list[Body | None]:
         """Return the fixed mesh of an object in every frame; None where the object can move or is missing."""
         return [_named(compiled.statics, name) for compiled in self._batch.compiled]
 
@@ -118,12 +118,12 @@ class Objects:
         points = self.point_range[self._example, self.index(name)]
         counts = points[:, 1] - points[:, 0]
         if name in self.terrain:
-            still = [len(body.points) if body else 0 for body in self._still(name)]
+            still = [len(body.points) if body else 0 for body in self._fixed_meshes(name)]
             counts = counts + torch.tensor(still, device=counts.device)[self._batch.groups]
         return counts
 
     def _most_points(self) -> dict[str, int]:
-        """Return, by name, the largest number of points of an object over all worlds, or up to ``batch.grid``."""
+        """Return, by object name, the largest number of points in any world or in any body that ``grid`` allows."""
         moving = self.point_range[self._example]
         counts = (moving[..., 1] - moving[..., 0]).amax(0).tolist()
         most: dict[str, int] = dict(zip(self.names, counts, strict=True))
@@ -143,7 +143,7 @@ class Objects:
 
     def still_points(self, name: str, dtype: torch.dtype, relative: bool) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the positions of an object's fixed points, ``[num_envs, points, 2]``, and their bool mask."""
-        bodies = self._still(name)
+        bodies = self._fixed_meshes(name)
         fixed = torch.zeros((len(bodies), self.num_points[name], 2), dtype=torch.float64)
         is_fixed = torch.zeros((len(bodies), self.num_points[name], 1), dtype=torch.bool)
         for row, body in enumerate(bodies):

@@ -170,7 +170,7 @@ class Batch:
 
     @property
     def groups(self) -> np.ndarray:
-        """Group of each distinct world, int ``[entries]``."""
+        """Index of each distinct world's group (worlds that may share packs), int ``[entries]``."""
         return np.array([entry.group for entry in self.entries])
 
     def replace(self, envs: Sequence[int], worlds: Sequence[World]) -> np.ndarray:

@@ -93,9 +93,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
             changes = [f"{key}={'null' if value is None else value}" for key, value in error.changes.items()]
             command = " ".join(["warpvox train", shell_argument("resume", error.resume), *changes])
-            return _complain(f"{error} Go on with: {command}")
+            return _print_error(f"{error} Go on with: {command}")
         except WarpvoxError as error:
-            return _complain(error)
+            return _print_error(error)
         except Terminated as request:
             print(f"warpvox: asked to end ({signal.Signals(request.number).name})", file=sys.stderr)
             return 128 + request.number
@@ -103,19 +103,21 @@ def main(argv: Sequence[str] | None = None) -> int:
             print("warpvox: interrupted", file=sys.stderr)
             return 130
         except PermissionError as error:
-            return _complain(f"Permission is denied: {error.filename or error}. Name a place that you may use.")
+            return _print_error(f"Permission is denied: {error.filename or error}. Name a place that you may use.")
         except OSError as error:
             if error.errno == errno.ENAMETOOLONG:
-                return _complain(f"No file or folder can have the name '{error.filename!s:.100}...': it is too long.")
+                return _print_error(
+                    f"No file or folder can have the name '{error.filename!s:.100}...': it is too long."
+                )
             if error.errno not in OF_DISKS:
                 raise
             redirect(sys.stdout)
             where = str(error.filename or "The output")
             hint = " WARP_CACHE_PATH=FOLDER is where Warp keeps kernels." if "cache" in where.lower() else ""
-            return _complain(f"{where} cannot be written: {complaint(error)}.{hint}")
+            return _print_error(f"{where} cannot be written: {complaint(error)}.{hint}")
 
 
-def _complain(error: WarpvoxError | str) -> int:
+def _print_error(error: WarpvoxError | str) -> int:
     """Print an error as one line on standard error, and return exit code 2."""
     from warpvox.io.text import escaped
 

@@ -89,13 +89,13 @@ def _parser(command: str, description: str) -> argparse.ArgumentParser:
         allow_abbrev=False,
         formatter_class=lambda prog: argparse.HelpFormatter(prog, max_help_position=34),
     )
-    parser.error = _complain
+    parser.error = _raise_config_error
     group = parser.add_argument_group("options")
     for flags, arguments in OPTIONS.items():
         group.add_argument(*flags, **arguments)
     return parser
 
 
-def _complain(message: str) -> NoReturn:
+def _raise_config_error(message: str) -> NoReturn:
     """Raise a ConfigError with the message of argparse."""
     raise ConfigError(f"{message[0].upper()}{message[1:]}.")

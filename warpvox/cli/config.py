@@ -22,7 +22,7 @@ from warpvox.errors import ConfigError, did_you_mean
 from warpvox.examples import bare_id
 from warpvox.io.reading import LARGEST_CONFIG, Unreadable, parse_yaml, read_text
 from warpvox.keys import ELSEWHERE, SYNONYMS, flat
-from warpvox.runs import CODESIGN, CONFIG, TRAINING, ZOO, search_as_now, without_services
+from warpvox.runs import CODESIGN, CONFIG, TRAINING, ZOO, as_now, without_services
 
 
 def load(command: str, words: Sequence[str], config_dir: Path | None = None) -> Any:
@@ -58,7 +58,7 @@ def settings_of(command: str, overrides: Mapping[str, Override], config_dir: Pat
         given[key] = value
 
     # Stored values, except those of groups that are given
-    stored, place = _stored(command, given)
+    stored, place = _read_stored(command, given)
     origin = "" if place is None else f"{place}: "
     choosing = [*groups_of(command), *[PRESET] * (PRESET in keys_of(command))]
     groups = {key: str(value) for key, value in given.items() if key in choosing and value is not None}
@@ -109,19 +109,19 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
         "play": {"format": "export"},
         "export": {"export": "format"},
         "codesign": {
-            "finalists": "evaluation.finalists",
-            "pretrained": "evaluation.pretrained",
+            "finalists": "fitness.finalists",
+            "pretrained": "fitness.pretrained",
             "search.algorithm": "search",
-            "evaluation.name": "evaluation",
+            "fitness.name": "fitness",
         },
     }
     for word in words:
         name, given, text = word.partition("=")
-        group, dot, last = name.rpartition(".")
-        others = () if name in keys else (f"{group}{dot}{other}" for other in SYNONYMS.get(last, ()))
-        name = next((other for other in others if other in keys), name)
+        if name not in keys:
+            others = (name.replace(part, other, 1) for part in name.split(".") for other in SYNONYMS.get(part, ()))
+            name = next((other for other in others if other in keys), name)
         name = renamed.get(command, {}).get(name, name)
-        override = _parsed(f"{name}{given}{text}")
+        override = _parse_word(f"{name}{given}{text}")
         if given and text and name in keys and keys[name].takes_text:
             place = os.path.expanduser(text)
             # Hydra's grammar may read a text as a number or a list.
@@ -131,7 +131,7 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
                 and not isinstance(override.value(), str | None)
             )
             if override is None or os.path.exists(place) or (keys[name].is_text and is_other):
-                override = _parsed(f"{name}={quoted(place)}")
+                override = _parse_word(f"{name}={quoted(place)}")
         if override is None:
             hint = ", or its value has unbalanced brackets or quotes."
             if not given and (name.startswith(ZOO) or bare_id(name).casefold() in map(str.casefold, zoo_tasks())):
@@ -146,7 +146,7 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
     return found
 
 
-def _parsed(word: str) -> Override | None:
+def _parse_word(word: str) -> Override | None:
     """Parse one KEY=VALUE word by Hydra's grammar; return None if it is not valid."""
     try:
         return OverridesParser.create().parse_override(word)
@@ -158,7 +158,7 @@ def _parsed(word: str) -> Override | None:
         return None
 
 
-def _stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path | None]:
+def _read_stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path | None]:
     """Read the stored configuration named by ``config`` or ``resume``; return it with its path, or ({}, None).
 
     ``resume`` becomes the folder or checkpoint that it names.
@@ -173,8 +173,7 @@ def _stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], Path |
         if not isinstance(values, dict) or not values:
             raise ConfigError(f"config must be a YAML file or the folder of a run; {path} holds no KEY: VALUE.")
         given["config"] = None
-        if command == CODESIGN:
-            values = search_as_now(values, path)
+        values = as_now(values, path)
     elif given.get("resume") is not None:
         name = str(given["resume"])
         output_dir = str(given.get("output_dir", "outputs"))
@@ -198,10 +197,10 @@ def _set(command: str, config: DictConfig, key: str, value: Any) -> None:
                 raise ConfigKeyError(key)
             OmegaConf.update(config, key, value, merge=False)
         except (ConfigAttributeError, ConfigKeyError, ConfigTypeError):
-            raise _unknown(command, key, config) from None
+            raise _unknown_key_error(command, key, config) from None
 
 
-def _unknown(command: str, key: str, config: DictConfig) -> ConfigError:
+def _unknown_key_error(command: str, key: str, config: DictConfig) -> ConfigError:
     """Build the error for an unknown key, with a suggestion."""
     keys = keys_of(command)
     known = [name for name in flat(cast(Any, OmegaConf.to_container(config))) if name in keys]

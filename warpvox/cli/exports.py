@@ -72,7 +72,7 @@ def record_agent(config: Any) -> Rollout:
 
 
 def tiles_of(rollout: Rollout, most: int = 36) -> list[int]:
-    """Choose the environments shown in a picture: the first ones, or evenly spaced ones if they have names."""
+    """Choose the environments shown in a picture: the first ones, or evenly spaced ones of a rollout with names."""
     if "names" not in rollout.metadata:
         return list(range(min(rollout.num_envs, _TILES)))
     return np.linspace(0, rollout.num_envs - 1, min(rollout.num_envs, most)).round().astype(int).tolist()

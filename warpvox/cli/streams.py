@@ -11,7 +11,7 @@ from typing import Any
 from warpvox.system import GONE
 
 
-class _Lasting:
+class _SurvivingStream:
     """Text stream that switches to the null device when its pipe or terminal is closed."""
 
     def __init__(self, stream: Any, message: str | None = None) -> None:
@@ -27,16 +27,16 @@ class _Lasting:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        self._try(self._stream.write, text)
+        self._call(self._stream.write, text)
         return len(text)
 
     def writelines(self, lines: Any) -> None:
         self.write("".join(lines))
 
     def flush(self) -> None:
-        self._try(self._stream.flush)
+        self._call(self._stream.flush)
 
-    def _try(self, function: Any, *words: Any) -> None:
+    def _call(self, function: Any, *words: Any) -> None:
         """Call a method of the wrapped stream; switch to the null device if the pipe is closed."""
         try:
             function(*words)
@@ -63,7 +63,7 @@ def lasting_output(message: str | None = None) -> Iterator[None]:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     nowhere = open(os.devnull, "w")  # noqa: SIM115
-    ours = _Lasting(before[0] or nowhere, message), _Lasting(before[1] or nowhere)
+    ours = _SurvivingStream(before[0] or nowhere, message), _SurvivingStream(before[1] or nowhere)
     sys.stdout, sys.stderr = ours
     try:
         yield

@@ -48,7 +48,7 @@ def _start_warp() -> None:
     # The functions in which Warp compiles; it offers no other way to learn of it before it is over.
     for name, where in (("build_cpu", "the CPU"), ("build_cuda", "CUDA")):
         if hasattr(build, name):
-            setattr(build, name, _announced(getattr(build, name), where))
+            setattr(build, name, _with_announcement(getattr(build, name), where))
     if getattr(context, "runtime", None) is not None:
         return
     try:
@@ -56,13 +56,13 @@ def _start_warp() -> None:
             wp.init()
             return
         wp.config.log_level = wp.LOG_WARNING
-        _init_without_complaint()
+        _init_quietly()
     except OSError as error:
         place = f"{error.filename} cannot be written: {complaint(error)}."
         raise StorageError(f"{place} WARP_CACHE_PATH=FOLDER is where Warp keeps kernels.", error) from None
 
 
-def _announced(build: Callable[..., Any], where: str) -> Callable[..., Any]:
+def _with_announcement(build: Callable[..., Any], where: str) -> Callable[..., Any]:
     """Wrap ``build`` so that its first call by this package prints a message about compilation."""
     announced = False
 
@@ -88,7 +88,7 @@ def _is_ours() -> bool:
     return False
 
 
-def _init_without_complaint() -> None:
+def _init_quietly() -> None:
     """Initialise Warp and print its messages, except the one about a missing GPU."""
     import warp as wp
 
@@ -142,7 +142,7 @@ def own_torch(threads: int | None = None, seed: int | None = None, dtype: torch.
         seed: of torch's global generators; None: they go on as they are.
         dtype: default type of torch; None: float32.
     """
-    with _PROCESS, ambient(threads, dtype), _restored():
+    with _PROCESS, ambient(threads, dtype), _restoring_torch():
         if seed is not None:
             import torch
 
@@ -192,7 +192,7 @@ class _Shared:
     def __enter__(self) -> None:
         with _PROCESS:
             if not self._inside:
-                self._kept.enter_context(_restored())
+                self._kept.enter_context(_restoring_torch())
             self._inside += 1
 
     def __exit__(self, *error: object) -> None:
@@ -206,7 +206,7 @@ _shared = _Shared()
 
 
 @contextmanager
-def _restored() -> Iterator[None]:
+def _restoring_torch() -> Iterator[None]:
     """Restore torch's default type and global random generators after the block."""
     import torch
 

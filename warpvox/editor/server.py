@@ -159,7 +159,7 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
     def log_message(self, format: str, *args: object) -> None:
-        """Suppress the access log, because addresses contain the token."""
+        """Disable the access log, because addresses contain the token."""
 
     def do_GET(self) -> None:
         """Serve the editor's page or the page of a rollout."""

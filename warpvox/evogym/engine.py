@@ -93,7 +93,7 @@ class Engine:
         if history is not None:
             check_integer("history", history, 1, error=ArgumentError)
         self._sim.advance()
-        self._moved()
+        self._forget_sensed()
         if self._status[0] & STOPPED:
             return True
         self.time += 1
@@ -111,7 +111,7 @@ class Engine:
 
     def revert(self, time: int) -> None:
         """Restore the state at a recorded time and drop later records."""
-        self._set(self._at(time))
+        self._set(self._recorded_state(time))
         self.time = time
         self._past = {then: kept for then, kept in self._past.items() if then <= time}
 
@@ -120,9 +120,9 @@ class Engine:
         self._views["vel"][:] = record[1, : self._moving]
         self._views["true_vel"][:] = self._views["vel"]
         self._sim.invalidate()
-        self._moved()
+        self._forget_sensed()
 
-    def _moved(self) -> None:
+    def _forget_sensed(self) -> None:
         """Invalidate cached centres of mass after points have moved."""
         self.changes += 1
         self.sensors.moved = True
@@ -141,11 +141,11 @@ class Engine:
             self._set(self._past[self.time])
         self._views["pos"][self._spans[name]] += (dx, dy)
         self._sim.invalidate()
-        self._moved()
+        self._forget_sensed()
         self._record()
         self._views["rest_pos"][:] = self._past[0][0, : self._moving]  # what turns are measured from
 
-    def _at(self, time: int) -> np.ndarray:
+    def _recorded_state(self, time: int) -> np.ndarray:
         """Return the recorded state at a time; ArgumentError if there is none."""
         if not isinstance(time, int | np.integer):
             raise ArgumentTypeError(f"time must be an integer, got {time!r} of type {type(time).__name__}.")
@@ -162,7 +162,7 @@ class Engine:
             why = " It has no actuator (cells 3, 4)." if str(name) in self._spans else did_you_mean(name, names)
             raise ArgumentError(f"{name!r:.80} is not a valid {kind} name; {kind}s are {listing(sorted(names))}.{why}")
 
-    def _span(self, name: str | None) -> slice | np.ndarray:
+    def _point_slice(self, name: str | None) -> slice | np.ndarray:
         """Return the slice of an object's points in a recorded state (None: all points)."""
         if name is not None:
             self._check(name)
@@ -170,16 +170,16 @@ class Engine:
 
     def positions(self, time: int, name: str | None = None) -> np.ndarray:
         """Return positions of an object's points (None: of all objects), ``[points, 2]``, read-only."""
-        return self._at(time)[0, self._span(name)]
+        return self._recorded_state(time)[0, self._point_slice(name)]
 
     def velocities(self, time: int, name: str | None = None) -> np.ndarray:
         """Return velocities of an object's points (None: of all objects), ``[points, 2]``, read-only."""
-        return self._at(time)[1, self._span(name)]
+        return self._recorded_state(time)[1, self._point_slice(name)]
 
     def orientation(self, time: int, name: str) -> float:
         """Return the rotation of an object since time 0, counter-clockwise in [0, 2 pi]."""
         self._check(name)
-        then, _ = self._at(time)
+        then, _ = self._recorded_state(time)
         if self._spans[name].start >= self._moving:
             # Alone in its world an object can be moved; one that has not moved has the same orientation at any time.
             if name not in self._orientations:

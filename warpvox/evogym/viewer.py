@@ -58,15 +58,15 @@ class EvoViewer:
 
     def set_pos(self, pos: tuple[float, float]) -> None:
         """Set the centre of the picture; ArgumentTypeError: no tuple. ArgumentError: not two numbers."""
-        self.pos = _checked("pos", pos)
+        self.pos = _finite_pair("pos", pos)
 
     def set_view_size(self, view_size: tuple[float, float]) -> None:
         """Set the width and height of the visible area, 0.001 or more; errors as of :meth:`set_pos`."""
-        self.view_size = _checked("view_size", view_size, least=1e-3)
+        self.view_size = _finite_pair("view_size", view_size, least=1e-3)
 
     def set_resolution(self, resolution: tuple[int, int]) -> None:
         """Set the width and height of the picture in pixels, 1 or more; errors as of :meth:`set_pos`."""
-        self.resolution = _checked("resolution", resolution, least=1)
+        self.resolution = _finite_pair("resolution", resolution, least=1)
 
     def set_target_rps(self, target_rps: int | None) -> None:
         """Limit the pictures per second to 2 or more (else RangeError); None: no limit."""
@@ -99,7 +99,7 @@ class EvoViewer:
                 if value is not False:
                     self._locks[name] = float(value)
             else:
-                self._tracking[name] = _checked(name, value)
+                self._tracking[name] = _finite_pair(name, value)
 
     def _box(self) -> np.ndarray:
         """Return x, y, width and height of the padded and scaled box around the tracked objects."""
@@ -202,7 +202,7 @@ class EvoViewer:
         self._viewer.close()
 
 
-def _checked(name: str, value: object, least: float = -np.inf) -> tuple:
+def _finite_pair(name: str, value: object, least: float = -np.inf) -> tuple:
     """Return ``value`` if it is a tuple of two finite numbers of at least ``least``, else raise an ArgumentError."""
     if not isinstance(value, tuple) or len(value) != 2:
         raise ArgumentTypeError(f"{name} must be a tuple of two numbers, got {value!r} of type {type(value).__name__}.")

@@ -197,7 +197,7 @@ class WorldObject:
         Raises:
             WorldError: cells or connections that are not valid.
         """
-        self._become(core.WorldObject.from_array(name, structure, 0, 0, connections))
+        self._replace_by(core.WorldObject.from_array(name, structure, 0, 0, connections))
         self.grid = self.grid.astype(np.asarray(structure).dtype)
 
     def load_from_parsed_json(self, name: str, json_data: Any, grid_size: Pair) -> None:
@@ -206,16 +206,16 @@ class WorldObject:
         ``json_data`` has ``indices``, ``types`` and ``neighbors``. WorldError: they contradict each other.
         """
         cells = read_object(name, json_data, grid_size.x)
-        self._become(core.WorldObject.from_array(name, cells.grid, cells.x, cells.y, cells.connections))
+        self._replace_by(core.WorldObject.from_array(name, cells.grid, cells.x, cells.y, cells.connections))
 
     @classmethod
     def from_core(cls, obj: core.WorldObject) -> WorldObject:
         """Convert a :class:`warpvox.world.WorldObject` to this class."""
         made = cls()
-        made._become(obj)
+        made._replace_by(obj)
         return made
 
-    def _become(self, obj: core.WorldObject) -> None:
+    def _replace_by(self, obj: core.WorldObject) -> None:
         """Replace name, position and cells of this object by those of ``obj``."""
         self.name = obj.name
         self.pos = Pair(obj.x, obj.y)
@@ -231,13 +231,13 @@ class WorldObject:
     @functools.cached_property
     def voxels(self) -> list[Pair]:
         """Column and row of the non-empty cells, row 0 at the bottom."""
-        return _filled(self._made_of)
+        return _filled_cells(self._made_of)
 
     @functools.cached_property
     def neighbors(self) -> dict[Pair, list[Pair]]:
         """Connected cells of every non-empty cell."""
         rows, columns = self._made_of.grid.shape
-        neighbors: dict[Pair, list[Pair]] = {voxel: [] for voxel in _filled(self._made_of)}
+        neighbors: dict[Pair, list[Pair]] = {voxel: [] for voxel in _filled_cells(self._made_of)}
         for pair in self._made_of.connections.tolist():
             a, b = (Pair(cell % columns, rows - 1 - cell // columns) for cell in pair)
             neighbors[a].append(b)
@@ -303,7 +303,7 @@ class WorldObject:
         return f"WorldObject({self})"
 
 
-def _filled(obj: core.WorldObject) -> list[Pair]:
+def _filled_cells(obj: core.WorldObject) -> list[Pair]:
     """List column and row (0 at the bottom) of the non-empty cells, from the lowest row on."""
     return [Pair(x, y) for y, x in np.argwhere(np.flipud(obj.grid)).tolist()]
 

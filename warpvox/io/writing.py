@@ -38,7 +38,7 @@ ADVICE = {
     errno.ENOTDIR: "a file stands where its folder should be; move that file away, or use another folder",
     errno.EIO: "the disk has failed (input/output error); use another disk",
 }
-"""What to do about an error of a disk, by errno."""
+"""Advice for each error of a disk, by errno."""
 OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
 """Error numbers that mean a disk is full, read-only or failing."""
 LOGGERS = {"wandb"}

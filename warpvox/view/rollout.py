@@ -333,7 +333,7 @@ def agent_of(name: str, env: Any) -> Callable[[Any], Any]:
     import torch
 
     check_choice("agent", name, AGENTS)
-    draw = _draws(env)
+    draw = _make_generator(env)
     if name == "zero":
         return lambda obs: torch.ones((env.num_envs, env.num_actions))
     if name == "random":
@@ -344,7 +344,7 @@ def agent_of(name: str, env: Any) -> Callable[[Any], Any]:
     return lambda obs: ACTION_CENTER + ACTION_SCALE * torch.sin(2 * torch.pi * FRAME_SECONDS * next(steps) + phase)
 
 
-def _draws(env: Any) -> Callable[[], Any]:
+def _make_generator(env: Any) -> Callable[[], Any]:
     """Return a random number generator for ``env``: a function that returns ``[num_envs, num_actions]`` in [0, 1).
 
     With several seeds, each for an equal block of environments, a block draws as if it were alone.

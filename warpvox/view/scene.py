@@ -166,17 +166,17 @@ def scene_from_json(scene: Mapping[str, Any]) -> Scene:
             SceneObject(
                 name=name,
                 grid=as_grid(obj["grid"], what=f"grid of {name!r:.80}", error=ValueError),
-                x=_whole(obj["x"]),
-                y=_whole(obj["y"]),
-                first_point=_whole(obj["first_point"]),
-                num_points=_whole(obj["num_points"]),
+                x=_check_index(obj["x"]),
+                y=_check_index(obj["y"]),
+                first_point=_check_index(obj["first_point"]),
+                num_points=_check_index(obj["num_points"]),
                 corners=np.array(rows, np.int32).reshape(-1, 4),
             )
         )
-    return Scene(_whole(scene["width"]), _whole(scene["height"]), tuple(objects))
+    return Scene(_check_index(scene["width"]), _check_index(scene["height"]), tuple(objects))
 
 
-def _whole(value: object) -> int:
+def _check_index(value: object) -> int:
     """Return ``value`` if it is an integer from 0 to 2^31 - 1; TypeError otherwise."""
     # int() would take "7", 7.9 and True without a word
     if type(value) is not int or not 0 <= value < 2**31:

@@ -1,4 +1,4 @@
-"""A comparison is made of ordinary searches, leaves out what is finished, continues the rest, and reads archives."""
+"""Tests of comparisons: run, skip finished searches, resume others, and read archives."""
 
 import csv
 import json
@@ -35,14 +35,14 @@ def small(seed: int) -> Member:
 
 
 def digest(folder: Path) -> list[tuple[bytes, float | None]]:
-    """Bodies and returns of a search."""
+    """Return bodies and returns of a search."""
     with Archive.read(folder / "archive.sqlite") as archive:
         return [(record.candidate.body.tobytes(), record.fitness) for record in archive.records()]
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two members, made at the same time."""
+    """Run two searches in parallel."""
     home = tmp_path_factory.mktemp("made")
     assert run([small(0), small(1)], home, workers=2) == []
     return home
@@ -117,7 +117,7 @@ def test_mistakes_are_found_before_anything_is_written(words: str, says: str, tm
 
 
 def make_search(folder: Path, task: str, seed: int, fitness: list[float], steps: int = 100, **other: object) -> None:
-    """An archive with these returns; every design takes ``steps``."""
+    """Create an archive with these returns; every design takes ``steps``."""
     folder.mkdir(parents=True)
     settings = {"task": task, "seed": seed, "search": {"algorithm": "ga"}} | other
     with Archive.create(folder / "archive.sqlite", settings) as archive:
@@ -128,7 +128,7 @@ def make_search(folder: Path, task: str, seed: int, fitness: list[float], steps:
 
 @pytest.fixture(scope="module")
 def toys(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two searches on three tasks, of one of which no return is published; two seeds; and one that has only begun."""
+    """Create searches on three tasks (one without a published return) with two seeds, and one that has only begun."""
     root = tmp_path_factory.mktemp("toys")
     for task, base in (("Catcher-v0", -1.0), ("Walker-v0", 4.0), ("Traverser-v0", 0.0)):
         for number, search in enumerate(("slow", "quick<")):
@@ -191,7 +191,7 @@ def test_the_papers_experiments_are_complete_and_a_cut_is_useful() -> None:
     assert {(search, seed) for _, search, seed in keys[27:49]} == {("ga", 0)}
     assert {task for task, _, _ in keys[147:]} == {paper.SLOWEST}
     settings = [one.settings for one in every]
-    assert {one["search"].max_evaluations for one in settings} == {20_000_000 // (32 * 64 * 60)}
+    assert {one["search"].max_designs for one in settings} == {20_000_000 // (32 * 64 * 60)}
     assert {(one["training"].envs, one["training"].iterations) for one in settings} == {(32, 60)}
     assert {tuple(one.settings["shape"]) for one in every if one.task == "Lifter-v0"} == {(5, 7)}
 

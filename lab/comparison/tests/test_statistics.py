@@ -1,4 +1,4 @@
-"""Aggregates over tasks against scipy's, values by hand, and what intervals promise."""
+"""Tests of the statistics against scipy, hand-computed values and the coverage of intervals."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Bodies designed within the episode: stages, masks, invalid bodies, and control as with bodies given from outside."""
+"""Tests of design inside the episode: stages, masks, invalid bodies, and control compared with given bodies."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def make(task: str = "Walker-v0", num_envs: int = ENVS, **options: object) -> De
 
 
 def design(env: DesignVecEnv, bodies: np.ndarray, idle: float = np.nan) -> torch.Tensor:
-    """Actions of a design step, types or logits; entries of the control stage hold ``idle``."""
+    """Build actions of a design step, types or logits; entries of the control stage are ``idle``."""
     cells = torch.as_tensor(bodies).long().reshape(len(bodies), -1)
     if env.layout.revise == "one":
         cells = cells.gather(1, env.episode_length[:, None] % env.layout.cells)
@@ -30,7 +30,7 @@ def design(env: DesignVecEnv, bodies: np.ndarray, idle: float = np.nan) -> torch
 
 
 def control(env: DesignVecEnv, seed: int, idle: float = np.nan) -> torch.Tensor:
-    """Actions of a control step, the same for an environment of the same number."""
+    """Build actions of a control step, equal for environments of the same number."""
     draws = np.stack([np.random.default_rng([seed, k]).uniform(0.6, 1.6, env.layout.control) for k in range(ENVS)])
     actions = torch.full((env.num_envs, env.num_actions), idle)
     actions[:, : env.layout.control] = torch.as_tensor(draws)[: env.num_envs].float()

@@ -1,4 +1,4 @@
-"""The policy of both stages: what belongs to the other stage takes no part, and stock PPO of rsl-rl trains it."""
+"""Tests of the policy for both stages: masking of the other stage, and training with rsl-rl's PPO."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def settings(env: RslRlDesignEnv) -> dict:
 
 
 def mixed_stages(env: RslRlDesignEnv) -> TensorDict:
-    """Observations of which half are of the design stage and half of control."""
+    """Build observations, half of the design stage and half of the control stage."""
     generator = torch.Generator().manual_seed(1)
     for _ in range(3):
         actions = torch.rand(ENVS, env.num_actions, generator=generator)
@@ -50,7 +50,7 @@ def construct(env: RslRlDesignEnv) -> PPO:
 
 
 def learned(alg: PPO, obs: TensorDict, actions: torch.Tensor) -> list[torch.Tensor]:
-    """What learning makes of observations and actions: likelihood, entropy, divergence, values and gradients."""
+    """Compute likelihood, entropy, divergence, values and gradients from observations and actions."""
     for model in (alg.actor, alg.critic):
         model.update_normalization(obs)
     alg.actor(obs, stochastic_output=True)

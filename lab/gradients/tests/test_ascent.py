@@ -1,4 +1,4 @@
-"""Training by gradients through the physics: it climbs, is what the environment does, and refuses what is flat."""
+"""Tests of training by gradients: improvement, agreement with the environment, and refusal of flat rewards."""
 
 from pathlib import Path
 

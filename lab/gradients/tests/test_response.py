@@ -1,4 +1,4 @@
-"""The linear response of bodies: against a recursion in plain numpy, and against the simulator."""
+"""Tests of the linear response against a numpy recursion and the simulator."""
 
 import math
 
@@ -18,12 +18,12 @@ PERIOD = 10.0
 
 
 def one_hot(bodies: np.ndarray) -> torch.Tensor:
-    """``[bodies, cells, 4]`` of ``[bodies, rows, columns]``."""
+    """Convert bodies ``[bodies, rows, columns]`` to one-hot types ``[bodies, cells, 4]``."""
     return torch.nn.functional.one_hot(torch.as_tensor(bodies).long().flatten(1), 5)[..., 1:].float()
 
 
 def springs_of(body: np.ndarray) -> dict[tuple[int, int], tuple[float, list[int]]]:
-    """Springs by their ends: stiffness, the largest of the voxels', and the actuators that drive it."""
+    """Collect springs by their ends: largest stiffness of the voxels, and driving actuators."""
     found: dict[tuple[int, int], tuple[float, list[int]]] = {}
     physics, width = Physics(), body.shape[1]
     for (row, column), kind in np.ndenumerate(body):
@@ -41,7 +41,7 @@ def springs_of(body: np.ndarray) -> dict[tuple[int, int], tuple[float, list[int]
 
 
 def oscillation(body: np.ndarray, actuator: int) -> np.ndarray:
-    """Complex displacement ``[points, 2]``, in voxels, by an action of 1 of one actuator: the dynamics, solved."""
+    """Solve the dynamics for one actuator with action 1: complex displacement ``[points, 2]`` in voxels."""
     width, count = body.shape[1] + 1, (body.shape[0] + 1) * (body.shape[1] + 1)
     stiffness, force = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
     for (one, other), (spring, drivers) in springs_of(body).items():

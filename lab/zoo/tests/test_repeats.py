@@ -1,4 +1,4 @@
-"""Repeats of a robot's training: its commands with another seed, each from the one before."""
+"""Tests of repeated trainings: commands with another seed, each starting from the one before."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The page of results is what its command makes of the zoo and the committed tables."""
+"""Tests that the results page equals its generator's output."""
 
 import dataclasses
 import re

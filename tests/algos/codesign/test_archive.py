@@ -72,7 +72,7 @@ def test_what_is_written_is_what_is_read(filled: Archive, path: Path) -> None:
             assert record.seed == candidate_seed(7, candidate.id)
         assert [record.fitness for record in records] == [0.0, 1.0, 2.0, -1.0, 2.0, None]
         assert records[1].curve == [(10, 0.5), (20, 1.0)]
-        assert (records[1].policy, records[1].policy_sha256, records[1].steps) == ("p1", "x", 20)
+        assert (records[1].policy_file, records[1].policy_sha256, records[1].steps) == ("p1", "x", 20)
         assert (records[3].stopped, records[3].seconds, records[4].reused) == (True, 1.5, 2)
         assert (archive.count(), archive.trained()) == (6, 4)
         assert [row["evaluated"] for row in archive.generations()] == [3, 2]

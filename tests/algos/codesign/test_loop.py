@@ -35,7 +35,7 @@ def test_equal_bodies_are_trained_once(tmp_path: Path) -> None:
         assert record.reused == (None if original == record.id else original)
         if record.reused is not None:
             other = loop.archive.record(original)
-            assert (record.fitness, record.policy, record.steps) == (other.fitness, other.policy, 0)
+            assert (record.fitness, record.policy_file, record.steps) == (other.fitness, other.policy_file, 0)
     assert sorted(loop.executor.evaluator.trained) == sorted(first.values())
     assert loop.archive.trained() == len(first) < POPULATION * GENERATIONS
 
@@ -71,7 +71,7 @@ def test_children_start_from_the_policies_of_their_parents(tmp_path: Path) -> No
             for parents in given:
                 for number, parent in parents.items():
                     record = loop.archive.record(number)
-                    assert parent.policy == store.load(record.policy)
+                    assert parent.policy == store.load(record.policy_file)
                     assert parent.fitness == record.fitness
                     assert np.array_equal(parent.body, record.candidate.body)
             assert any(given)
@@ -168,7 +168,7 @@ def test_another_search_is_refused_in_its_first_generation(tmp_path: Path) -> No
 @pytest.mark.parametrize("gone", ["id >= 4 AND generation = 0", "id = 29"])
 def test_where_rows_were_deleted_the_backup_is_named(tmp_path: Path, gone: str) -> None:
     def search() -> Any:
-        return make_search(RandomDesigns(population=6, max_evaluations=30), (3, 3), SEED)
+        return make_search(RandomDesigns(population=6, max_designs=30), (3, 3), SEED)
 
     loop = make_loop(tmp_path, search=search())
     loop.run()
@@ -315,7 +315,7 @@ def test_they_are_written_down_with_the_worst_fitness_so_far(tmp_path: Path) -> 
         assert math.isfinite(record.fitness)
         if record.diverged:
             assert record.fitness == min(until)
-            assert (record.stopped, record.curve, record.policy) == (True, [], None)
+            assert (record.stopped, record.curve, record.policy_file) == (True, [], None)
     assert [record.fitness for record in records] == [value for value, _ in loop.search.all]
     assert not any(record.diverged for record in loop.archive.best(len(records)))
     page = report_page(loop.archive, {}, tmp_path)
@@ -348,7 +348,7 @@ def test_every_search_goes_on(tmp_path: Path, settings: type) -> None:
     for attempt in ("one", "other"):
         (tmp_path / attempt).mkdir()
         archive = Archive.create(tmp_path / attempt / "a.sqlite", {})
-        search = make_search(settings(population=4, max_evaluations=BUDGET), (3, 3), seed=1)
+        search = make_search(settings(population=4, max_designs=BUDGET), (3, 3), seed=1)
         Loop(search, LocalExecutor(Diverging([0, 2, 5, 6])), archive, seed=0, batch=1).run()
         records = archive.records()
         assert len(records) >= BUDGET

@@ -34,7 +34,7 @@ __all__ += ["utils", "viewer", "world"]
 __all__ += utils.__all__
 
 
-def _of_simulation(method: Callable) -> Callable:
+def _delegated(method: Callable) -> Callable:
     """Decorate a method so that it calls the simulation's method of the same name."""
 
     @functools.wraps(method)
@@ -143,14 +143,14 @@ class EvoGymBase(gym.Env):
         """Close the window, if it is open."""
         self.default_viewer.close()
 
-    get_actuator_indices = _of_simulation(EvoSim.get_actuator_indices)
-    get_dim_action_space = _of_simulation(EvoSim.get_dim_action_space)
-    get_time = _of_simulation(EvoSim.get_time)
-    pos_at_time = _of_simulation(EvoSim.pos_at_time)
-    vel_at_time = _of_simulation(EvoSim.vel_at_time)
-    object_pos_at_time = _of_simulation(EvoSim.object_pos_at_time)
-    object_vel_at_time = _of_simulation(EvoSim.object_vel_at_time)
-    object_orientation_at_time = _of_simulation(EvoSim.object_orientation_at_time)
+    get_actuator_indices = _delegated(EvoSim.get_actuator_indices)
+    get_dim_action_space = _delegated(EvoSim.get_dim_action_space)
+    get_time = _delegated(EvoSim.get_time)
+    pos_at_time = _delegated(EvoSim.pos_at_time)
+    vel_at_time = _delegated(EvoSim.vel_at_time)
+    object_pos_at_time = _delegated(EvoSim.object_pos_at_time)
+    object_vel_at_time = _delegated(EvoSim.object_vel_at_time)
+    object_orientation_at_time = _delegated(EvoSim.object_orientation_at_time)
 
     def _points_of(self, name: str) -> np.ndarray:
         """Return an object's points in voxels, ``[2, points]``, even in subclasses with other units."""
