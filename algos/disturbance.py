@@ -146,9 +146,9 @@ class Disturbed:
         return actions
 
 
-def as_judged(policy: Any, env: VoxelVecEnv, seed: int | Sequence[int] | None, fitness: str) -> Any:
-    """Wrap ``policy`` for the measure ``fitness``: unchanged, or with action noise drawn from ``seed``."""
-    if fitness == NOMINAL:
+def as_judged(policy: Any, env: VoxelVecEnv, seed: int | Sequence[int] | None, protocol: str) -> Any:
+    """Wrap ``policy`` for the protocol ``protocol``: unchanged, or with action noise drawn from ``seed``."""
+    if protocol == NOMINAL:
         return policy
     first = seed[0] if isinstance(seed, Sequence) else seed
     return Disturbed(policy, env, ["noise"], first or 0, SEARCHED)

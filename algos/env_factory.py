@@ -21,14 +21,14 @@ class EnvFactory:
     """Factory of environments for one task; fields as in :func:`warpvox.envs.vec_env.make_vec`.
 
     ``device="auto"`` is a GPU where there is one: all environments of a training are on one device, however many.
-    ``fitness``: of the episodes that designs are judged by, see :mod:`warpvox.algos.protocols`.
+    ``protocol``: of the episodes that designs are judged by, see :mod:`warpvox.algos.protocols`.
     """
 
     task: str | TaskSpec
     rules: str = "evogym"
     obs: str = "task"
     sim: SimOptions = CPU
-    fitness: str = NOMINAL
+    protocol: str = NOMINAL
 
     def __post_init__(self) -> None:
         """Resolve the device ``auto``: a GPU if there is one, else the CPU."""
@@ -40,8 +40,8 @@ class EnvFactory:
         return replace(self, sim=replace(self.sim, **changes))
 
     def episodes(self, given: int | None) -> int:
-        """Return the number of evaluation episodes per design: ``given``, or the default of ``fitness``."""
-        return episodes_of(given, self.fitness)
+        """Return the number of evaluation episodes per design: ``given``, or the default of ``protocol``."""
+        return episodes_of(given, self.protocol)
 
     def make(
         self, bodies: Sequence[Design], envs: int, seeds: Sequence[int], auto_reset: bool, shared: bool = False

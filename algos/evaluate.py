@@ -68,9 +68,9 @@ def evaluate(env: VoxelVecEnv, policy: Policy, seed: int | Sequence[int] | None 
     return EpisodeReturns(returns, lengths, env.design_index.cpu())
 
 
-def evaluator(env: VoxelVecEnv, seed: int | Sequence[int] | None = None, fitness: str = NOMINAL) -> Evaluator:
+def evaluator(env: VoxelVecEnv, seed: int | Sequence[int] | None = None, protocol: str = NOMINAL) -> Evaluator:
     """Create an :class:`Evaluator` that reuses ``env``; with ``seed``, all evaluations use the same episodes.
 
-    ``fitness``: nominal, or robust: the episodes of each design are disturbed copies.
+    ``protocol``: nominal, or noise: the episodes of each design are disturbed copies.
     """
-    return lambda policy: evaluate(env, as_judged(policy, env, seed, fitness), seed=seed)
+    return lambda policy: evaluate(env, as_judged(policy, env, seed, protocol), seed=seed)

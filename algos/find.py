@@ -10,7 +10,7 @@ from warpvox.algos.archive import BACKUP, FILE as ARCHIVE, Archive, archives_in,
 from warpvox.algos.robots.entry import Robot, zoo
 from warpvox.errors import RunError, listing
 from warpvox.io.reading import CONFIG, read_config
-from warpvox.runs import CODESIGN, STAMP_LENGTH, STATE, TRAINING, ZOO, Run, search_as_now, without_services
+from warpvox.runs import CODESIGN, STAMP_LENGTH, STATE, TRAINING, ZOO, Run, as_now, without_services
 
 NEEDED = {
     "train": ("a training", {"task", "design", "ppo"}),
@@ -36,7 +36,7 @@ def find_run(text: str, output_dir: str, commands: Sequence[str] = (*TRAINING, C
     folder = _folder_of(path)
     if (folder / ARCHIVE).is_file():
         with Archive.read(folder / ARCHIVE) as archive:
-            search_as_now(archive.settings, folder)
+            as_now(archive.settings, folder)
             best = [record for record in archive.best() if record.policy_file is not None]
         if not best:
             raise RunError(f"The design search {folder} has no design with a policy yet.")
@@ -133,9 +133,7 @@ def _config_of(folder: Path, command: str) -> dict[str, Any]:
     what, keys = NEEDED[command]
     if not keys <= content.keys():
         raise RunError(f"{folder} is not {what}: its {CONFIG} is that of another run.")
-    if command == CODESIGN:
-        content = search_as_now(content, folder)
-    return without_services(content)
+    return without_services(as_now(content, folder))
 
 
 def _latest(root: Path, commands: Sequence[str], resume: bool = False) -> Path:

@@ -23,7 +23,7 @@ class Disturbance:
     sensors: float = 0.0
 
 
-NOMINAL, ROBUST = "nominal", "robust"
+NOMINAL = "nominal"
 DISTURBANCES = {
     NOMINAL: Disturbance(),
     "noise": Disturbance(noise=0.01),
@@ -31,10 +31,10 @@ DISTURBANCES = {
     "start": Disturbance(start=10),
     "sensors": Disturbance(sensors=0.01),
 }
-PROTOCOLS = {name: (name,) for name in DISTURBANCES} | {ROBUST: tuple(DISTURBANCES)}
+PROTOCOLS = {name: (name,) for name in DISTURBANCES} | {"robust": tuple(DISTURBANCES)}
 """Disturbances of each evaluation protocol, by name."""
-FITNESS = (NOMINAL, ROBUST)
-"""Measures of fitness: one undisturbed episode, or several with action noise."""
+CHOOSING = (NOMINAL, "noise")
+"""Protocols by which trainings and searches choose the best: one undisturbed episode, or several with action noise."""
 COPIES = 8
 """Default number of disturbed episodes per policy."""
 
@@ -47,6 +47,6 @@ def parts_of(protocol: str, feedback: bool) -> tuple[str, ...]:
     return found
 
 
-def episodes_of(given: int | None, fitness: str) -> int:
-    """Return the number of evaluation episodes: ``given``, or the default of ``fitness``."""
-    return given or (COPIES if fitness == ROBUST else 1)
+def episodes_of(given: int | None, protocol: str) -> int:
+    """Return the number of evaluation episodes: ``given``, or the default of ``protocol``."""
+    return given or (COPIES if protocol != NOMINAL else 1)

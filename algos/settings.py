@@ -110,9 +110,9 @@ class DesignTraining(Settings):
     eval_interval: int = key(
         25, "iterations between deterministic evaluations, of which the best is the fitness", low=1
     )
-    eval_envs: int | None = key(
+    episodes: int | None = key(
         None,
-        "evaluation episodes for each design; null: 1, with fitness=robust 8, with evaluation=gaits those of a gait",
+        "evaluation episodes for each design; null: 1, with protocol=noise 8, with fitness=gaits those of a gait",
         low=1,
     )
     inherit: bool = key(False, "start a child's training from the policy of its best parent")

@@ -163,7 +163,7 @@ def quartiles(values: Sequence[float]) -> str:
 
 def train_designs(args: argparse.Namespace, report: Report) -> None:
     """Measure control steps per second of designs trained side by side, over a whole search."""
-    search = wv.RandomDesigns(population=args.designs, max_evaluations=args.designs)
+    search = wv.RandomDesigns(population=args.designs, max_designs=args.designs)
     began = time.perf_counter()
     found = wv.codesign(
         args.task, search=search, training=args.training, device=args.device, folder=None, progress=False

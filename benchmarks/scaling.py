@@ -1,9 +1,10 @@
-"""Scaling with larger bodies, more environments, more threads and different bodies.
+"""Scaling with larger bodies, more environments, more threads, exact arithmetic and different bodies.
 
     python benchmarks/scaling.py --sizes 5 10 15 20 25 30 35 --bodies 3 --simulated 2
 
 The first table is the paper's Figure 2 (section A.5): robots of n x n voxels, one at a time on the terrain of
-Walker-v0, under random actions. Beside it: EvoGym, and a batch of the first robot.
+Walker-v0, under random actions. Beside it: EvoGym, and a batch of the first robot. ``--sizes --envs``, without numbers,
+leaves out the first two tables.
 """
 
 import argparse
@@ -50,6 +51,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     scale_envs(args, report)
     if args.device == "cpu":
         scale_threads(args, report)
+    compare_arithmetic(args, report)
     mix_bodies(args, report)
 
 
@@ -132,6 +134,23 @@ def scale_threads(args: argparse.Namespace, report: Report) -> None:
     rows = [[name, rates, median(rates) / median(found["1"])] for name, rates in found.items()]
     title = f"{args.task}, {args.num_envs} environments, control steps per second"
     report.table(title, ["threads", "step only", "gain"], rows)
+
+
+def compare_arithmetic(args: argparse.Namespace, report: Report) -> None:
+    """Measure control steps per second in fast and exact arithmetic."""
+    body = wv.load_design(args.design)
+    cases = {
+        "fast, float32": {},
+        "fast, float64": {"dtype": "float64", "arithmetic": "fast"},
+        "exact, float64": {"dtype": "float64", "arithmetic": "exact"},
+    }
+    batches = {name: Batch(args, [body], **given) for name, given in cases.items()}
+    found = alternate({name: batch.random_rate for name, batch in batches.items()}, args.repeats)
+    for batch in batches.values():
+        batch.assert_finite()
+    rows = [[name, rates, median(rates) / median(found["fast, float32"])] for name, rates in found.items()]
+    title = f"{args.task}, {args.num_envs} environments, control steps per second"
+    report.table(title, ["arithmetic", "step only", "speed of fast, float32"], rows, ranges=True)
 
 
 def mix_bodies(args: argparse.Namespace, report: Report) -> None:

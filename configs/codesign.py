@@ -5,7 +5,7 @@
 from dataclasses import dataclass
 
 from warpvox.algos.codesign.archive_export import FORMATS
-from warpvox.algos.codesign.settings import EVALUATIONS, Codesign, Evaluation
+from warpvox.algos.codesign.settings import FITNESS, Codesign, Fitness
 from warpvox.algos.search.settings import ALGORITHMS, SearchSettings
 from warpvox.configs.schema import CONFIG_FILE, PresetConfig
 from warpvox.keys import MISSING, key
@@ -16,7 +16,7 @@ class CodesignConfig(Codesign, PresetConfig):
     """Keys of ``warpvox codesign``."""
 
     search: SearchSettings = key(MISSING, "how designs are proposed", nodes=ALGORITHMS)
-    evaluation: Evaluation = key(MISSING, "how designs are compared", nodes=EVALUATIONS)
+    fitness: Fitness = key(MISSING, "how the fitness of a design is found", nodes=FITNESS)
     export: list[str] = key(
         [],
         "formats in which the archive is written at the end: csv, parquet, npz and json (designs)",

@@ -18,7 +18,7 @@ TITLES = {
     "design_search": "Design search",
     "algos.codesign.settings": "Design search",
     "algos.codesign.results": "Design search",
-    "algos.codesign.evaluations": "Design search",
+    "algos.codesign.fitness": "Design search",
     "algos.search.settings": "Design search",
     "envs.vec_env": "Batches of environments",
     "batch.options": "Options of a simulation",

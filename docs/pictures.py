@@ -17,7 +17,7 @@ IMAGES = Path(__file__).parent / "images"
 WORK = Path("outputs") / "pictures"
 TRAINING = "task=Walker-v0 design=walker num_envs=512 eval_interval=5 stop_return=10.5 seed=0,1,2 -m".split()
 SEARCH = (
-    "search=ga task=Walker-v0 search.population=8 search.max_evaluations=48"
+    "search=ga task=Walker-v0 search.population=8 search.max_designs=48"
     " training.iterations=40 training.eval_interval=10"
 ).split()
 

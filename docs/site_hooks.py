@@ -19,7 +19,7 @@ MARK = re.compile(r"^<!-- (help .*|end of help|bench \w+|end) -->\n?", re.MULTIL
 FENCE = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)
 NAME = re.compile(r"(?<!\[)`(wv\.(\w+)[^`\n]*)`(?!\])")
 TASK = re.compile(r"^\| (\w+-v\d) (?=\|)", re.MULTILINE)
-CELL = re.compile(r"(?<=<td><code>)[^<\s]+(?=</code>)")
+CELL = re.compile(r"(?<=<td><code>)[^<\s]{16,}(?=</code>)")
 OUTSIDE = re.compile(r"\]\(\.\./([^)\s]+)\)")
 
 

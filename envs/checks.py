@@ -20,6 +20,7 @@ from warpvox.envs.random_stream import RandomStream
 from warpvox.envs.snapshot import Snapshot
 from warpvox.envs.spec import Observation, TaskSpec, Term
 from warpvox.errors import SimulationError, TaskError, counted, listing
+from warpvox.kernels.episodes import replace_nonfinite
 from warpvox.simulation import Simulation
 
 
@@ -149,69 +150,53 @@ def check_fields(state: Any, like: Mapping[str, Any], inside: str = "") -> None:
 
 
 class FiniteGuard:
-    """Replaces NaN and infinity in observations and rewards by 0, and counts them by term.
+    """Replaces NaN and infinity in observations by 0, and counts them in observations and rewards by term.
 
     On the CPU :func:`all_finite` decides whether there is anything to do. Elsewhere reading it would wait for the
-    device: masks are applied in every step, and counts stay on the device until :meth:`report` reads them.
+    device: every observation is gone through, and counts stay on the device until :meth:`report` reads them.
+
+    Args:
+        of_rewards: long ``[rewards]``, in how many environments each reward was not finite; others count there.
     """
 
-    def __init__(self, spec: TaskSpec, sim: Simulation, layout: ObservationLayout) -> None:
+    def __init__(self, spec: TaskSpec, sim: Simulation, layout: ObservationLayout, of_rewards: torch.Tensor) -> None:
         self._task = spec.id
         self.on_cpu = sim.device == "cpu"
         self._rewards = [term.name for term in spec.rewards]
         self._layout = layout
         self._columns = layout.columns
-        self._design = sim.design_index
+        self._sim = sim
         rows = sim.num_designs if sim.grid is None else sim.num_envs  # as many designs as there may be
-        self._of_rewards = torch.zeros(len(self._rewards), dtype=torch.long, device=sim.device)
+        self._of_rewards = of_rewards
         self._of_columns = torch.zeros((rows, layout.num_obs), dtype=torch.int32, device=sim.device)
         self._earlier: dict[str, int] = {}  # counted under columns of earlier designs
         self._named: set[str] = set()
 
-    def observation(self, obs: torch.Tensor, where: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-        """Replace non-finite entries of ``obs`` ``[num_envs, num_obs]`` by 0, and count them by term.
+    def observation(self, obs: torch.Tensor, where: torch.Tensor, found: torch.Tensor) -> None:
+        """Write 0 in place of non-finite entries of ``obs`` ``[num_envs, num_obs]``, and count them.
 
-        The second result, bool ``[num_envs]``, is True where an environment had a non-finite entry that was counted.
+        Args:
+            where: bool ``[num_envs]``: environments that count.
+            found: bool ``[num_envs]``: set to True where an environment had a non-finite entry that was counted.
+        """
+        if self.on_cpu and all_finite(obs):
+            return
+        tensors = obs, where, self._sim.design_index, self._of_columns, found
+        replace_nonfinite(self._sim.buffers, *tensors)
+
+    def first_observation(self, obs: torch.Tensor, where: torch.Tensor | None) -> torch.Tensor:
+        """Replace and count non-finite entries in the first observation of new episodes; return ``obs``.
 
         Args:
             where: bool ``[num_envs]``: environments that count; None: all.
         """
-        nonfinite = ~torch.isfinite(obs)
-        counted = nonfinite if where is None else nonfinite & where[:, None]
-        # in place: a captured graph adds to the same memory
-        if len(self._of_columns) == 1:  # on CUDA all environments would add to one row, by atomics
-            self._of_columns += counted.sum(0, dtype=torch.int32)
-        else:
-            self._of_columns.index_add_(0, self._design, counted.int())
-        return obs.masked_fill(nonfinite, 0.0), counted.any(1)
-
-    def first_observation(self, obs: torch.Tensor, where: torch.Tensor | None) -> torch.Tensor:
-        """Replace and count non-finite entries in the first observation of new episodes.
-
-        ``where`` is explained under :meth:`observation`.
-        """
         if self.on_cpu and all_finite(obs):
             return obs
-        obs, _ = self.observation(obs, where)
+        where = torch.ones_like(self._sim.design_index, dtype=torch.bool) if where is None else where
+        self.observation(obs, where, torch.empty_like(where))
         if self.on_cpu:
             self.report()
         return obs
-
-    def step(
-        self, obs: torch.Tensor, terms: dict[str, torch.Tensor], where: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Replace non-finite observations as :meth:`observation` does, and also count non-finite reward terms.
-
-        The second result is True where an environment had a non-finite entry or reward term.
-        """
-        obs, nonfinite = self.observation(obs, where)
-        if self._rewards:
-            by_reward = torch.stack([~torch.isfinite(terms[name]) for name in self._rewards]) & where
-            self._of_rewards += by_reward.sum(1)
-            nonfinite = nonfinite | by_reward.any(0)
-        if self.on_cpu and bool(nonfinite.any()):
-            self.report()
-        return obs, nonfinite
 
     def refresh(self) -> None:
         """Start new counts after designs have changed, and add the present ones to those of earlier designs.
@@ -259,7 +244,6 @@ class FiniteGuard:
         return found
 
 
-def all_finite(*values: torch.Tensor) -> bool:
-    """Return whether all values are finite, judged by their sum; also False if the sum overflows."""
-    total: Any = sum(value.sum() for value in values)
-    return math.isfinite(total.item())
+def all_finite(values: torch.Tensor) -> bool:
+    """Return whether the sum of all values is finite, which it is not if a value is not; False also if it overflows."""
+    return math.isfinite(values.sum().item())

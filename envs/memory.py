@@ -66,13 +66,13 @@ def environment_bytes(
         room = capacities(batch.frames[0], *grid, any(is_cut(body) for body in bodies))
     sizes = array_sizes(batch, batch.tables()[0] | batch.frame_tables(), room)
 
-    # Kernels, places in them (numbers of 8 bytes) and observations
+    # Kernels, places in them (numbers of 8 bytes) and observations, those that episodes begin with included
     pack = bytes_of(DATA, sizes, sim.dtype)
     if grid is not None:
         pack += bytes_of(MODEL, sizes, sim.dtype)
     num_obs = _entries(spec, obs, sizes["point"], prod(room_for))
     each = pack / min(batch.lanes, count) + sizes["point"] * (3 * 8 + 2)
-    each += num_obs * (8 + 2 * np.dtype(sim.dtype).itemsize)
+    each += num_obs * (8 + 3 * np.dtype(sim.dtype).itemsize)
     if ppo is None:
         return each
 

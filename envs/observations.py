@@ -27,11 +27,10 @@ class ObservationLayout:
     def __init__(self, terms: tuple[Observation, ...], sim: Simulation, state: Snapshot) -> None:
         self._terms = terms
         self._sim = sim
-        self._dtype = sim.dtype
         self._values = [term(state) for term in terms]
         self._robots = [self._robot_of(term, value, state) for term, value in zip(terms, self._values, strict=True)]
+        self._width = sum(value[0].numel() for value in self._values)
         self._gather: torch.Tensor | None = None
-        self._zeros = torch.zeros((sim.num_envs, 1), dtype=sim.dtype, device=sim.device)
         counts = self.refresh()
 
         # The fewest and the most columns that each term has in any design
@@ -107,13 +106,25 @@ class ObservationLayout:
             source = source.masked_fill(~self.mask.cpu(), full.shape[1]).to(sim.device)[sim.design_index]
             if self._gather is None:
                 self._gather = source
+                self._padded = torch.zeros((sim.num_envs, self._width + 1), dtype=sim.dtype, device=sim.device)
             else:
                 self._gather.copy_(source)  # in place: a captured step may read it
         return counts
 
     def observe(self, state: Snapshot) -> torch.Tensor:
-        """Compute observations ``[num_envs, num_obs]`` from all terms, in the simulation's dtype."""
-        parts = [term(state).flatten(1).to(self._dtype) for term in self._terms]
+        """Compute observations ``[num_envs, num_obs]`` from all terms, a new tensor in the simulation's dtype."""
         if self._gather is None:
-            return torch.cat(parts, dim=1)
-        return torch.cat([*parts, self._zeros], dim=1).gather(1, self._gather)
+            shape = (self._sim.num_envs, self._width)
+            obs = torch.empty(shape, dtype=self._sim.dtype, device=self._sim.device)
+        else:
+            obs = self._padded
+        start = 0
+        for term in self._terms:
+            value = term(state)
+            stop = start + value[0].numel()
+            place = torch.unflatten(obs[:, start:stop], 1, value.shape[1:])
+            place.copy_(value)  # converts and transposes on the way
+            start = stop
+        if self._gather is None:
+            return obs
+        return obs.gather(1, self._gather)

@@ -7,7 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from warpvox.devices.startup import start_warp
 from warpvox.errors import TaskError
+from warpvox.kernels.episodes import MOST_DRAWS, record_draw
+from warpvox.sensors import Recorded
 
 
 class RandomStream:
@@ -31,6 +34,7 @@ class RandomStream:
         self.keys = _keys(seed, num_envs).to(device)
         self.episode = torch.zeros(num_envs, dtype=torch.long, device=device)
         self._count = 0
+        self._launches: dict[tuple[int, ...], tuple[Recorded, torch.Tensor]] = {}
 
     def begin(self, seed: int | Sequence[int], mask: torch.Tensor | None = None) -> None:
         """Restart streams from new seeds, everywhere or where ``mask`` (bool ``[num_envs]``) is True."""
@@ -61,17 +65,20 @@ class RandomStream:
         """
         if high <= low:
             raise TaskError(f"There is no number from {low} to {high - 1} to draw: low must be less than high.")
-        episode_length = 2**16
-        if not 0 <= count < episode_length - self._count:
-            raise TaskError(f"An episode may draw {episode_length - 1} numbers, got {self._count} and {count} more.")
-        place = torch.arange(self._count + 1, self._count + count + 1, device=self.episode.device)
+        if not 0 <= count < MOST_DRAWS - self._count:
+            raise TaskError(f"An episode may draw {MOST_DRAWS - 1} numbers, got {self._count} and {count} more.")
+        if not count:
+            return self.zeros(0)
+        first = self._count + 1
         self._count += count
-        # 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9 and 0x94D049BB133111EB as signed numbers of 64 bits
-        word = self.keys[:, None] + (self.episode[:, None] * episode_length + place) * -7046029254386353131
-        word = (word ^ _shifted(word, 30)) * -4658895280553007687
-        word = (word ^ _shifted(word, 27)) * -7723592293110705685
-        word = word ^ _shifted(word, 31)
-        return low + _shifted(word, 11) % (high - low)
+        key = (first, low, high, count)
+        if key not in self._launches:
+            start_warp()  # there may be no simulation yet
+            out = torch.zeros((self.num_envs, count), dtype=torch.long, device=self.episode.device)
+            self._launches[key] = record_draw(self.keys, self.episode, first, low, high, out), out
+        launch, out = self._launches[key]
+        launch.launch()
+        return out.clone()
 
     def cells(self, x: tuple[int, int], y: tuple[int, int]) -> torch.Tensor:
         """Draw a uniform integer from each of two closed ranges, long ``[num_envs, 2]``."""
@@ -84,8 +91,3 @@ def _keys(seed: int | Sequence[int], num_envs: int) -> torch.Tensor:
     children = [child for one in seeds for child in np.random.SeedSequence(one).spawn(num_envs // len(seeds))]
     keys = np.array([child.generate_state(1, np.uint64)[0] for child in children], np.uint64)
     return torch.as_tensor(keys.view(np.int64))
-
-
-def _shifted(word: torch.Tensor, bits: int) -> torch.Tensor:
-    """Shift ``word`` right by ``bits``, filling with zeros."""
-    return (word >> bits) & ((1 << (64 - bits)) - 1)

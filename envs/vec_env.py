@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -14,8 +14,8 @@ from warpvox.batch.options import SimKeywords, SimOptions
 from warpvox.checks import check_choice, check_flag, check_integer, check_mask, is_mapping
 from warpvox.design import Design
 from warpvox.devices.out_of_memory import enough_memory, fewer
-from warpvox.envs.checks import FiniteGuard, all_finite, check_fields, check_memory, check_terms
-from warpvox.envs.episodes import Episodes
+from warpvox.envs.checks import FiniteGuard, check_fields, check_memory, check_terms
+from warpvox.envs.episodes import Episodes, Outcomes, rows_of
 from warpvox.envs.graph import Capture, Graph, capture_on_cuda
 from warpvox.envs.memory import ask, environment_bytes
 from warpvox.envs.observations import ObservationLayout
@@ -191,9 +191,17 @@ class VoxelVecEnv:
         self._set_masks_and_columns(sim.design_index[::block])  # equal designs share one world of the simulation
         self.voxels = voxel_layouts(spec.observations, self.obs_columns[0])
 
+        # What an episode begins with: its observation (under "obs"), and what its first step is compared with. Episodes
+        # of a task without memory all begin alike; code of the user's own may do anything.
+        self._first: dict[Any, torch.Tensor] = {}
+        if not spec.memory and not self._has_code:
+            self._first = {quantity: value.clone() for quantity, value in self.episodes.before.items()}
+            self._first["obs"] = self.layout.observe(probe)
+
         # On the CPU a mask can be read to skip work; elsewhere reading it would wait for the device.
         self._on_cpu = sim.device == "cpu"
-        self._finite = FiniteGuard(spec, sim, self.layout)
+        self._outcomes = Outcomes(spec, sim, self.episodes)
+        self._finite = FiniteGuard(spec, sim, self.layout, self._outcomes.nonfinite_rewards)
         self.dump: DivergenceDump | None = None
         self.capture: Capture | None = None
         self._graph: Graph | None = None
@@ -350,7 +358,11 @@ class VoxelVecEnv:
         self._set_masks_and_columns(torch.arange(len(worlds), device=self.device))
         if self.dump is not None:
             self.dump.refresh()
-        return self.reset(mask=mask)[0]
+        obs = self.reset(mask=mask)[0]
+        for name, value in self._first.items():
+            new = obs if name == "obs" else self.episodes.before[name]
+            torch.where(rows_of(mask, value), new, value, out=value)
+        return obs
 
     def _start_memory(self, stream: RandomStream, mask: torch.Tensor | None, given: Mapping[str, torch.Tensor]) -> None:
         """Start the memories of new episodes where ``mask`` is True, and move the randomized objects."""
@@ -441,6 +453,7 @@ class VoxelVecEnv:
             self.dump.after(result[1], result[4])
         return result
 
+    @torch.no_grad()
     def _step_on_device(self) -> StepResult:
         """Step all environments with the stored actions; return the results of :meth:`step`.
 
@@ -448,69 +461,45 @@ class VoxelVecEnv:
         written in place, and on CUDA nothing is read back.
         """
         episodes = self.episodes
-        active = episodes.active  # where an episode is running; with auto_reset: everywhere
 
         # Physics
         self.sim.advance()
-        episodes.length.add_(active)
-        unstable = self.sim.unstable & active
-        diverged = self.sim.diverged & unstable
+        self._outcomes.count()
 
         # Observations. They show the new episode length, but the memory from before its update.
         before = self._snapshot(episodes.before)
         after = self._snapshot()
         obs = self.layout.observe(after)
+        self._finite.observation(obs, self._outcomes.is_counted, self._outcomes.nonfinite)
         memory = after.update(self._updates)
 
-        # Rewards and terminations
-        reward_terms, terminated = self.evaluate_terms(before, after, unstable, active)
-        reward = cast(torch.Tensor, sum(reward_terms.values()))
-
-        # NaN and infinity. An environment that has them is stopped as diverged. On the CPU a quick check of the sums
-        # usually shows that there are none; elsewhere reading a sum would wait for the device.
-        skipped = diverged | ~active
-        clean = self._on_cpu and all_finite(obs, reward) and not skipped.any()
-        if not clean:
-            obs, nonfinite = self._finite.step(obs, reward_terms, ~skipped)
-            unstable = unstable | nonfinite
-            diverged = diverged | nonfinite
-            skipped = skipped | nonfinite
-            # The state before the step may be non-finite, too, so only the penalty remains of the reward.
-            for term in self.spec.rewards:
-                reward_terms[term.name] = reward_terms[term.name].masked_fill(skipped, 0.0)
-            reward_terms["unstable"] = unstable.double() * self.spec.unstable_penalty
-            reward = cast(torch.Tensor, sum(reward_terms.values()))
-
-        # Ends of episodes
-        terminated = terminated | unstable
-        truncated = (episodes.length >= episodes.limit) & active
-        done = terminated | truncated
-
-        # What the step returns
-        episodes.returns.add_(reward)
-        episode = {
-            "return": episodes.returns.to(self.dtype, copy=True),
-            "length": episodes.length.to(self.dtype),
-            "done": done,
-        }
+        # Rewards and ends of episodes
+        rewards, hits = self.evaluate_terms(before, after)
+        found, reward_terms = self._outcomes.score(rewards.values(), hits.values(), self.auto_reset)
+        done = found["done"]
         info = {
             "final_obs": obs,
-            "episode": episode,
-            "unstable": unstable,
-            "diverged": diverged,
+            "episode": {
+                "return": found["episode_return"],
+                "length": found["episode_length"],
+                "done": done,
+            },
+            "unstable": found["unstable"],
+            "diverged": found["diverged"],
             "reward_terms": reward_terms,
         }
 
         # The next step: new episodes begin, or ended ones wait for their reset with the memory that they ended with.
-        episodes.set_before(after)
-        if self.auto_reset:
-            episodes.set_memory(memory)
-            obs = self._reset_done(done, obs)
+        # On the CPU a look at what has ended saves work; elsewhere it would wait for the device.
+        may_begin = not self._on_cpu or bool(done.any())
+        if self._on_cpu and may_begin and self._outcomes.nonfinite.any():
+            self._finite.report()
+        episodes.set_memory(memory, None if self.auto_reset else episodes.active)
+        if self.auto_reset and may_begin:
+            obs = self._begin_episodes(done, after, obs)
         else:
-            episodes.set_memory(memory, active & ~done)
-            terminated, truncated = episodes.end(terminated, truncated)
-            self.sim.set_frozen(terminated | truncated)
-        return obs, reward.to(self.dtype), terminated, truncated, info
+            episodes.set_before(after)
+        return obs, found["reward"], found["terminated"], found["truncated"], info
 
     def not_finite(self) -> dict[str, int]:
         """Count the environments in which each term has been NaN or infinite; waits for the device.
@@ -534,41 +523,34 @@ class VoxelVecEnv:
         return obs.scatter(1, column[self.design_index][:, None], self.episode_length[:, None].to(obs.dtype))
 
     def evaluate_terms(
-        self, before: Snapshot, after: Snapshot, unstable: torch.Tensor, active: torch.Tensor
-    ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
-        """Compute the reward terms by name, float64 ``[num_envs]`` each, and the mask of terminations.
+        self, before: Snapshot, after: Snapshot
+    ) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
+        """Compute the reward terms without their weights, and the terminations, each ``[num_envs]`` by name.
 
         Args:
             before, after: the states around the step; equal where the step was stopped.
-            unstable: bool ``[num_envs]``, where the step was stopped.
-            active: bool ``[num_envs]``, where an episode is running.
         """
-        reward_terms: dict[str, torch.Tensor] = {}
-        for term in self.spec.rewards:
-            reward_terms[term.name] = term(before, after) * term.weight
-        reward_terms["unstable"] = unstable.double() * self.spec.unstable_penalty
+        rewards = {term.name: term(before, after) for term in self.spec.rewards}
+        return rewards, {term.name: term(after) for term in self.spec.terminations}
 
-        terminated = unstable
-        for term in self.spec.terminations:
-            hit = term(after) & active
-            reward_terms[term.name] = hit.double() * term.bonus
-            terminated = terminated | hit
-        return reward_terms, terminated
+    def _begin_episodes(self, done: torch.Tensor, after: Snapshot, obs: torch.Tensor) -> torch.Tensor:
+        """Begin new episodes where ``done``; return ``obs`` with the first observations of new episodes.
 
-    def _reset_done(self, done: torch.Tensor, obs: torch.Tensor) -> torch.Tensor:
-        """Reset environments where ``done``; return ``obs`` with the first observations of new episodes."""
-        if self._on_cpu and not done.any():
-            return obs
+        ``after`` is the state after the step, ``obs`` its observation.
+        """
+        if self._first:
+            self.episodes.set_before(after, self._first, done)
+            self.sim.reset(done)
+            return torch.where(done[:, None], self._first["obs"], obs)
 
         self.sim.reset(done)
         if self._draws is not None:
             self._draws.episode.add_(done)
             self._start_memory(self._draws, done, {})
-        self.episodes.clear(done)
 
+        # Of episodes that go on nothing has moved, and `obs` was made before their memory was updated.
         state = self._snapshot()
         self.episodes.set_before(state)
-        # Running episodes keep `obs`: it was made before their memory was updated.
         first_obs = self._finite.first_observation(self.layout.observe(state), done)
         return torch.where(done[:, None], first_obs, obs)
 

@@ -12,8 +12,8 @@ import warpvox as wv
 def main(address=None, workers=2, bodies=24, iterations=40):
     found = wv.codesign(
         "Walker-v0",
-        search=wv.GA(population=8, max_evaluations=bodies),
-        evaluation=wv.Specialist(),
+        search=wv.GA(population=8, max_designs=bodies),
+        fitness=wv.Specialist(),
         training={"envs": 16, "iterations": iterations, "eval_interval": min(10, iterations)},
         executor="ray",
         address=address,

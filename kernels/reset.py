@@ -6,6 +6,7 @@ from warpvox.kernels import device
 from warpvox.kernels.device import kernel
 from warpvox.kernels.kit import Kit, builder
 from warpvox.kernels.state import STALE
+from warpvox.types import VOXEL
 
 
 @builder
@@ -52,6 +53,52 @@ def launch(state, mask):
     """Reset the environments where ``mask``, a Warp bool array [environment], is True."""
     inputs = [state.model, state.data, state.units, state.width, state.env_pack, state.env_lane, mask]
     device.launch(reset_kernel(state.precision), state.num_envs, inputs, state.device)
+
+
+@builder
+def shift_kernel(kit: Kit) -> wp.Kernel:
+    """Build the kernel over (environments, points) that moves points of objects to cells, at rest."""
+
+    @kernel
+    def shift(
+        data: kit.Data,
+        env_pack: wp.array(dtype=int),
+        env_lane: wp.array(dtype=int),
+        mask: wp.array(dtype=wp.bool),
+        cells: wp.array2d(dtype=wp.int64),
+        points: wp.array3d(dtype=wp.int64),
+    ):
+        """Move one point, if the mask is True: by the expressions with which a world is compiled, to the last bit."""
+        env, n = wp.tid()
+        if not mask[env]:
+            return
+        side = wp.float64(VOXEL)
+        x = wp.float64(points[env, n, 1] + cells[env, 0]) * side
+        y = wp.float64(points[env, n, 2] + cells[env, 1]) * side
+        height = wp.float64(points[env, n, 3])
+        across = wp.float64(points[env, n, 4])
+        down = wp.float64(points[env, n, 5])
+        place = wp.vec2d(x + across * side, (y + height * side) - down * side)
+        pack = env_pack[env]
+        k = env_lane[env]
+        for axis in range(int(2)):
+            r = 2 * int(points[env, n, 0]) + axis
+            data.pos[pack, r, k] = place[axis]
+            data.vel[pack, r, k] = wp.float64(0.0)
+            data.true_vel[pack, r, k] = wp.float64(0.0)
+
+    return shift
+
+
+def launch_shift(state, mask, cells, points):
+    """Move points where ``mask`` is True; the others are Warp arrays of integers.
+
+    Args:
+        cells: [environment, axis], to the right and up from the places in the world.
+        points: [environment, point, 6]: index, x, y and height of its object, its column and row in that.
+    """
+    inputs = [state.data, state.env_pack, state.env_lane, mask, cells, points]
+    device.launch(shift_kernel(state.precision), points.shape[:2], inputs, state.device)
 
 
 @builder

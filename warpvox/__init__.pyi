@@ -1,7 +1,7 @@
 """The public names, for type checkers and for loading on first use."""
 
-from .algos.codesign.evaluations import (
-    Evaluation as Evaluation,
+from .algos.codesign.fitness import (
+    Fitness as Fitness,
     Gaits as Gaits,
     Specialist as Specialist,
 )

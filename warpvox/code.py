@@ -19,7 +19,7 @@ from typing import Any
 
 from warpvox.errors import ConfigError, StoredCodeError, did_you_mean, listing
 
-KEYS = ("task", "policy", "search.make", "evaluation.make")
+KEYS = ("task", "policy", "search.make", "fitness.make")
 """Settings whose values may name the user's own code."""
 
 

@@ -9,27 +9,28 @@ from typing import Any
 from rich.console import Console
 
 from warpvox.algos.candidate import DesignEvaluator, Search
-from warpvox.algos.codesign.evaluations import Custom
+from warpvox.algos.codesign.fitness import Custom
 from warpvox.algos.codesign.loop import Executor
 from warpvox.algos.codesign.results import Found
 from warpvox.algos.codesign.run import plan_codesign, run_codesign
-from warpvox.algos.codesign.settings import EVALUATIONS, Codesign, Evaluation
+from warpvox.algos.codesign.settings import FITNESS, Codesign, Fitness
 from warpvox.algos.listener import Listener
 from warpvox.algos.search.base import BaseSearch
 from warpvox.algos.search.settings import ALGORITHMS, CustomSearch, SearchSettings
 from warpvox.checks import check_flag, check_path, is_integer, is_list
 from warpvox.code import KEYS, Code, with_passed_code
 from warpvox.errors import ConfigError
-from warpvox.keys import changed, check_known
+from warpvox.keys import changed, check_known, in_words
 from warpvox.progress.search import SearchProgress, with_tracker
 
 
+@in_words
 def codesign(
     task: Any = "Walker-v0",
     shape: Sequence[int] | None = None,
     *,
     search: str | SearchSettings | Search = "ga",
-    evaluation: str | Evaluation | DesignEvaluator | None = None,
+    fitness: str | Fitness | DesignEvaluator | None = None,
     executor: str | Executor = "local",
     folder: str | Path | None = "auto",
     progress: bool = True,
@@ -46,7 +47,7 @@ def codesign(
         shape: rows and columns of the bodies; None: those of ``search`` where it has them, else 5 x 5.
         search: ``GA(population=25)``, ..., a name as on the command line, ``"auto"`` for instance, or a search of your
             own, which asks and tells; of a ``BaseSearch`` shape and seed are those of the search.
-        evaluation: ``Specialist()``, ``Gaits(rounds=4)``, ..., a name, or an evaluator of your own with a method
+        fitness: ``Specialist()``, ``Gaits(rounds=4)``, ..., a name, or an evaluator of your own with a method
             ``evaluate(candidates, parents, report)``; None: ``Specialist()``, or as named by ``search``.
         executor: ``local``, ``ray``, or one of your own.
         folder: a search that is there is gone on with; ``auto``: a new one in ``outputs/codesign``, ``None``: a
@@ -64,18 +65,18 @@ def codesign(
         if isinstance(own, type) or not callable(getattr(own, "ask", None)):
             raise ConfigError(f"search must be GA(), ..., a name, or an object that asks and tells; got {own!r:.80}.")
         has = getattr(own, "settings", own)  # which a BaseSearch has
-        names = "population", "max_evaluations"
+        names = "population", "max_designs"
         sizes: dict[str, Any] = {name: getattr(has, name) for name in names if is_integer(getattr(has, name, None))}
         search = CustomSearch(make=_name(own), **sizes)
     evaluator = None
-    if not isinstance(evaluation, str | Mapping | Evaluation | None):
-        evaluator = evaluation
+    if not isinstance(fitness, str | Mapping | Fitness | None):
+        evaluator = fitness
         if not callable(getattr(evaluator, "evaluate", None)):
             raise ConfigError(
-                f"evaluation must be Specialist(), Gaits(), ..., their name, or an object with a method evaluate; got"
+                f"fitness must be Specialist(), Gaits(), ..., their name, or an object with a method evaluate; got"
                 f" {evaluator!r:.80}."
             )
-        evaluation = Custom(make=_name(evaluator))
+        fitness = Custom(make=_name(evaluator))
     check_flag("progress", progress)
     if not isinstance(executor, str) and not callable(getattr(executor, "run", None)):
         raise ConfigError(f"executor must be local, ray, or an object that runs batches; got {executor!r:.80}.")
@@ -84,7 +85,7 @@ def codesign(
     named = None if folder is None else check_path("folder", folder)
     where: dict[str, Any] = {"executor": executor} if isinstance(executor, str) else {}
     settings = check_known(settings, codesign, Codesign)
-    how = {"task": task, "shape": shape, "search": search, "evaluation": evaluation} | where | settings
+    how = {"task": task, "shape": shape, "search": search, "fitness": fitness} | where | settings
     how = {key: value for key, value in how.items() if value is not None}
     if isinstance(own, BaseSearch):
         how = {"shape": own.shape, "seed": own.seed} | how
@@ -106,8 +107,8 @@ def codesign(
 
 def _without_names(given: dict[str, Any]) -> dict[str, Any]:
     """Replace named presets such as ``search="auto"`` by their settings; settings given explicitly win."""
-    texts = {key: given[key] for key in ("search", "evaluation", "training") if isinstance(given.get(key), str)}
-    sets = {key: name for key, name in texts.items() if name not in (*ALGORITHMS, *EVALUATIONS)}
+    texts = {key: given[key] for key in ("search", "fitness", "training") if isinstance(given.get(key), str)}
+    sets = {key: name for key, name in texts.items() if name not in (*ALGORITHMS, *FITNESS)}
     if not sets:
         return given
     from warpvox.configs.composition import settings_named

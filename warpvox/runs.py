@@ -106,35 +106,39 @@ def without_services(stored: Mapping[str, Any]) -> dict[str, Any]:
     return kept
 
 
-def search_as_now(stored: Mapping[str, Any], place: object) -> dict[str, Any]:
-    """Convert a design search's stored settings from version 0.1.0 to the present version.
+def as_now(stored: Mapping[str, Any], place: object) -> dict[str, Any]:
+    """Convert the stored settings of a training or design search to the keys of the present version.
 
     Raises:
         RunError: they ask for something that later versions do not have; ``place`` is where they are from.
     """
-    settings = dict(stored)
-    training = settings.get("training")
-    training = dict(training) if isinstance(training, Mapping) else {}
-    evaluation = settings.get("evaluation")
-    evaluation = evaluation.get("name") if isinstance(evaluation, Mapping) else None
+    parts = {name: dict(value) for name, value in stored.items() if isinstance(value, Mapping)}
+    settings = {**stored, **parts}
 
-    # What a search goes on with as it was, and what not
-    gone = {
-        "policy": (settings.pop("policy", "mlp"), "mlp"),
-        "network": (settings.pop("network", None), None),
-        "training.method": (training.pop("method", "population"), "population"),
-        "evaluation": (evaluation if evaluation in ("shared", "few_shot") else None, None),
-    }
-    for key, (value, usual) in gone.items():
-        if value != usual:
-            raise RunError(
-                f"{place} is a search of warpvox 0.1.0 with {key}={value}, which later versions do not have."
-            )
+    # Keys that a search no longer has
+    if "search" in settings:
+        training = parts.get("training", {})
+        kind = parts.get("evaluation", {}).get("name")
+        gone = {
+            "policy": (settings.pop("policy", "mlp"), "mlp"),
+            "network": (settings.pop("network", None), None),
+            "training.method": (training.pop("method", "population"), "population"),
+            "evaluation": (kind if kind in ("shared", "few_shot") else None, None),
+        }
+        for key, (value, usual) in gone.items():
+            if value != usual:
+                raise RunError(
+                    f"{place} is a search of warpvox 0.1.0 with {key}={value}, which later versions do not have."
+                )
+        training.pop("save_interval", None)
 
-    # Intervals of checkpoints
-    training.pop("save_interval", None)
-    if isinstance(settings.get("training"), Mapping):
-        settings["training"] = training
+    # Keys that have another name
+    if settings.get("fitness") in ("nominal", "robust"):
+        settings["protocol"] = settings.pop("fitness").replace("robust", "noise")
+    names = {"evaluation": "fitness", "eval_envs": "episodes", "max_evaluations": "max_designs"}
+    for values in (parts.get("search", {}), parts.get("training", {}), settings):
+        for name in names.keys() & values.keys():
+            values[names[name]] = values.pop(name)
     return settings
 
 

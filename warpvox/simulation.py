@@ -24,7 +24,7 @@ from warpvox.errors import ActionError, SimulationError, counted
 from warpvox.kernels import reset as reset_stage, step as step_stage
 from warpvox.kernels.state import DIVERGED, OVERFLOW, STALE, STOPPED
 from warpvox.sensors import Recorded, Sensing
-from warpvox.types import ACTION_HIGH, ACTION_LOW, VOXEL
+from warpvox.types import ACTION_HIGH, ACTION_LOW
 from warpvox.world import World
 
 if TYPE_CHECKING:
@@ -227,26 +227,12 @@ class Simulation(Sensing):
             cells: integers ``[num_envs, 2]``, to the right and up, from their places in the world.
             mask: bool ``[num_envs]``, the environments to change; None means all.
         """
-        mask = self._mask_or_all(mask)[:, None]
+        mask = self._mask_or_all(mask).contiguous()
         cells = torch.as_tensor(cells, device=self.device)
         if tuple(cells.shape) != (self.num_envs, 2) or cells.dtype.is_floating_point:
             raise SimulationError(f"Shifts must be integers [{self.num_envs}, 2], got {list(cells.shape)}.")
-        point, corner, height, inside = self._loose
-
-        # The expressions with which a world is compiled, one operation at a time: the last bit matters.
-        x, y = (corner + cells[:, None]).double().unbind(-1)
-        across, down = inside.double().unbind(-1)
-        x = x * VOXEL + across * VOXEL
-        y = (y * VOXEL + height.double() * VOXEL) - down * VOXEL
-
-        # Positions change, velocities become 0
-        pack, lane = (index[:, None] for index in self._env)
-        for row, values in ((2 * point, x), (2 * point + 1, y)):
-            for name in ("pos", "vel", "true_vel"):
-                view = self._views[name]
-                old = view[pack, row, lane]
-                new = torch.where(mask, values, old) if name == "pos" else old.masked_fill(mask, 0.0)
-                view.index_put_((pack, row, lane), new)
+        arrays = (wp.from_torch(tensor) for tensor in (mask, cells.long().contiguous(), self._loose))
+        reset_stage.launch_shift(self._state, *arrays)
         self.invalidate()
 
     def invalidate(self) -> None:
@@ -492,8 +478,7 @@ class Simulation(Sensing):
 
         # What follows from them
         self._objects.refresh()
-        for mine, new in zip(self._loose, self._objects.loose_points(self.loose), strict=True):
-            mine.copy_(new)  # in place: a captured step may read it
+        self._loose.copy_(self._objects.loose_points(self.loose))  # in place: a captured step may read it
         self._follow_worlds()
         self.reset(touched)
         self._write(before, others)

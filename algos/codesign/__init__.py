@@ -1,3 +1,3 @@
-"""Design search: its loop, evaluations of designs, executors and results."""
+"""Design search: its loop, fitness of designs, executors and results."""
 
-from warpvox.algos.codesign import evaluations  # noqa: F401  (they register themselves)
+from warpvox.algos.codesign import fitness  # noqa: F401  (they register themselves)

@@ -61,8 +61,8 @@ class GaitEvaluator:
         """Search gaits for ``candidates`` and return their outcomes."""
         most = max(self.settings.gaits, self.settings.beam if self.settings.passes else 0)
         hint = (
-            f"Take less at once: {most} gaits are tried with each of {len(candidates)} designs (evaluation.gaits,"
-            " evaluation.beam, batch)."
+            f"Take less at once: {most} gaits are tried with each of {len(candidates)} designs (fitness.gaits,"
+            " fitness.beam, batch)."
         )
         with enough_memory(hint):
             return self._search(candidates, parents, report)
@@ -76,7 +76,7 @@ class GaitEvaluator:
         env = self._environments(candidates, settings.beam if settings.passes else settings.gaits)
         inherited = [self._inherited_gaits(candidate, parents, env.max_episode_steps) for candidate in candidates]
         noise = None
-        if self.factory.fitness != NOMINAL:  # on the actions, the same for all gaits
+        if self.factory.protocol != NOMINAL:  # on the actions, the same for all gaits
             noise = Draws(self.seed, SEARCHED, self.episodes, env.device)
 
         # Stage length of each pass, as a factor on `stage_steps`, cycled. Long stages leave time for a throw or a turn.

@@ -88,7 +88,7 @@ class Results(Listener):
             "best_design": best and best.id,
             "design": best and best.candidate.body.tolist(),
             **({"fresh_seeds": self.fresh} if self.fresh else {}),
-            **(self._screening() if self.settings.evaluation.finalists else {}),
+            **(self._screening() if self.settings.fitness.finalists else {}),
             "elapsed_seconds": round(elapsed, 3),
             "steps_per_second": round(steps / elapsed, 1) if steps else None,
         }
@@ -101,7 +101,7 @@ class Results(Listener):
         screened = [record for record in self.archive.records() if record.candidate.origin != FINALIST]
         known = [record.fitness for record in screened if record.fitness is not None]
         return {
-            "evaluation": self.settings.evaluation.name,
+            "fitness": self.settings.fitness.name,
             "finalists": self.archive.finalists(),
             "screened_fitness": max(known, default=None),
             "screening_steps": sum(record.steps or 0 for record in screened),
@@ -119,8 +119,8 @@ class Results(Listener):
         }
         if summary.get("fresh_seeds"):
             facts["winner on fresh seeds"] = fresh_text(summary["fresh_seeds"])
-        if self.settings.evaluation.finalists:
-            facts["evaluation"] = self.settings.evaluation.name
+        if self.settings.fitness.finalists:
+            facts["fitness"] = self.settings.fitness.name
         write_text(self.folder / REPORT, report_page(self.archive, facts, self.folder))
 
     def film(self, settings: Any) -> None:
@@ -147,19 +147,19 @@ def evaluate_winner(results: Results, settings: Codesign) -> dict[str, Any]:
     """Evaluate the best design in episodes with an unused seed; return the mean return.
 
     Each design is judged by few episodes, always the same, and the best of many is chosen by them: that return is too
-    good for what else the task, or the noise of ``fitness=robust``, may draw.
+    good for what else the task, or the noise of ``protocol=noise``, may draw.
 
     Returns:
         ``mean``, ``low`` and ``high`` (95 % interval, Student's t), ``episodes``, ``seed``; empty if nothing is
         random, or no design has a policy.
     """
-    if settings.fitness == NOMINAL and not get_task(settings.task).under(settings.rules).is_random:
+    if settings.protocol == NOMINAL and not get_task(settings.task).under(settings.rules).is_random:
         return {}
     if not any(best.policy_file for best in results.archive.best()):
         return {}
     seed = 1000 + (settings.seed == 1000)  # not the seed that the search compared its designs with
     device = settings.device if settings.executor == "local" else "cpu"
-    how: dict[str, Any] = {"protocol": NOMINAL if settings.fitness == NOMINAL else "noise"} | own_code(settings)
+    how: dict[str, Any] = {"protocol": settings.protocol} | own_code(settings)
     play = Playing(FRESH, seed=seed, device=device, threads=settings.threads, **how)
     found = evaluate_run(find_run(str(results.folder), settings.output_dir), play)[0].interval
     return {"mean": found.mean, "low": found.low, "high": found.high, "episodes": FRESH, "seed": seed}

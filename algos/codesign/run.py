@@ -15,8 +15,8 @@ import torch
 
 from warpvox.algos.archive import FILE as ARCHIVE, Archive
 from warpvox.algos.candidate import Candidate, DesignEvaluator, Outcome, Search
-from warpvox.algos.codesign.evaluations.custom import Custom
 from warpvox.algos.codesign.finalists import Finalists
+from warpvox.algos.codesign.fitness.custom import Custom
 from warpvox.algos.codesign.loop import Executor, LocalExecutor, Loop
 from warpvox.algos.codesign.results import Found, Results, evaluate_winner
 from warpvox.algos.codesign.robots import keep_start, read_start
@@ -42,7 +42,7 @@ from warpvox.envs.worlds import task_world
 from warpvox.errors import ConfigError, RunError, StorageError
 from warpvox.io.writing import to_yaml
 from warpvox.keys import flat
-from warpvox.runs import CONFIG, END, keep_code, run_folder, search_as_now
+from warpvox.runs import CONFIG, END, as_now, keep_code, run_folder
 from warpvox.types import Cell
 
 
@@ -55,7 +55,7 @@ class Plan:
         place: folder of the search; None: a new one in ``output_dir``, named by the time.
         resumed: True if ``place`` holds a search, which is continued.
         start: robots that the first generation contains.
-        known: data from before the search that the evaluator needs, see :meth:`Evaluation.begins_with`.
+        known: data from before the search that the evaluator needs, see :meth:`Fitness.begins_with`.
         search: proposes designs; has not been asked yet.
         evaluator: evaluates designs; None: the one that the settings name.
     """
@@ -105,7 +105,7 @@ def plan_codesign(
         # Who evaluates
         sim_of(settings)  # finds constants out of range
         if evaluator is None:
-            settings.evaluation.check(settings)
+            settings.fitness.check(settings)
         settings = settings.resolved(place if resumed else None)
 
         # Where. Designs on workers run on the devices of the workers.
@@ -117,13 +117,13 @@ def plan_codesign(
             if settings.memory_check:
                 _ask_for_memory(settings)
             settings = dataclasses.replace(settings, device=resolve_device(settings.device, environments(settings)))
-        known = settings.evaluation.begins_with(settings, start, place if resumed else None)
+        known = settings.fitness.begins_with(settings, start, place if resumed else None)
     return Plan(settings, place, resumed, start, known, search, evaluator)
 
 
 def environments(settings: Codesign) -> int:
     """Return the largest number of environments stepped together; 1 if unknown."""
-    return max((batch.designs * batch.envs for batch in settings.evaluation.workloads(settings)), default=1)
+    return max((batch.designs * batch.envs for batch in settings.fitness.workloads(settings)), default=1)
 
 
 def _ask_for_memory(settings: Codesign) -> None:
@@ -134,7 +134,7 @@ def _ask_for_memory(settings: Codesign) -> None:
     largest_body = np.full(settings.shape, Cell.H_ACT, np.int8)
     worlds = [task_world(spec, largest_body)]
 
-    for batch in settings.evaluation.workloads(settings):
+    for batch in settings.fitness.workloads(settings):
         count = batch.designs * batch.envs
         each = environment_bytes(spec, worlds, count, sim, ppo=batch.ppo)
         # Where not even one design fits, its environments are too many, else the designs are.
@@ -185,7 +185,7 @@ def run_codesign(
         KeyboardInterrupt: interrupted; the state has been saved.
     """
     settings = plan.settings
-    evaluation = settings.evaluation
+    fitness = settings.fitness
     resumed = plan.place if plan.resumed else None
     with ExitStack() as opened:
         with own_torch(settings.torch_threads):
@@ -199,7 +199,7 @@ def run_codesign(
             previous = {}
             if resumed is not None:
                 with Archive.read(resumed / ARCHIVE) as archive:
-                    previous = search_as_now(archive.settings, resumed)
+                    previous = as_now(archive.settings, resumed)
             settings = dataclasses.replace(settings, batch=_batch_size(settings, workers, previous))
             written = dataclasses.replace(settings, task=task_name(settings.task))
             fixed = dataclasses.asdict(Codesign.of(vars(written)))  # without the keys of the command line
@@ -225,12 +225,12 @@ def run_codesign(
 
         # At the end the best designs are evaluated once more.
         search = plan.search
-        total = settings.search.max_evaluations + evaluation.finalists
-        costs = evaluation.cost(settings, get_task(settings.task))
-        if evaluation.finalists:
-            search = Finalists(search, evaluation.finalists)
+        total = settings.search.max_designs + fitness.finalists
+        costs = fitness.cost(settings, get_task(settings.task))
+        if fitness.finalists:
+            search = Finalists(search, fitness.finalists)
             if costs is not None:
-                costs = (costs[0], costs[1] / evaluation.finalists)
+                costs = (costs[0], costs[1] / fitness.finalists)
 
         # Ask, evaluate, store, tell
         loop = Loop(
@@ -241,10 +241,10 @@ def run_codesign(
             policies=policies,
             batch=settings.batch,
             reuse=settings.reuse,
-            inherit=evaluation.inherits(settings),
+            inherit=fitness.inherits(settings),
             listeners=[results, *listeners],
         )
-        run = SearchRun(folder, archive, written, total, evaluation.finalists, costs, workers, plan.resumed)
+        run = SearchRun(folder, archive, written, total, fitness.finalists, costs, workers, plan.resumed)
         opened.enter_context(ambient(settings.torch_threads))
         torch.manual_seed(settings.seed)  # of code of the user's
         summary = _run_to_end(run, loop, results, settings, listeners)
@@ -305,7 +305,7 @@ def _batch_size(settings: Codesign, workers: int, previous: Mapping[str, Any]) -
 
     # A killed search repeats its last batch: at most 20 million control steps, about ten minutes of a core.
     size = settings.search.population
-    cost = settings.evaluation.cost(settings, get_task(settings.task))
+    cost = settings.fitness.cost(settings, get_task(settings.task))
     if cost is not None:
         size = min(size, max(1, int(20e6 / max(cost[0], 1))))
 
@@ -319,7 +319,7 @@ def _config_of_design(settings: Codesign, task: str, candidate: Candidate, outco
     """Return the ``config.yaml`` for a design's policy, as of a training, so that it can be played."""
     # Settings that a design's training shares with its search
     shared = (
-        "rules", "seed", "device", "dtype", "arithmetic", "threads", "torch_threads", "output_dir", "fitness"
+        "rules", "seed", "device", "dtype", "arithmetic", "threads", "torch_threads", "output_dir", "protocol"
     )  # fmt: skip
     values = {name: getattr(settings, name) for name in shared}
     training = settings.training
@@ -329,7 +329,7 @@ def _config_of_design(settings: Codesign, task: str, candidate: Candidate, outco
         "num_envs": training.envs,
         "max_iterations": training.iterations,
         "eval_interval": training.eval_interval,
-        "eval_envs": training.eval_envs,
+        "episodes": training.episodes,
         "physics": dataclasses.asdict(settings.physics),
         "ppo": dataclasses.asdict(training.ppo),
     }
@@ -343,8 +343,8 @@ def _config_of_design(settings: Codesign, task: str, candidate: Candidate, outco
             values["designs"] = {"bodies": bodies, "refresh": "none", "held_out": bodies}
 
     # Play it in simulations like those that gave its fitness.
-    values |= settings.evaluation.run_of(settings, candidate, outcome)
-    values.setdefault("lanes", lanes_for(episodes_of(values["eval_envs"], settings.fitness)))
+    values |= settings.fitness.run_of(settings, candidate, outcome)
+    values.setdefault("lanes", lanes_for(episodes_of(values["episodes"], settings.protocol)))
     return to_yaml(Training(**values)) + END
 
 
@@ -354,7 +354,7 @@ def _make_executor(plan: Plan) -> Executor:
     if settings.executor == "local":
         # `alone` would deadlock code of the user's that waits for its own training threads.
         evaluator = _make_evaluator(settings, plan.known, plan.evaluator)
-        return LocalExecutor(evaluator, alone=not isinstance(settings.evaluation, Custom))
+        return LocalExecutor(evaluator, alone=not isinstance(settings.fitness, Custom))
     from warpvox.algos.codesign.ray_executor import RayExecutor
 
     threads = settings.threads or 1
@@ -369,7 +369,7 @@ def _make_evaluator(settings: Codesign, known: Any, evaluator: DesignEvaluator |
     if evaluator is not None:
         return evaluator
     device = resolve_device(settings.device, environments(settings))
-    return settings.evaluation.build(dataclasses.replace(settings, device=device), known)
+    return settings.fitness.build(dataclasses.replace(settings, device=device), known)
 
 
 def _make_evaluator_on_worker(settings: Codesign, known: Any, evaluator: DesignEvaluator | None) -> DesignEvaluator:

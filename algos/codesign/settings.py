@@ -1,4 +1,4 @@
-"""Settings of a design search: task, algorithm, evaluation and executor."""
+"""Settings of a design search: task, algorithm, fitness and executor."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from warpvox.algos.protocols import FITNESS, NOMINAL
+from warpvox.algos.protocols import CHOOSING, NOMINAL
 from warpvox.algos.robots.entry import Robot, zoo
 from warpvox.algos.search.settings import ALGORITHMS, GA, SearchSettings
 from warpvox.algos.settings import PRESETS, DesignTraining, PhysicsConfig, Ppo, physics_of, sim_of
@@ -39,10 +39,10 @@ But for rounding on another device.
 """
 
 
-Kind = TypeVar("Kind", bound="Evaluation")
+Kind = TypeVar("Kind", bound="Fitness")
 
-EVALUATIONS: dict[str, type[Evaluation]] = {}
-"""Evaluation classes by name."""
+FITNESS: dict[str, type[Fitness]] = {}
+"""Kinds of fitness by name."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,8 @@ class Workload:
 
 
 @dataclass
-class Evaluation(Settings):
-    """Base class of evaluations; ``build`` creates the evaluator, all other methods have defaults.
+class Fitness(Settings):
+    """Base class of kinds of fitness; ``build`` creates the evaluator, all other methods have defaults.
 
     Settings are fields made by :func:`warpvox.keys.key`. The argument ``search`` is always the settings of the search.
 
@@ -70,9 +70,9 @@ class Evaluation(Settings):
         ConfigError: a setting out of range.
     """
 
-    name: str = key("", "how designs are compared")
+    name: str = key("", "how the fitness of a design is found")
 
-    prefix = "evaluation."
+    prefix = "fitness."
     finalists = 0
     """Number of best designs evaluated once more at the end of a search (origin ``finalist``)."""
 
@@ -87,7 +87,7 @@ class Evaluation(Settings):
             ConfigError: which, and what would.
         """
 
-    def resolved(self, search: Codesign, folder: Path | None) -> Evaluation:
+    def resolved(self, search: Codesign, folder: Path | None) -> Fitness:
         """Return a copy with names replaced by values; ``folder``: of a resumed search.
 
         Raises:
@@ -116,9 +116,9 @@ class Evaluation(Settings):
         return {}
 
 
-def register_evaluation(kind: type[Kind]) -> type[Kind]:
-    """Register a class in :data:`EVALUATIONS` under its ``name`` (decorator)."""
-    EVALUATIONS[kind.name] = kind
+def register_fitness(kind: type[Kind]) -> type[Kind]:
+    """Register a class in :data:`FITNESS` under its ``name`` (decorator)."""
+    FITNESS[kind.name] = kind
     return kind
 
 
@@ -136,17 +136,17 @@ class Codesign(Settings):
     )
     rules: str = key("evogym", RULE_SETS, choices=RULES)
     search: SearchSettings = key(GA, "how designs are proposed")
-    evaluation: Evaluation = key(lambda: EVALUATIONS["specialist"](), "how designs are compared")
-    fitness: str = key(
+    fitness: Fitness = key(lambda: FITNESS["specialist"](), "how the fitness of a design is found")
+    protocol: str = key(
         NOMINAL,
         "episodes by which designs and policies are compared: undisturbed (nominal), or several with noise on the"
-        " actions, whose mean counts (robust)",
-        choices=FITNESS,
+        " actions, whose mean counts (noise)",
+        choices=CHOOSING,
     )
     training: DesignTraining = key(DesignTraining, "how a design's own policy is trained")
     start: list[str] = key(
         [],
-        "robots whose bodies the first generation contains, with evaluation=gaits also their gaits: zoo:TASK, zoo:FILE,"
+        "robots whose bodies the first generation contains, with fitness=gaits also their gaits: zoo:TASK, zoo:FILE,"
         " the folder of a search (its best design), of one of its designs or of a run, or bodies: random:100:5x5 (drawn"
         " with seed as train's designs are), a folder of design files, or what design takes",
     )
@@ -185,8 +185,8 @@ class Codesign(Settings):
         """Convert short forms to settings, robots to their names, and validate all values."""
         if isinstance(self.search, str | Mapping):
             self.search = _chosen("search", "algorithm", self.search, ALGORITHMS)
-        if isinstance(self.evaluation, str | Mapping):
-            self.evaluation = _chosen("evaluation", "name", self.evaluation, EVALUATIONS)
+        if isinstance(self.fitness, str | Mapping):
+            self.fitness = _chosen("fitness", "name", self.fitness, FITNESS)
         self.task, self.physics = bare_id(self.task), PhysicsConfig.of(self.physics)
         if isinstance(self.start, list | tuple):
             self.start = [_start_name(one) for one in self.start]
@@ -198,16 +198,16 @@ class Codesign(Settings):
         """Create an environment factory with these settings; ``device`` may still be ``auto``."""
         from warpvox.algos.env_factory import EnvFactory
 
-        return EnvFactory(self.task, self.rules, obs, sim=sim_of(self), fitness=self.fitness)
+        return EnvFactory(self.task, self.rules, obs, sim=sim_of(self), protocol=self.protocol)
 
     def resolved(self, folder: Path | None = None) -> Codesign:
-        """Return a copy with names replaced by values: settings of the evaluation, physics constants.
+        """Return a copy with names replaced by values: settings of the fitness, physics constants.
 
         Raises:
-            WarpvoxError: see :meth:`Evaluation.resolved`.
+            WarpvoxError: see :meth:`Fitness.resolved`.
         """
         physics = PhysicsConfig.of(physics_of(self))
-        return dataclasses.replace(self, evaluation=self.evaluation.resolved(self, folder), physics=physics)
+        return dataclasses.replace(self, fitness=self.fitness.resolved(self, folder), physics=physics)
 
 
 def _start_name(robot: Any) -> str:

@@ -96,7 +96,7 @@ class PopulationTraining:
         self.env = adapt(training, self.ppo, apart=True)
         self._eval_seeds = [self.eval_seed] * self.num_designs
         self._judge = self.factory.make(
-            self.bodies, self.factory.episodes(settings.eval_envs), self._eval_seeds, auto_reset=False
+            self.bodies, self.factory.episodes(settings.episodes), self._eval_seeds, auto_reset=False
         )
 
     def _algorithm(self, networks: Sequence[Networks]) -> PopulationPPO:
@@ -150,7 +150,7 @@ class PopulationTraining:
             return actions_of(means, self.ppo.action_scale)
 
         diverged = torch.zeros(self.num_designs, dtype=torch.bool, device=self.algorithm.device)
-        judged = as_judged(policy, self._judge, self.eval_seed, self.factory.fitness)
+        judged = as_judged(policy, self._judge, self.eval_seed, self.factory.protocol)
         return evaluate(self._judge, judged, seed=self._eval_seeds).fitness.masked_fill(diverged.cpu(), math.nan)
 
     def policy(self, design: int) -> dict[str, torch.Tensor]:

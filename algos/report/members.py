@@ -107,7 +107,7 @@ def _names(found: Sequence[tuple[Path, Mapping[str, Any]]]) -> list[str]:
     kinds = [(own.get("task"), str(own.get("search.algorithm", "search"))) for own in settings]
 
     # Settings that distinguish searches with the same task and algorithm
-    may_differ = ("task", "seed", "shape", "search.algorithm", "search.max_evaluations")
+    may_differ = ("task", "seed", "shape", "search.algorithm", "search.max_designs")
     keys = {}
     for kind in dict.fromkeys(kinds):
         alike = [own for own, other in zip(settings, kinds, strict=True) if other == kind]

@@ -2,7 +2,7 @@
 
 All implement :class:`warpvox.algos.candidate.Search`::
 
-    search = make_search(GA(max_evaluations=100), shape=(5, 5), seed=0)
+    search = make_search(GA(max_designs=100), shape=(5, 5), seed=0)
     while candidates := search.ask():
         search.tell([fitness_of(candidate.body) for candidate in candidates])
 

@@ -44,7 +44,7 @@ class BaseSearch(ABC):
         fitness: of each of them.
 
     Raises:
-        ConfigError: a shape with hardly more valid bodies than ``max_evaluations``, or a bad shape or seed.
+        ConfigError: a shape with hardly more valid bodies than ``max_designs``, or a bad shape or seed.
     """
 
     takes_start: ClassVar[bool] = True
@@ -55,12 +55,12 @@ class BaseSearch(ABC):
         self.shape = check_shape("shape", shape)
         self.seed = check_integer("seed", seed, 0)
         rows, columns = self.shape
-        most = settings.max_evaluations
+        most = settings.max_designs
         # With too few bodies a search would spend its time on drawing known ones. Up to six voxels they are counted.
         if rows * columns <= 6 and (bodies := count_valid(self.shape)) < 2 * most:
             raise ConfigError(
-                f"There are only {bodies} valid bodies of {rows}x{columns}: a search with max_evaluations={most} needs"
-                f" at least twice as many bodies. Use a larger shape or max_evaluations={bodies // 2} at most."
+                f"There are only {bodies} valid bodies of {rows}x{columns}: a search with max_designs={most} needs"
+                f" at least twice as many bodies. Use a larger shape or max_designs={bodies // 2} at most."
             )
         self.generation = 0
         self.bodies: list[np.ndarray] = []
@@ -80,7 +80,7 @@ class BaseSearch(ABC):
             raise ConfigError(
                 f"search.algorithm={self.settings.algorithm} makes all bodies itself: start goes with the others."
             )
-        most = min(self.settings.population, self.settings.max_evaluations)
+        most = min(self.settings.population, self.settings.max_designs)
         if len(bodies) > most:
             raise ConfigError(f"start has {len(bodies)} robots, the first generation {most} designs.")
         for body in bodies:
@@ -131,7 +131,7 @@ class BaseSearch(ABC):
         if body is None:  # the cells of large shapes hardly ever hang together
             body = self.new_body(lambda: np.stack([*map(repair_design, draw_bodies(rng, 32, self.shape))]), 50_000)
         if body is None:
-            fewer = f", or fewer evaluations than max_evaluations={self.settings.max_evaluations}" if self._seen else ""
+            fewer = f", or fewer evaluations than max_designs={self.settings.max_designs}" if self._seen else ""
             raise SearchError(
                 f"No new {self.shape[0]}x{self.shape[1]} body turns up after {len(self._seen)} have been proposed:"
                 f" {'too few are left, or ' if self._seen else ''}random cells of this shape hardly ever hang together."
@@ -161,7 +161,7 @@ class BaseSearch(ABC):
                 f"ask() was called twice: tell() the fitness of the {len(self._asked)} candidates of generation"
                 f" {self.generation} first."
             )
-        left = self.settings.max_evaluations - len(self.bodies)
+        left = self.settings.max_designs - len(self.bodies)
         if left <= 0:
             return []
         # 0x5EA2C4 keeps the random numbers of a search apart from those of the trainings, which follow from
@@ -236,7 +236,7 @@ class BaseSearch(ABC):
             SearchError: they cannot have been the next generation of this search.
         """
         first = len(self.bodies)
-        left = self.settings.max_evaluations - len(self.bodies)
+        left = self.settings.max_designs - len(self.bodies)
         fits = 0 < len(candidates) <= min(left, self.settings.population)
         for place, candidate in enumerate(candidates):
             in_order = candidate.id == first + place and candidate.generation == self.generation

@@ -117,9 +117,7 @@ class CppnNeatSearch(BaseSearch):
         self.ids |= {key: candidate.id for key, candidate in zip(fresh, candidates, strict=True)}
         for key, genome in self.population.items():
             genome.fitness = self.fitness[self.ids[key]]
-        if (
-            len(self.bodies) < self.settings.max_evaluations
-        ):  # not needed after the last generation, which may be too small
+        if len(self.bodies) < self.settings.max_designs:  # not needed after the last generation, which may be too small
             self.species.speciate(self.config, self.population, self.generation)
 
     def _breed(self) -> dict[int, neat.DefaultGenome]:
@@ -159,5 +157,5 @@ class CppnNeatSearch(BaseSearch):
             genomes = self._create(count - len(chosen))
         raise SearchError(
             f"The networks paint no new {self.shape[0]}x{self.shape[1]} body after {len(self._seen)} have been"
-            f" proposed. Ask for fewer evaluations than max_evaluations={self.settings.max_evaluations}."
+            f" proposed. Ask for fewer evaluations than max_designs={self.settings.max_designs}."
         )

@@ -26,11 +26,11 @@ def survivors_of(settings: GA, generation: int, last: int) -> int:
 
 
 def last_generation(settings: GA) -> int:
-    """Return N_max of Algorithm 1, so that the generations use up ``max_evaluations``.
+    """Return N_max of Algorithm 1, so that the generations use up ``max_designs``.
 
     The paper limits evaluations rather than generations (section D.1), and survivors cost none.
     """
-    left = settings.max_evaluations - settings.population
+    left = settings.max_designs - settings.population
 
     def evaluations(last: int) -> int:
         return sum(settings.population - survivors_of(settings, n, last) for n in range(1, last + 1))

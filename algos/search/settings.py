@@ -35,9 +35,9 @@ class SearchSettings(Settings):
 
     algorithm: str = key("", "which search")
     population: int = key(25, "designs of a generation", low=2)
-    max_evaluations: int = key(
+    max_designs: int = key(
         250,
-        "number of different designs to evaluate, also max_designs; in the paper 250, 500 or 750",
+        "number of different designs to evaluate; in the paper 250, 500 or 750",
         low=1,
         high=1_000_000,
     )

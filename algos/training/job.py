@@ -239,14 +239,14 @@ class Job:
         env = make_vec(
             settings.task,
             bodies.judged,
-            episodes_of(settings.eval_envs, settings.fitness) * len(bodies.judged),
+            episodes_of(settings.episodes, settings.protocol) * len(bodies.judged),
             seed=settings.seed,
             sim=sim,
             rules=settings.rules,
             obs=settings.obs,
             auto_reset=False,
         )
-        judge = evaluator(env, settings.seed, settings.fitness)
+        judge = evaluator(env, settings.seed, settings.protocol)
         if not settings.is_many:
             return judge
         return HeldOut(judge, bodies.judged, "bodies" if bodies.own else "held_out", str(task_name(settings.task)))

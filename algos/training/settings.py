@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from warpvox.algos.protocols import FITNESS, NOMINAL
+from warpvox.algos.protocols import CHOOSING, NOMINAL
 from warpvox.algos.settings import LOGGERS, PRESETS, REFRESH, PhysicsConfig, Ppo
 from warpvox.examples import bare_id, design_for
 from warpvox.keys import Settings, check_values, convert, key, plain
@@ -84,12 +84,12 @@ class Training(Settings):
     num_envs: int = key(512, "environments stepped in parallel", low=1)
     max_iterations: int = key(400, "training iterations in total, including those before a resume", low=1)
     eval_interval: int = key(10, "iterations between deterministic evaluations", low=1)
-    eval_envs: int | None = key(None, "evaluation episodes for each design; null: 1, with fitness=robust 8", low=1)
-    fitness: str = key(
+    episodes: int | None = key(None, "evaluation episodes for each design; null: 1, with protocol=noise 8", low=1)
+    protocol: str = key(
         NOMINAL,
         "episodes by which the best policy is chosen: undisturbed (nominal), or several with noise on the actions,"
-        " whose mean counts (robust)",
-        choices=FITNESS,
+        " whose mean counts (noise)",
+        choices=CHOOSING,
     )
     stop_return: float | None = key(None, "stop as soon as an evaluation reaches this return; null: never")
     save_interval: int = key(50, "iterations between checkpoints", low=1)

@@ -120,11 +120,17 @@ def test_tasks_without_evogym(run: Callable) -> None:
     assert "of one environment alone in float64" in tables
 
 
-def test_scaling_in_four_ways(run: Callable) -> None:
+def test_scaling_in_five_ways(run: Callable) -> None:
     words = "--sizes 2 3 --bodies 2 --simulated 0.04 --envs 1 8".split()
     _, tables, rows = run("scaling", *NO_REFERENCE, *words)
     assert {"2 x 2 sampled", "3 x 3 sampled", "1", "8"} <= rows.keys()
-    for heading in ("robots | voxels", "environments | physics alone", "threads | step only", "| 8 different bodies"):
+    for heading in (
+        "robots | voxels",
+        "environments | physics alone",
+        "threads | step only",
+        "arithmetic | ",
+        "| 8 different bodies",
+    ):
         assert heading in tables
     assert "1 of 8 were exchanged" in tables
 

@@ -12,6 +12,7 @@ from warpvox.envs.adapters.base import FPS, Adapter, OneEnv, flat, metadata_here
 from warpvox.envs.registry import get_task, task_ids
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ActionError, ConfigError, DisplayError
+from warpvox.keys import in_words
 from warpvox.types import FRAME_SECONDS
 from warpvox.view import window
 
@@ -80,6 +81,7 @@ class VoxelEnv(Adapter, OneEnv, gymnasium.Env):
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": FPS}  # noqa: RUF012
 
+    @in_words
     def __init__(
         self,
         task: str | TaskSpec,

@@ -13,6 +13,7 @@ from warpvox.envs.adapters.base import FPS, BatchAdapter, flat, spaces_of
 from warpvox.envs.adapters.gym import NAMESPACE
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError, SimulationError, did_you_mean, listing
+from warpvox.keys import in_words
 
 
 class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
@@ -49,6 +50,7 @@ class VoxelGymVectorEnv(BatchAdapter, VectorEnv):
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
+    @in_words
     def __init__(
         self,
         task: str | TaskSpec,

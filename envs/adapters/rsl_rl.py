@@ -101,7 +101,7 @@ class RslRlVecEnv(VecEnv):
 
     def get_observations(self) -> TensorDict:
         """Return the present observations, group ``policy``, ``[num_envs, num_obs]``."""
-        return self._group(self._obs)
+        return self._group(self._obs.clone())
 
     def set_designs(self, designs: Sequence[object], mask: torch.Tensor) -> None:
         """Replace the bodies of environments (:meth:`VoxelVecEnv.set_designs`), which begin new episodes."""
@@ -123,17 +123,29 @@ class RslRlVecEnv(VecEnv):
         """Do one control step with policy outputs ``actions`` ``[num_envs, num_actions]``."""
         obs, reward, terminated, truncated, info = self.env.step(self.goals(actions))
         self._obs.copy_(obs)
-        done = terminated | truncated
-        whole = done & ~self._shortened
         episode = info["episode"]
-        parts = (whole, episode["return"] * whole, episode["length"] * whole, *(info[name] for name in STOP_CAUSES))
-        self._sums.add_(torch.stack([part.sum(dtype=torch.float64) for part in parts]))
-        self._shortened.logical_and_(~done)
-        log = {f"Reward/{name}": values.mean() for name, values in info["reward_terms"].items()}
-        log |= {f"Episode/{name}": info[name].float().mean() for name in STOP_CAUSES}
-        extras: dict[str, Any] = {"log": log, "returns": info["episode"]["return"], "whole": whole}
+        done = episode["done"]
+        whole = done.masked_fill(self._shortened, False)
+        self._shortened.masked_fill_(done, False)
+
+        # Sums over the episodes that have ended
+        flags = torch.stack([whole, *(info[name] for name in STOP_CAUSES)])
+        counts = flags.sum(1, dtype=torch.float64)
+        amounts = torch.stack([episode["return"], episode["length"]]) * whole
+        totals = amounts.sum(1, dtype=torch.float64)
+        self._sums.add_(torch.cat([counts[:1], totals, counts[1:]]))
+
+        # Means over the environments
+        terms = info["reward_terms"]
+        names = [f"Reward/{name}" for name in terms]
+        names += [f"Episode/{name}" for name in STOP_CAUSES]
+        rewards = torch.stack(list(terms.values())).mean(1)
+        stopped = (counts[1:] / self.num_envs).float()
+        log = dict(zip(names, (*rewards, *stopped), strict=True))
+
+        extras: dict[str, Any] = {"log": log, "returns": episode["return"], "whole": whole}
         if self.bootstrap_time_limit:
-            extras["time_outs"] = truncated & ~terminated
+            extras["time_outs"] = truncated.masked_fill(terminated, False)
             extras["final_obs"] = self._group(info["final_obs"])
         reward = reward.to(self.network_dtype)
         if self.reward_norm is not None:
@@ -145,8 +157,7 @@ class RslRlVecEnv(VecEnv):
         return ACTION_CENTER + self.action_scale * outputs
 
     def _group(self, obs: torch.Tensor) -> TensorDict:
-        group = {OBS_GROUP: obs.to(self.network_dtype, copy=True)}
-        return TensorDict(group, batch_size=[self.num_envs], device=self.device)
+        return TensorDict({OBS_GROUP: obs.to(self.network_dtype)}, batch_size=[self.num_envs], device=self.device)
 
     def pop_episodes(self) -> dict[str, float]:
         """Return number, mean return and mean length of the episodes ended since the last call (NaN: none).

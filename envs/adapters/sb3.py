@@ -11,6 +11,7 @@ from warpvox.checks import check_choice
 from warpvox.envs.adapters.base import BatchAdapter, SubEnv, spaces_of
 from warpvox.envs.spec import TaskSpec
 from warpvox.errors import ConfigError
+from warpvox.keys import in_words
 from warpvox.types import ACTION_CENTER, ACTION_HIGH, ACTION_LOW, ACTION_SCALE
 
 try:
@@ -38,6 +39,7 @@ class VoxelSB3VecEnv(BatchAdapter, VecEnv):
     Raises: what :func:`warpvox.make_vec` raises; ConfigError: an unknown render mode.
     """
 
+    @in_words
     def __init__(
         self,
         task: str | TaskSpec,

@@ -258,7 +258,9 @@ def fast_stepper(env: VoxelVecEnv) -> SingleStepper | None:
         return None
     there = Snapshot(env.sim, env.episodes.memory)
     theirs = env.layout.observe(there)[0].numpy()
-    stopped = torch.zeros(1, dtype=torch.bool)
-    parts, ended = env.evaluate_terms(there, there, stopped, active=~stopped)
-    same = judged == ({name: part.item() for name, part in parts.items()}, ended.item())
+    rewards, hits = env.evaluate_terms(there, there)
+    parts = {term.name: rewards[term.name].item() * term.weight for term in env.spec.rewards}
+    parts["unstable"] = 0.0
+    parts |= {term.name: hits[term.name].item() * term.bonus for term in env.spec.terminations}
+    same = judged == (parts, any(hit.item() for hit in hits.values()))
     return stepper if same and obs.dtype == theirs.dtype and np.array_equal(obs, theirs) else None

@@ -51,8 +51,8 @@ def next_goal(state: Snapshot, name: str, within: float) -> Tensor:
     xp = library(goals)
     number = xp.ones_like(goals[:1]).cumsum(1) - 1
     near = abs(double(goals) * VOXEL - state.com(name)[:, :1]) < within
-    ahead = (number >= state.memory("goal")) & (~near | (goals == 0))
-    return xp.amin(replaced(number, ~ahead, count), 1)[:, None]
+    passed = (number < state.memory("goal")) | (near & (goals != 0))
+    return xp.amin(replaced(number, passed, count), 1)[:, None]
 
 
 def goal_x(state: Snapshot) -> Tensor:

@@ -63,7 +63,7 @@ def named_settings(task: str, search: str, designs: int | None, changes: Mapping
     """
     # Sets of settings that have a name
     names: dict[str, str] = {"search": search}
-    for group in ("evaluation", "training"):
+    for group in ("fitness", "training"):
         if group in changes:
             names[group] = changes[group]
     settings = wv.Codesign(**settings_named("codesign", **names))
@@ -71,7 +71,7 @@ def named_settings(task: str, search: str, designs: int | None, changes: Mapping
     # Single values
     values: dict[str, Any] = {"shape": SHAPES.get(task, [5, 5])}
     if designs is not None:
-        values["search.max_evaluations"] = designs
+        values["search.max_designs"] = designs
     values.update(changes)
     for key, value in values.items():
         if key in OF_MEMBERS:

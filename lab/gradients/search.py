@@ -61,4 +61,4 @@ if __name__ == "__main__":
     torch.set_num_threads(1)
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 150
     tuned = Tuned(device="cpu", threads=1)
-    print(wv.codesign("Walker-v0", (5, 5), search=wv.GA(max_evaluations=count), evaluation=tuned, device="cpu"))
+    print(wv.codesign("Walker-v0", (5, 5), search=wv.GA(max_designs=count), fitness=tuned, device="cpu"))

@@ -114,15 +114,15 @@ def search(
     """
     common = {"shape": shape, "seed": seed, "progress": False}
     common |= {name: policy[name] for name in ("device", "threads") if name in policy}
-    evaluation = CommonPolicy(folder / "policy", task, seed=seed, **policy)
-    found = wv.codesign(task, search=settings or wv.GA(), evaluation=evaluation, folder=folder / "search", **common)
+    fitness = CommonPolicy(folder / "policy", task, seed=seed, **policy)
+    found = wv.codesign(task, search=settings or wv.GA(), fitness=fitness, folder=folder / "search", **common)
 
     best = sorted(found.designs, key=lambda record: -(record.fitness or 0.0))
     bodies: dict[bytes, Any] = {}
     for record in best:
         bodies.setdefault(record.candidate.body.tobytes(), record.candidate.body)
     start = list(bodies.values())[:finalists]
-    again = wv.RandomDesigns(population=len(start), max_evaluations=len(start))
+    again = wv.RandomDesigns(population=len(start), max_designs=len(start))
     more = {} if training is None else {"training": training}
     finals = wv.codesign(task, search=again, start=start, folder=folder / "finalists", **common, **more)
     return found, finals
@@ -140,7 +140,7 @@ def main() -> None:
     found, finals = search(
         given.folder,
         given.task,
-        settings=wv.GA(max_evaluations=given.designs),
+        settings=wv.GA(max_designs=given.designs),
         finalists=given.finalists,
         pretrained=given.pretrained,
         seed=given.seed,

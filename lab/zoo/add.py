@@ -183,7 +183,7 @@ def command_of(config: dict[str, Any]) -> str:
     """Reconstruct the command from ``config``, the content of a ``config.yaml``, without default keys."""
     words = ["train"]
     if "search" in config:
-        words = ["codesign", f"search={config['search']['algorithm']}", f"evaluation={config['evaluation']['name']}"]
+        words = ["codesign", f"search={config['search']['algorithm']}", f"fitness={config['fitness']['name']}"]
     line = [sys.executable, "-m", "warpvox", *words, "--cfg", "job"]
     usual = yaml.safe_load(subprocess.run(line, check=True, stdout=subprocess.PIPE, encoding="utf-8").stdout)
     preset = wv.Physics.preset(config["physics"]["preset"])  # a run's configuration has all constants

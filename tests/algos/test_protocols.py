@@ -17,7 +17,7 @@ import warpvox as wv
 from warpvox.algos.candidate import candidate_seed
 from warpvox.algos.checkpoints.files import spec_of
 from warpvox.algos.checkpoints.policy import Policy, read_policy
-from warpvox.algos.codesign.evaluations import Gaits
+from warpvox.algos.codesign.fitness import Gaits
 from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 from warpvox.algos.disturbance import JUDGED, NOISE, SEARCHED, Disturbed, Draws
 from warpvox.algos.evaluate import evaluator
@@ -190,7 +190,7 @@ def test_a_gait_has_no_sensors(short_walks: None) -> None:
 @pytest.mark.usefixtures("narrow_packs")
 def test_a_robust_gait_is_worth_what_its_policy_gets_in_the_same_copies() -> None:
     (candidate,) = candidates(1)
-    where = dataclasses.replace(factory(), fitness="robust")
+    where = dataclasses.replace(factory(), protocol="noise")
     how = GaitEvaluator(where, Gaits(gaits=4, passes=1, beam=4, rounds=1, stages=2), episodes=COPIES)
     (outcome,) = how.evaluate([candidate], {})
     policy = Policy(spec_of(outcome.spec), outcome.policy).double()
@@ -203,7 +203,7 @@ def test_a_robust_gait_is_worth_what_its_policy_gets_in_the_same_copies() -> Non
 
 def test_a_training_chooses_by_disturbed_copies(tmp_path: Path, short_walks: None) -> None:
     small = {"design": "mini", "num_envs": 8, "max_iterations": 2, "eval_interval": 1, "device": "cpu"}
-    run = wv.train(fitness="robust", folder=tmp_path / "run", progress=False, **small)
+    run = wv.train(protocol="noise", folder=tmp_path / "run", progress=False, **small)
     env = wv.make_vec("Walker-v0", "mini", COPIES, seed=0, device="cpu", auto_reset=False)
     policy = read_policy(run.folder / "model_best.pt").double()
     assert run.best_return == evaluator(env, 0, "robust")(policy).mean_return

@@ -30,7 +30,7 @@ from warpvox.palette import cell_colour
 from warpvox.runs import read_summary
 from warpvox.view.cell_text import body_rows
 
-SIZES = "search.population=5", "search.max_evaluations=8", "training.iterations=2", "training.eval_interval=2"
+SIZES = "search.population=5", "search.max_designs=8", "training.iterations=2", "training.eval_interval=2"
 ROUNDING = 1e-6  # of the rewards in a rollout, which are summed up in float64 and stored one by one in float32
 
 
@@ -51,7 +51,7 @@ def search(warpvox: Callable) -> Callable[..., Path]:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A search of five designs; not to be changed."""
     place = tmp_path_factory.mktemp("made")
-    assert main(tiny("codesign", *SIZES, "search.max_evaluations=5", f"output_dir={place}")) == 0
+    assert main(tiny("codesign", *SIZES, "search.max_designs=5", f"output_dir={place}")) == 0
     (folder,) = place.glob("codesign/*/*")
     return folder
 
@@ -97,12 +97,12 @@ def test_a_search_leaves_what_was_promised(search: Callable, warpvox: Callable) 
     assert read_summary(played)["mean_return"] == pytest.approx(other.fitness, abs=ROUNDING)
 
 
-@pytest.mark.parametrize("words", [["task=Catcher-v0"], ["fitness=robust", "training.eval_envs=2"]])
+@pytest.mark.parametrize("words", [["task=Catcher-v0"], ["protocol=noise", "training.episodes=2"]])
 def test_a_winner_among_random_episodes_is_judged_again_on_fresh_seeds(words, search, warpvox, monkeypatch) -> None:
     monkeypatch.setattr(results_of, "FRESH", 12)  # of 64
-    folder = search(*words, "search.max_evaluations=5", "seed=3")
+    folder = search(*words, "search.max_designs=5", "seed=3")
     fresh, text = read_summary(folder)["fresh_seeds"], (folder / "report.html").read_text()
-    how = "protocol=noise" if "fitness=robust" in words else "protocol=nominal"
+    how = "protocol=noise" if "protocol=noise" in words else "protocol=nominal"
     warpvox("evaluate", f"runs=[{folder}]", how, "episodes=12", "device=cpu", "threads=1")
     (judged,) = Path("outputs/evaluate").glob("*/*")
     (again,) = read_summary(judged)["runs"]
@@ -114,8 +114,8 @@ def test_a_winner_among_random_episodes_is_judged_again_on_fresh_seeds(words, se
 
 
 def test_the_same_seed_gives_the_same_search_and_a_sweep_makes_several(search: Callable, warpvox: Callable) -> None:
-    one = digest(search("seed=1", "search.max_evaluations=5"))
-    warpvox(*tiny("codesign", *SIZES, "search.max_evaluations=5", "--multirun", "seed=1,2"))
+    one = digest(search("seed=1", "search.max_designs=5"))
+    warpvox(*tiny("codesign", *SIZES, "search.max_designs=5", "--multirun", "seed=1,2"))
     folders = sorted(Path("outputs/codesign/Walker-v0").iterdir())
     assert len(folders) == 3
     found = [digest(folder) for folder in folders]
@@ -126,7 +126,7 @@ def test_resuming_refuses_what_would_be_another_search(copied: Path, warpvox: Ca
     before = digest(copied)
     for word, phrase in {
         "seed=5": "seed cannot change",
-        "search.max_evaluations=9": "search.max_evaluations cannot change",
+        "search.max_designs=9": "search.max_designs cannot change",
         "training.ppo.gamma=0.5": "training.ppo.gamma cannot change",
         "search=random": "search.algorithm cannot change",
     }.items():
@@ -139,7 +139,7 @@ def test_resuming_refuses_what_would_be_another_search(copied: Path, warpvox: Ca
 
 
 def test_a_search_that_goes_on_is_exported_as_it_was_asked_at_its_beginning(search: Callable, warpvox) -> None:
-    folder = search("search.max_evaluations=5", "export=[csv]")
+    folder = search("search.max_designs=5", "export=[csv]")
     table = (folder / "designs.csv").read_bytes()
     for word in ("top=2", "device=cpu"):
         (folder / "designs.csv").unlink()
@@ -151,7 +151,7 @@ def test_a_search_that_goes_on_is_exported_as_it_was_asked_at_its_beginning(sear
 
 
 def test_the_report_is_made_again(search: Callable, warpvox: Callable) -> None:
-    folder = search("search.max_evaluations=5")
+    folder = search("search.max_designs=5")
     page = (folder / "report.html").read_text()
     (folder / "report.html").unlink()
     picture = folder / "generations" / "000.png"
@@ -236,8 +236,10 @@ def test_a_search_of_version_0_1_goes_on_or_is_refused_in_a_sentence(copied: Pat
             (text,) = db.execute("SELECT value FROM experiment WHERE key='settings'").fetchone()
             settings = json.loads(text)
             for values in (config, settings):
-                values |= {"policy": policy, "network": None, "evaluation": {"name": evaluation}}
-                values["training"] |= {"method": method}
+                values["evaluation"] = values.get("evaluation", values["fitness"]) | {"name": evaluation}
+                values |= {"policy": policy, "network": None, "fitness": values.pop("protocol", "nominal")}
+                values["search"].setdefault("max_evaluations", values["search"].pop("max_designs", None))
+                values["training"] |= {"method": method, "eval_envs": values["training"].pop("episodes", None)}
             config["training"]["save_interval"] = 25
             db.execute("UPDATE experiment SET value=? WHERE key='settings'", [json.dumps(settings)])
         (folder / "config.yaml").write_text(yaml.safe_dump(config) + "...\n")

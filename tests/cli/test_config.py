@@ -60,7 +60,7 @@ def test_the_papers_preset(task: str, shape: tuple[int, int]) -> None:
     [
         ("codesign", ["shape=[3,4]", "task=Lifter-v0"], "shape", [3, 4]),
         ("codesign", ["search.algorithm=bo"], "search.algorithm", "bo"),
-        ("codesign", ["evaluation.name=gaits"], "evaluation.name", "gaits"),
+        ("codesign", ["fitness.name=gaits"], "fitness.name", "gaits"),
         ("codesign", ["search=bo"], "search.acquisition", "pathwise"),
         ("train", ["ppo=parallel"], "num_envs", 512),
         ("train", ["physics=evogym"], "physics.preset", "evogym"),
@@ -121,7 +121,7 @@ def test_no_default_is_missing_and_none_is_out_of_range(command: str) -> None:
 
 @pytest.mark.parametrize(
     ("command", "group"),
-    [("train", "physics"), ("train", "ppo"), *(("codesign", name) for name in ("search", "evaluation", "training"))],
+    [("train", "physics"), ("train", "ppo"), *(("codesign", name) for name in ("search", "fitness", "training"))],
 )
 def test_every_choice_of_a_group_composes(command: str, group: str) -> None:
     names = options_of(command, group)

@@ -91,7 +91,7 @@ def test_training_never_meets_what_is_held_out() -> None:
 
 
 def test_bodies_that_one_names_are_what_the_policy_is_judged_on(train: Callable[..., Path], warpvox: Callable) -> None:
-    run = train("designs=[mini,worm]", "max_iterations=2", "eval_interval=1", "eval_envs=1")
+    run = train("designs=[mini,worm]", "max_iterations=2", "eval_interval=1", "episodes=1")
     summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
     cells = [load_design(name).tolist() for name in ("mini", "worm")]
     assert summary["designs"] == {"bodies": cells, "refresh": "none"}

@@ -22,16 +22,16 @@ from warpvox.runs import read_summary
 pytestmark = pytest.mark.usefixtures("narrow_packs")
 OF = {
     "specialist": [],
-    "gaits": ["evaluation.finalists=2"],
+    "gaits": ["fitness.finalists=2"],
 }
 ROUNDING = 1e-6
-ROUNDS = "evaluation.final_passes=0"  # finalists of evaluation=gaits have rounds alone
+ROUNDS = "fitness.final_passes=0"  # finalists of fitness=gaits have rounds alone
 
 
 def tiny_search(*words: str) -> list[str]:
-    """A search with the usual sizes of its evaluation."""
-    evaluation = dict(word.split("=", 1) for word in words).get("evaluation", "specialist")
-    return tiny("codesign", *OF[evaluation], *words)
+    """A search with the usual sizes of its fitness."""
+    fitness = dict(word.split("=", 1) for word in words).get("fitness", "specialist")
+    return tiny("codesign", *OF[fitness], *words)
 
 
 def search(warpvox: Callable, *words: str) -> Path:
@@ -59,9 +59,7 @@ def played(warpvox: Callable, run: Path | str, episodes: int = 2) -> float:
 
 
 def test_a_search_by_gaits(warpvox: Callable) -> None:
-    folder = search(
-        warpvox, "evaluation=gaits", "evaluation.gaits=8", "evaluation.rounds=1", ROUNDS, "evaluation.final_rounds=2"
-    )
+    folder = search(warpvox, "fitness=gaits", "fitness.gaits=8", "fitness.rounds=1", ROUNDS, "fitness.final_rounds=2")
     records, figures = records_of(folder), read_summary(folder)
     assert [record.candidate.origin == FINALIST for record in records] == [False] * 5 + [True] * 2
     assert figures["screened_fitness"] == max(record.fitness for record in records[:5])
@@ -77,7 +75,7 @@ def test_a_search_by_gaits(warpvox: Callable) -> None:
 
 
 def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(warpvox: Callable) -> None:
-    words = f"evaluation=gaits evaluation.gaits=4 evaluation.rounds=2 evaluation.final_rounds=1 {ROUNDS}"
+    words = f"fitness=gaits fitness.gaits=4 fitness.rounds=2 fitness.final_rounds=1 {ROUNDS}"
     with short_episodes("BidirectionalWalker-v0"):
         warpvox(*tiny_search("task=BidirectionalWalker-v0", "seed=3", *words.split()))
         (folder,) = Path("outputs/codesign/BidirectionalWalker-v0").iterdir()
@@ -85,19 +83,19 @@ def test_designs_of_a_random_task_play_the_same_episodes_which_play_repeats(warp
             run = folder / "designs" / str(record.id)
             config = yaml.safe_load((run / "config.yaml").read_text())
             assert config["seed"] == 3
-            assert played(warpvox, run, config["eval_envs"]) == pytest.approx(record.fitness, abs=ROUNDING)
+            assert played(warpvox, run, config["episodes"]) == pytest.approx(record.fitness, abs=ROUNDING)
 
 
 def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
-    gaits = "evaluation=gaits evaluation.gaits=8 evaluation.rounds=1 evaluation.final_rounds=2 dtype=float64".split()
+    gaits = "fitness=gaits fitness.gaits=8 fitness.rounds=1 fitness.final_rounds=2 dtype=float64".split()
     first = search(warpvox, *gaits, ROUNDS)
     (robot,) = robots_of(first)
     bodies = {record.candidate.body.tobytes() for record in records_of(first) if record.policy_file is not None}
     assert len(robots_of(first, top=99)) == len(bodies)  # of a finalist and the design that it was: the better one
     file = save_robot("mine/Walker-v0.npz", robot)
     value = judge(robot).mean_return
-    passes = "evaluation.passes=1", "evaluation.beam=8", "evaluation.final_passes=1", "evaluation.final_beam=16"
-    folder = search(warpvox, *gaits, *passes, f"start=[zoo:{file}]", "evaluation.stages=6", "seed=1", "name=on")
+    passes = "fitness.passes=1", "fitness.beam=8", "fitness.final_passes=1", "fitness.final_beam=16"
+    folder = search(warpvox, *gaits, *passes, f"start=[zoo:{file}]", "fitness.stages=6", "seed=1", "name=on")
     records = records_of(folder)
     assert [record.candidate.origin for record in records[:3]] == [START, "random", "random"]
     assert (records[0].candidate.body == robot.body).all()
@@ -109,7 +107,7 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
     assert judge(better).mean_return >= value
     save_robot(file, better)
     # a design of a search, which need not be its best
-    words = f"start=[{folder}/designs/{records[1].id},{first}]", "evaluation.stages=6", "search.max_evaluations=3"
+    words = f"start=[{folder}/designs/{records[1].id},{first}]", "fitness.stages=6", "search.max_designs=3"
     again = search(warpvox, *gaits, ROUNDS, *words, "name=again")
     known = records_of(again)[:2]
     assert [record.candidate.origin for record in known] == [START] * 2
@@ -119,12 +117,12 @@ def test_a_search_that_starts_with_a_known_robot(warpvox: Callable) -> None:
     (design,) = robots_of(again / "designs" / "0")
     assert (design.body == known[0].candidate.body).all()
     # with trainings a body is one like any other
-    folder = search(warpvox, f"start=[zoo:{file}]", "search.max_evaluations=3", "name=trained")
+    folder = search(warpvox, f"start=[zoo:{file}]", "search.max_designs=3", "name=trained")
     assert records_of(folder)[0].candidate.origin == START
 
 
 def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path) -> None:
-    folder = search(warpvox, "start=[random:3:3x3]", "search.max_evaluations=3", "seed=5")
+    folder = search(warpvox, "start=[random:3:3x3]", "search.max_designs=3", "seed=5")
     records = records_of(folder)
     drawn = draw_bodies(3, (3, 3), np.random.default_rng(5))  # as for `warpvox evaluate designs=random:3:3x3 seed=5`
     assert [record.candidate.origin for record in records] == [START] * 3
@@ -143,14 +141,14 @@ def test_a_search_that_starts_with_many_bodies(warpvox: Callable, tmp_path: Path
     [
         ("", 1),
         ("task=Catcher-v0", 4),
-        ("fitness=robust", 4),
-        ("fitness=robust evaluation.episodes=6", 6),
-        ("fitness=robust training.eval_envs=2", 2),
+        ("protocol=noise", 4),
+        ("protocol=noise fitness.episodes=6", 6),
+        ("protocol=noise training.episodes=2", 2),
     ],
 )
 def test_a_training_is_compared_with_a_gait_by_as_many_episodes(words: str, count: int) -> None:
-    job = settings(*tiny_search("evaluation=gaits", *words.split())[1:])
-    training = job.evaluation.build(job, {}).training
-    assert training.factory.episodes(training.settings.eval_envs) == count
+    job = settings(*tiny_search("fitness=gaits", *words.split())[1:])
+    training = job.fitness.build(job, {}).training
+    assert training.factory.episodes(training.settings.episodes) == count
     finalist = Candidate(0, example_design("walker"), (), FINALIST)
-    assert job.evaluation.run_of(job, finalist, Outcome(1.0))["eval_envs"] == count
+    assert job.fitness.run_of(job, finalist, Outcome(1.0))["episodes"] == count

@@ -21,8 +21,8 @@ def free(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
         (20, "num_envs", "train num_envs=10000000"),
         (1, "num_envs", "train designs=random:64 policy=transformer num_envs=200000"),
         (1, "batch", "codesign training.envs=4096 training.ppo.steps=64"),
-        (8, "training.eval_envs", "codesign training.eval_envs=10000000"),
-        (8, "evaluation.beam", "codesign evaluation=gaits evaluation.beam=10000000 evaluation.passes=1"),
+        (8, "training.episodes", "codesign training.episodes=10000000"),
+        (8, "fitness.beam", "codesign fitness=gaits fitness.beam=10000000 fitness.passes=1"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_what_does(warpvox, tmp_path, free, size, key: str, words: str) -> None:

@@ -36,8 +36,8 @@ def test_words_of_ordinary_cases() -> None:
     assert config.output_dir == "a/b-c_1.x"
     assert load("train", ["export=[gif,usd]"]).export == ["gif", "usd"]
     assert load("train", ["design=[[3,3],[4,4]]", "ppo.hidden=[32,16]"]).ppo.hidden == [32, 16]
-    assert load("train", ["designs=random:64"]).designs.bodies == "random:64"
-    assert load("codesign", ["finalists=2", "evaluation=gaits"]).evaluation.finalists == 2
+    assert load("train", ["bodies=random:64", "bodies.refresh=new"]).designs.bodies == "random:64"
+    assert load("codesign", ["finalists=2", "evaluation=gaits", "evaluation.gaits=5"]).fitness.finalists == 2
     assert load("play", ["output_dir=läufe"]).output_dir == "läufe"  # which the grammar of Hydra cannot read
 
 
@@ -66,23 +66,23 @@ def test_single_values_and_numbers_as_text(command: str, word: str, name: str, v
 
 
 def test_a_stored_configuration_runs_again(tmp_path: Path) -> None:
-    first = load("train", ["ppo=evogym", "seed=3", "design=[[3,3],[4,4]]", "physics.gravity=80", "name=x"])
-    file = tmp_path / "config (1).yaml"
-    file.write_text(to_yaml(first) + "...\n")
+    words = "ppo=evogym seed=3 design=[[3,3],[4,4]] physics.gravity=80 name=x protocol=noise episodes=3".split()
+    first, file = load("train", words), tmp_path / "config (1).yaml"
+    file.write_text(to_yaml(first).replace("protocol: noise", "fitness: robust") + "...\n")  # as 0.1.0 wrote it
     assert load("train", [f"config={file}"]) == first
     again = load("train", ["seed=4", f"config={file}", "ppo.gamma=0.5"])
     assert (again.seed, again.ppo.gamma, again.num_envs, again.physics.gravity) == (4, 0.5, 4, 80.0)
     other = load("train", [f"config={file}", "ppo=parallel", "num_envs=16"])
     assert (other.ppo, other.num_envs, other.seed) == (load("train", []).ppo, 16, 3)
     assert load("train", [f"config={file}", "ppo=parallel"]).num_envs == 4  # of the file: it is not in the section
-    search = load("codesign", ["search=map_elites", "search.bins=3", "evaluation=gaits", "evaluation.beam=3"])
+    search = load("codesign", ["search=map_elites", "search.bins=3", "fitness=gaits", "fitness.beam=3"])
     file.write_text(to_yaml(search))
     assert load("codesign", [f"config={file}"]) == search
-    assert load("codesign", [f"config={file}", "evaluation.gaits=3"]).evaluation == replace(search.evaluation, gaits=3)
-    other = load("codesign", [f"config={file}", "evaluation=specialist"])
-    assert other == replace(search, evaluation=load("codesign", ["evaluation=specialist"]).evaluation)
+    assert load("codesign", [f"config={file}", "fitness.gaits=3"]).fitness == replace(search.fitness, gaits=3)
+    other = load("codesign", [f"config={file}", "fitness=specialist"])
+    assert other == replace(search, fitness=load("codesign", ["fitness=specialist"]).fitness)
     file.write_text(to_yaml(search).replace("name: gaits", "name: gates"))
-    with refused(ConfigError, "evaluation must be one of", "got 'gates'"):
+    with refused(ConfigError, "fitness must be one of", "got 'gates'"):
         load("codesign", [f"config={file}"])
 
 

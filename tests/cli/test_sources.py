@@ -38,8 +38,8 @@ def made(place: Path) -> SimpleNamespace:
     run = wv.train("Walker-v0", **(KEYS | {"dtype": "float64"}), ppo=PPO, folder="run", progress=False)
     unwritten = wv.train("Walker-v0", **(KEYS | {"dtype": "float64"}), ppo=PPO, folder=None, progress=False)
     found = wv.codesign(
-        "Walker-v0", (3, 3), search=wv.GA(population=3, max_evaluations=3), dtype="float64", training=TRAINING,
-        evaluation=wv.Gaits(gaits=2, rounds=1, finalists=1, final_rounds=1, final_gaits=2, final_passes=0),
+        "Walker-v0", (3, 3), search=wv.GA(population=3, max_designs=3), dtype="float64", training=TRAINING,
+        fitness=wv.Gaits(gaits=2, rounds=1, finalists=1, final_rounds=1, final_gaits=2, final_passes=0),
         folder="search", progress=False, **SMALL,
     )  # fmt: skip
     return SimpleNamespace(run=run, unwritten=unwritten, found=found)
@@ -199,7 +199,7 @@ def test_a_training_takes_every_form_of_a_body(made: SimpleNamespace) -> None:
 
 
 def test_a_search_begins_with_a_robot_as_with_its_name(place: Path, made: SimpleNamespace) -> None:
-    """With its gait, too, which ``evaluation=gaits`` goes on from."""
+    """With its gait, too, which ``fitness=gaits`` goes on from."""
     for robot, name in ((wv.zoo("Thrower-v0"), "zoo:Thrower-v0"), (made.found, "search"), (made.found.best, "search")):
         one, other = (read_start(wv.Codesign(start=[form]))[0] for form in (robot, name))
         assert one.sha256 == other.sha256

@@ -81,7 +81,7 @@ def test_a_resumed_training_goes_on_in_the_same_run(
 
 
 def test_searches_of_one_name_send_their_generations_as_one_group(told: Callable, warpvox: Callable) -> None:
-    words = "name=pilot task=Walker-v0 search=random search.max_evaluations=4 search.population=2 logger=wandb"
+    words = "name=pilot task=Walker-v0 search=random search.max_designs=4 search.population=2 logger=wandb"
     warpvox(*tiny("codesign", *words.split()))
     found = told()
     (folder,) = Path("outputs/codesign/Walker-v0").iterdir()

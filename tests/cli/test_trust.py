@@ -40,7 +40,7 @@ class Mine(BaseSearch):
         return [self.random_proposal(rng) for _ in range(count)]
 """
 PLAY = ["num_envs=1", "threads=1", "device=cpu", "steps=2", "window=off"]
-FEW = "search.population=2", "search.max_evaluations=2"
+FEW = "search.population=2", "search.max_designs=2"
 
 
 def change_config(folder: Path, **changes: object) -> None:

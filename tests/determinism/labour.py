@@ -25,7 +25,7 @@ TRAIN = (
     " seed=4"  # two packs, one for each of two threads
 )
 SEARCH = (
-    "shape=[3,3] search.population=4 search.max_evaluations=6 training.envs=8 training.iterations=2"
+    "shape=[3,3] search.population=4 search.max_designs=6 training.envs=8 training.iterations=2"
     " training.eval_interval=1 training.ppo.steps=4 training.ppo.hidden=[8] training.ppo.epochs=1 seed=4"
 )
 PLAY = "task=Catcher-v0 agent=random design=mini num_envs=2 steps=12 seed=4 window=off size=[160,120]"
@@ -76,7 +76,7 @@ def proposals() -> Iterator[tuple[str, str]]:
     for name, settings in ALGORITHMS.items():
         if name == "custom" or (name in NEEDS and find_spec(NEEDS[name]) is None):
             continue
-        search = make_search(settings(population=6, max_evaluations=30, **HASTY.get(name, {})), (4, 4), 4)
+        search = make_search(settings(population=6, max_designs=30, **HASTY.get(name, {})), (4, 4), 4)
         seen = []
         for _ in range(GENERATIONS):
             asked = search.ask()

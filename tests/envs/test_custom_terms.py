@@ -92,29 +92,22 @@ def velocity_along(state: Any, name: str, axis: str) -> torch.Tensor:
     return state.velocity(name)[:, [AXES[axis]]]
 
 
-@pytest.mark.parametrize(
-    "make_term",
-    [
-        lambda: rewards(displacement, axs="x"),
-        lambda: rewards(displacement, axis="x", wight=2),
-        lambda: rewards(velocity),
-    ],
-)
-def test_parameters_are_checked_when_a_term_is_written(make_term: Callable) -> None:
+BAD_WORDS = [(displacement, {"axs": "x"}), (displacement, {"axis": "x", "wight": 2}), (velocity, {})]
+
+
+@pytest.mark.parametrize(("function", "words"), BAD_WORDS)
+def test_parameters_are_checked_when_a_term_is_written(function: Callable, words: dict) -> None:
     with pytest.raises(TaskError):
-        make_term()
+        rewards(function, **words)
 
 
 def lookup(state: Any, name: str) -> torch.Tensor:
     return torch.zeros(len(state.com("robot")), {"a": 1}[name])
 
 
-@pytest.mark.parametrize(
-    "observation",
-    [observes(velocity, "robbot"), observes(velocity_along, axis="z"), observes(lookup)],
-)
-def test_errors_within_a_term_name_it(observation: Any) -> None:
-    spec = replace(BASE, observations=(*BASE.observations, observation))
+@pytest.mark.parametrize("term", [observes(velocity, "robbot"), observes(velocity_along, axis="z"), observes(lookup)])
+def test_errors_within_a_term_name_it(term: Any) -> None:
+    spec = replace(BASE, observations=(*BASE.observations, term))
     with pytest.raises(TaskError) as caught:
         make(spec)
     assert caught.value.__cause__ is not None
@@ -228,9 +221,7 @@ def test_a_reward_about_the_state_before_sees_it() -> None:
     def began(before: Any, after: Any, name: str) -> torch.Tensor:
         return x_of(before)
 
-    env = make(
-        replace(BASE, observations=(observes(lambda state, name: state.velocity(name)),), rewards=(rewards(began),))
-    )
+    env = make(replace(BASE, observations=(observes(velocity),), rewards=(rewards(began),)))
     env.reset()
     for _ in range(4):
         x = env.sim.com("robot")[:, 0]

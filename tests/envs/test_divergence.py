@@ -14,6 +14,7 @@ from warpvox.envs.registry import get_task
 from warpvox.envs.spec import terminates
 from warpvox.envs.terms.terminations import beyond
 from warpvox.envs.vec_env import VoxelVecEnv, make_vec
+from warpvox.kernels.state import UNSTABLE
 from warpvox.simulation import Simulation
 from warpvox.types import Physics
 
@@ -212,9 +213,10 @@ def test_tests_for_the_end_look_at_the_old_state_when_the_step_was_stopped() -> 
 
 def test_self_folding_costs_what_the_task_says() -> None:
     env = make_vec("Walker-v0", num_envs=2, device="cpu", threads=1)
-    unstable, active = torch.tensor([True, False]), torch.tensor([True, True])
-    terms, terminated = env.evaluate_terms(env._snapshot(), env._snapshot(), unstable, active)
-    assert (terms["unstable"].tolist(), terminated.tolist()) == ([-3.0, 0.0], [True, False])
+    env.sim.array("status").view(-1)[env.sim.slot[0]] = UNSTABLE
+    env._outcomes.count()
+    found, terms = env._outcomes.score([torch.zeros(2)], [torch.zeros(2) > 0], auto_reset=False)
+    assert (terms["unstable"].tolist(), found["terminated"].tolist()) == ([-3.0, 0.0], [True, False])
 
 
 def test_speeds_of_a_fall_without_end_are_sound() -> None:

@@ -117,8 +117,8 @@ def test_no_display_is_said_and_the_mode_is_not_offered(monkeypatch: pytest.Monk
 def test_a_task_of_ones_own_can_be_registered() -> None:
     name = register_task(replace(get_task("Walker-v0"), id="Mine-v0", max_episode_steps=7), "mine")
     assert name == "mine/Mine-v0"
-    assert gymnasium.make(name, body="walker").spec.max_episode_steps == 7
-    assert gymnasium.make_vec(name, num_envs=2, body="walker").vec.max_episode_steps == 7
+    assert gymnasium.make(name, design="walker").spec.max_episode_steps == 7
+    assert gymnasium.make_vec(name, num_envs=2, bodies=["walker"]).vec.max_episode_steps == 7
     with pytest.raises(ConfigError):
         register_task("Walker-v0", "warpvox")
 

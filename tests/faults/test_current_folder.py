@@ -29,7 +29,7 @@ MODULES = (
 )
 """Names of modules that interpreters and libraries import when they start."""
 SEARCH = ("task=Walker-v0", "search=random", "search.population=2")
-BY_RAY = tiny("codesign", *SEARCH, "search.max_evaluations=2", "executor=ray", "workers=1")
+BY_RAY = tiny("codesign", *SEARCH, "search.max_designs=2", "executor=ray", "workers=1")
 
 
 @pytest.fixture

@@ -405,7 +405,7 @@ def test_a_search_that_could_not_make_its_archive_is_made_when_it_is_repeated(tm
 
     def search() -> dict[str, Any]:
         options = dict(folder=tmp_path / "run", progress=False, shape=(3, 3), device="cpu", threads=1)
-        return wv.codesign(search=ToySearch(), evaluation=Judge(), **options).summary
+        return wv.codesign(search=ToySearch(), fitness=Judge(), **options).summary
 
     with monkeypatch.context() as patch:
         patch.setattr(Archive, "_create_tables", refuse)
@@ -418,7 +418,7 @@ def test_a_search_that_could_not_make_its_archive_is_made_when_it_is_repeated(tm
 def test_a_search_that_could_not_begin_leaves_the_next_one_nothing_to_begin_with(tmp_path: Path, monkeypatch) -> None:
     def search(*start: str) -> dict[str, Any]:
         options = dict(progress=False, shape=(3, 3), device="cpu", threads=1, start=start)
-        options |= dict(search=wv.GA(population=3, max_evaluations=3), evaluation=Judge())
+        options |= dict(search=wv.GA(population=3, max_designs=3), fitness=Judge())
         return wv.codesign(folder=tmp_path / "run", **options).summary
 
     for name, corner in {"a": 1, "b": 2, "c": 4}.items():

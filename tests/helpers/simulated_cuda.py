@@ -38,6 +38,8 @@ PLAIN = set(
         "_has_compatible_shallow_copy_type"
     ).split()
 )  # functions that are about no values
+NO_NODES = {"empty", "empty_like", "new_empty", "_unsafe_view"}
+"""Operations that launch nothing."""
 WAITING = {
     *("item", "tolist", "__bool__", "__int__", "__float__", "__index__", "__format__", "__repr__", "equal", "allclose"),
     *("nonzero", "argwhere", "masked_select", "unique", "unique_consecutive", "bincount", "histc", "is_nonzero"),
@@ -65,10 +67,10 @@ class Tape(TorchDispatchMode):
     def __torch_dispatch__(self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
         kwargs = kwargs or {}
         result = func(*args, **kwargs)
-        alias = [value.alias_info for value in func._schema.returns]
+        is_view = any(value.alias_info is not None for value in func._schema.returns)  # it follows what it shows
         if func._schema.is_mutable:
             self.done.append(lambda: func(*args, **kwargs))
-        elif not any(info is not None for info in alias):  # a view goes on showing what it shows
+        elif not is_view and func.__name__.split(".")[0] not in NO_NODES:
             assert isinstance(result, torch.Tensor), func
             self.done.append(lambda: result.copy_(func(*args, **kwargs)))
         return result

@@ -6,7 +6,7 @@ SEARCH = (
 )
 WORDS = {
     "train": "design=mini num_envs=8 max_iterations=1 eval_interval=2 ppo.steps=4 ppo.hidden=[8] ppo.epochs=1",
-    "codesign": f"{SEARCH} search.max_evaluations=5",
+    "codesign": f"{SEARCH} search.max_designs=5",
 }
 
 

@@ -16,13 +16,13 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="links need a right o
 SEARCH = ("task=Walker-v0", "search=random", "search.population=2")
 MAKERS = {
     "train": tiny("train", "task=Walker-v0", "design=mini"),
-    "codesign": tiny("codesign", *SEARCH, "search.max_evaluations=2"),
+    "codesign": tiny("codesign", *SEARCH, "search.max_designs=2"),
 }
 WRITERS = {
     "train": [["train", "resume=run", "max_iterations=2"]],
     "codesign": [
         ["codesign", "report=run", "export=[csv,npz]"],
-        ["codesign", "resume=run", "search.max_evaluations=3"],
+        ["codesign", "resume=run", "search.max_designs=3"],
     ],
 }
 """Commands that write into the folder of a run."""

@@ -6,9 +6,9 @@ import warp as wp
 
 from warpvox.envs.registry import task_ids
 from warpvox.envs.vec_env import make_vec
-from warpvox.kernels import ppo, sensing
+from warpvox.kernels import episodes, ppo, sensing
 from warpvox.kernels.group import choose, group_kernel
-from warpvox.kernels.reset import reset_kernel, save, settle
+from warpvox.kernels.reset import reset_kernel, save, settle, shift_kernel
 from warpvox.kernels.reverse import reverse_kernel
 from warpvox.kernels.step import STAGES, action_kernel, stage_kernel, step_kernel
 
@@ -34,8 +34,13 @@ LEARNING = [kernel for kernel in vars(ppo).values() if isinstance(kernel, wp.Ker
 
 
 def kernels_of_cuda(arithmetic, precision):
-    """Every kernel that is launched on CUDA: those of steps, all sensing and learning."""
-    return [*kernels_of_steps(arithmetic, precision), *sensing.KERNELS.values(), *LEARNING]
+    """Every kernel that is launched on CUDA: those of steps, all sensing, episodes and learning."""
+    return [*kernels_of_steps(arithmetic, precision), *kernels_besides(precision)]
+
+
+def kernels_besides(precision):
+    own = [episodes.finite_kernel(precision), shift_kernel(precision)]
+    return [*sensing.KERNELS.values(), *episodes.KERNELS.values(), *own, *LEARNING]
 
 
 def build(kernel, architecture, folder):
@@ -57,8 +62,8 @@ def test_the_reverse_pass_becomes_ptx(precision, tmp_path):
     check([reverse_kernel(precision, 1)], tmp_path)
 
 
-def test_every_kernel_of_sensing_and_learning_becomes_ptx(tmp_path):
-    check([*sensing.KERNELS.values(), *LEARNING], tmp_path)
+def test_every_kernel_of_sensing_episodes_and_learning_becomes_ptx(tmp_path):
+    check(kernels_besides("float32"), tmp_path)
 
 
 def check(kernels, tmp_path):

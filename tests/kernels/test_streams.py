@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from warpvox.kernels import sensing
-from warpvox.kernels.reset import follow_kernel, reset_kernel, save, settle
+from warpvox.kernels import episodes, sensing
+from warpvox.kernels.reset import follow_kernel, reset_kernel, save, settle, shift_kernel
 from warpvox.kernels.step import STAGES, action_kernel, stage_kernel, step_kernel
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -18,7 +18,8 @@ OURS_ALONE = {"launch", "launch_tiled", "kernel", "Launch.launch", "zeros", "emp
 OURS_ALONE |= {"from_numpy", "ScopedStream", "set_stream", "stream_from_torch", "ScopedCapture", "capture_launch"}
 """What goes to Warp's own streams, or chooses a stream: only the helper may do so."""
 CAPTURING = {"capture_begin", "capture_end"}
-EVERY_KERNEL = {"control_step", "place_actions", "reset", "follow", *sensing.KERNELS}
+EVERY_KERNEL = {"control_step", "place_actions", "reset", "follow", "shift", "replace_nonfinite"}
+EVERY_KERNEL |= {*sensing.KERNELS, *episodes.KERNELS}
 
 
 def uses_of_warp(tree: ast.AST) -> Iterator[tuple[int, str]]:
@@ -58,7 +59,9 @@ def test_every_kernel_is_compiled_without_fused_operations(arithmetic: str, prec
     """One decorator makes them (the test above); what it makes of them is looked at here."""
     kernels = [step_kernel(arithmetic, precision, width) for width in (1, 8)]
     kernels += [stage_kernel(stage, precision, 1) for stage in (*STAGES[arithmetic], save, settle)]
-    kernels += [build(precision) for build in (action_kernel, reset_kernel, follow_kernel)]
-    kernels += sensing.KERNELS.values()
+    kernels += [
+        build(precision) for build in (action_kernel, reset_kernel, follow_kernel, shift_kernel, episodes.finite_kernel)
+    ]
+    kernels += [*sensing.KERNELS.values(), *episodes.KERNELS.values()]
     assert EVERY_KERNEL <= {kernel.func.__name__ for kernel in kernels}
     assert not [kernel.func.__name__ for kernel in kernels if kernel.module.options["fuse_fp"]]

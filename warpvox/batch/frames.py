@@ -36,7 +36,7 @@ def is_cut(obj: WorldObject) -> bool:
 
 
 class Frame:
-    """Common parts of a group's worlds (places of robots, other objects), and the tables of the group's packs.
+    """Common data of all worlds of a group (places of robots, other objects), and the tables of their packs.
 
     Args:
         worlds: all of one frame.

@@ -154,8 +154,11 @@ class Objects:
         frame = self._batch.frame_of_envs()
         return fixed[frame].to(self.device, dtype), is_fixed[frame].to(self.device)
 
-    def loose_points(self, names: Sequence[str]) -> tuple[torch.Tensor, ...]:
-        """Return rows, object cells, object heights and point cells of loose objects, for shifting them."""
+    def loose_points(self, names: Sequence[str]) -> torch.Tensor:
+        """Return the points of loose objects, long ``[num_envs, points, 6]``.
+
+        An entry has the index of the point, the object's cell (x, y) and height, and the point's column and row in it.
+        """
         # Of each frame: x, y and height of the object, column and row of its points
         tables: list[list[list[int]]] = []
         for compiled in self._batch.compiled:
@@ -185,7 +188,7 @@ class Objects:
             places.append(begin + torch.arange(self.num_points[name], device=self.device))
         if places:
             rows = self.rows.gather(1, torch.cat(places, dim=1))
-        return rows, table[..., 0:2], table[..., 2], table[..., 3:5]
+        return torch.cat([rows[..., None], table], dim=2)
 
     def scan_tables(self, objects: tuple[str, ...] | None) -> tuple[wp.array, wp.array, wp.array]:
         """Return the tables for a terrain scan: fixed points by lattice column, and movable objects.

@@ -22,7 +22,7 @@ from warpvox.errors import ConfigError, did_you_mean
 from warpvox.examples import bare_id
 from warpvox.io.reading import LARGEST_CONFIG, Unreadable, parse_yaml, read_text
 from warpvox.keys import ELSEWHERE, SYNONYMS, flat
-from warpvox.runs import CODESIGN, CONFIG, TRAINING, ZOO, search_as_now, without_services
+from warpvox.runs import CODESIGN, CONFIG, TRAINING, ZOO, as_now, without_services
 
 
 def load(command: str, words: Sequence[str], config_dir: Path | None = None) -> Any:
@@ -109,17 +109,17 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
         "play": {"format": "export"},
         "export": {"export": "format"},
         "codesign": {
-            "finalists": "evaluation.finalists",
-            "pretrained": "evaluation.pretrained",
+            "finalists": "fitness.finalists",
+            "pretrained": "fitness.pretrained",
             "search.algorithm": "search",
-            "evaluation.name": "evaluation",
+            "fitness.name": "fitness",
         },
     }
     for word in words:
         name, given, text = word.partition("=")
-        group, dot, last = name.rpartition(".")
-        others = () if name in keys else (f"{group}{dot}{other}" for other in SYNONYMS.get(last, ()))
-        name = next((other for other in others if other in keys), name)
+        if name not in keys:
+            others = (name.replace(part, other, 1) for part in name.split(".") for other in SYNONYMS.get(part, ()))
+            name = next((other for other in others if other in keys), name)
         name = renamed.get(command, {}).get(name, name)
         override = _parse_word(f"{name}{given}{text}")
         if given and text and name in keys and keys[name].takes_text:
@@ -173,8 +173,7 @@ def _read_stored(command: str, given: dict[str, Any]) -> tuple[dict[str, Any], P
         if not isinstance(values, dict) or not values:
             raise ConfigError(f"config must be a YAML file or the folder of a run; {path} holds no KEY: VALUE.")
         given["config"] = None
-        if command == CODESIGN:
-            values = search_as_now(values, path)
+        values = as_now(values, path)
     elif given.get("resume") is not None:
         name = str(given["resume"])
         output_dir = str(given.get("output_dir", "outputs"))

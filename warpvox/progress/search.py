@@ -98,14 +98,14 @@ class SearchProgress(Listener):
         done = f", {self._counts()} done" if run.resumed else ""
         echo(self.console, f"{run.settings.search.title} on {settings.task}, rules {settings.rules}, on {where}{done}")
         folder = run.folder
-        budget = settings.search.max_evaluations
+        budget = settings.search.max_designs
         echo(self.console, f"run folder: {shown(folder)}")
         files = [folder / record.policy_file for record in self.archive.records() if record.policy_file]
         if lost := [file for file in files if not file.is_file()]:
             echo(self.console, f"the policies of {len(lost)} designs are gone from {shown(folder / 'designs')}")
         if run.resumed and self._start >= run.total:
             spent = f"the search has spent its {budget} evaluations: nothing is left to do. What"
-            more = " it proposes depends on them, so that more make another search (search.max_evaluations=N)"
+            more = " it proposes depends on them, so that more make another search (search.max_designs=N)"
             echo(self.console, spent + more)
 
     def ended(self, summary: Mapping[str, Any]) -> None:

@@ -191,7 +191,7 @@ def test_the_papers_experiments_are_complete_and_a_cut_is_useful() -> None:
     assert {(search, seed) for _, search, seed in keys[27:49]} == {("ga", 0)}
     assert {task for task, _, _ in keys[147:]} == {paper.SLOWEST}
     settings = [one.settings for one in every]
-    assert {one["search"].max_evaluations for one in settings} == {20_000_000 // (32 * 64 * 60)}
+    assert {one["search"].max_designs for one in settings} == {20_000_000 // (32 * 64 * 60)}
     assert {(one["training"].envs, one["training"].iterations) for one in settings} == {(32, 60)}
     assert {tuple(one.settings["shape"]) for one in every if one.task == "Lifter-v0"} == {(5, 7)}
 

@@ -56,7 +56,7 @@ def test_the_policy_goes_on_or_begins_with_a_pretrained_one(tmp_path: Path) -> N
 
 def test_a_search_ends_with_finalists(tmp_path: Path) -> None:
     training = wv.DesignTraining(envs=4, iterations=1, eval_interval=1, ppo=wv.Ppo(steps=4, epochs=1))
-    settings = wv.GA(population=3, max_evaluations=6, min_survivors=1)
+    settings = wv.GA(population=3, max_designs=6, min_survivors=1)
     found, finals = search(tmp_path, shape=(3, 3), settings=settings, finalists=2, training=training, **HOW)
     assert (len(found.designs), len(finals.designs)) == (6, 2)
     ranked = sorted(found.designs, key=lambda record: -record.fitness)

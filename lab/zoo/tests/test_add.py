@@ -65,11 +65,11 @@ def test_an_entry_of_a_search_has_cost_what_it_started_from() -> None:
     about = {"command": "warpvox train", "control_steps": 1000, "wall_s": 5.0, "commit": "c0ffee"}
     save_robot("mini.npz", dataclasses.replace(script.robots_of(train("mini"))[0], about=about))
     train("run", design=[[3, 3, 3], [4, 4, 4], [4, 4, 4]])
-    evaluation = wv.Gaits(gaits=4, rounds=1, passes=0, finalists=1, final_rounds=1, final_passes=0)
-    search = wv.RandomDesigns(max_evaluations=2, population=2)
+    fitness = wv.Gaits(gaits=4, rounds=1, passes=0, finalists=1, final_rounds=1, final_passes=0)
+    search = wv.RandomDesigns(max_designs=2, population=2)
     training = wv.DesignTraining(envs=8, iterations=1, eval_interval=1, ppo=PPO)
     options = {"device": "cpu", "threads": 1, "progress": False, "folder": Path("search")}
-    parts = {"search": search, "evaluation": evaluation, "training": training, "start": ["zoo:mini.npz", "run"]}
+    parts = {"search": search, "fitness": fitness, "training": training, "start": ["zoo:mini.npz", "run"]}
     rows, columns = wv.load_design("mini").shape
     found = wv.codesign("Walker-v0", (rows, columns), **parts, **options)
     assert "wrote" in add(found.folder, Path("mine"), top=2)

@@ -18,7 +18,7 @@ import warpvox as wv
 from warpvox.algos.archive import FILE, Archive
 from warpvox.algos.candidate import START, Candidate, Outcome, Parents
 from warpvox.algos.checkpoints.files import load_checkpoint
-from warpvox.algos.codesign.evaluations.custom import Custom
+from warpvox.algos.codesign.fitness.custom import Custom
 from warpvox.algos.codesign.loop import LocalExecutor, Loop
 from warpvox.algos.codesign.settings import Codesign
 from warpvox.algos.listener import Listener
@@ -30,7 +30,7 @@ from warpvox.types import Physics
 
 SMALL = dict(shape=(3, 3), device="cpu", threads=1, progress=False)
 TRAINING = {"envs": 8, "iterations": 1, "eval_interval": 1, "ppo": {"steps": 4, "hidden": [8], "epochs": 1}}
-GA = dict(population=3, max_evaluations=5)
+GA = dict(population=3, max_designs=5)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -91,8 +91,8 @@ def test_objects_make_the_search_that_the_command_makes(warpvox: Callable, tmp_p
 def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
     task = "BidirectionalWalker-v0"  # draws at random: a winner with a policy would be judged again
     search = ToySearch()
-    search.max_evaluations = []  # a name of its own, and no budget
-    found = wv.codesign(task, search=search, evaluation=Judge(), folder=tmp_path / "run", **SMALL)
+    search.max_designs = []  # a name of its own, and no budget
+    found = wv.codesign(task, search=search, fitness=Judge(), folder=tmp_path / "run", **SMALL)
     assert len(found.designs) == found.summary["evaluations"] > 20
     assert found.summary["search"] == "custom"
     with pytest.raises(wv.ConfigError):
@@ -103,15 +103,15 @@ def test_a_search_and_an_evaluation_of_ones_own(tmp_path: Path) -> None:
         known = {record.id: record.fitness for record in archive.records()}
     assert {record.id: known[record.id] for record in found.designs} == {one.id: one.fitness for one in found.designs}
     # budget, population, shape and seed are those of the search; a class of the same name goes on, wherever it lies
-    Own, few = type("Own", (RandomSearch,), {}), wv.RandomDesigns(population=4, max_evaluations=8)
-    how = dict(evaluation=Judge(), folder=tmp_path / "own", start=["random:2:3x3"]) | SMALL
+    Own, few = type("Own", (RandomSearch,), {}), wv.RandomDesigns(population=4, max_designs=8)
+    how = dict(fitness=Judge(), folder=tmp_path / "own", start=["random:2:3x3"]) | SMALL
     del how["shape"]
     for module in ("__main__", "codesign_toys"):
         Own.__module__ = module
         again = wv.codesign(search=Own(few, (3, 3), seed=2), **how)
         assert (again.settings.shape, again.settings.seed) == ([3, 3], 2)
         assert sorted(one.id for one in again.designs if one.candidate.origin == START) == [0, 1]
-        assert (again.settings.search.population, again.settings.search.max_evaluations) == (4, 8)
+        assert (again.settings.search.population, again.settings.search.max_designs) == (4, 8)
         assert again.settings.search.make == f"{module}:Own"
     for wrong, says in [
         ({"search": Own(few, (3, 4))}, "made with shape=[3, 4] and seed=0, asked for [3, 3] and 0"),
@@ -130,7 +130,7 @@ def test_who_has_heard_the_beginning_of_a_search_hears_its_end(tmp_path: Path, m
     def heard(error: type[BaseException], *others: Ear) -> list[str]:
         ears = [Ear(), *others]
         with pytest.raises(error):
-            wv.codesign(search=ToySearch(), evaluation=Judge(), folder=tmp_path / "run", listeners=ears, **SMALL)
+            wv.codesign(search=ToySearch(), fitness=Judge(), folder=tmp_path / "run", listeners=ears, **SMALL)
         return [ear.heard[-1] if ear.heard else "" for ear in ears]
 
     assert heard(ValueError, Deaf(), Ear()) == ["ended failed", "", ""]
@@ -161,7 +161,7 @@ class Actuators:
 def test_an_evaluation_in_a_file(warpvox: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("mine.py").write_text(OWN)
-    words = ["evaluation=custom", "evaluation.make=mine.py:Actuators", "evaluation.settings={weight:2}"]
+    words = ["fitness=custom", "fitness.make=mine.py:Actuators", "fitness.settings={weight:2}"]
     warpvox(*tiny("codesign", *words))
     (folder,) = Path("outputs/codesign/Walker-v0").iterdir()
     with Archive.read(folder / FILE) as archive:
@@ -169,11 +169,11 @@ def test_an_evaluation_in_a_file(warpvox: Callable, tmp_path: Path, monkeypatch:
             assert record.fitness == 2 * np.isin(record.candidate.body, (3, 4)).sum()
     (folder / "summary.json").unlink()
     warpvox("codesign", f"resume={folder}", fails="imported only if you name it")
-    warpvox("codesign", f"resume={folder}", "evaluation.make=mine.py:Actuators")
+    warpvox("codesign", f"resume={folder}", "fitness.make=mine.py:Actuators")
     for wrong, says in [
-        ("evaluation.make=mine.py:Actuator", "Actuator"),
-        ("evaluation.make=null", "evaluation=custom needs evaluation.make"),
-        ("evaluation.settings={wait:2}", "does not take these settings"),
+        ("fitness.make=mine.py:Actuator", "Actuator"),
+        ("fitness.make=null", "fitness=custom needs fitness.make"),
+        ("fitness.settings={wait:2}", "does not take these settings"),
     ]:
         warpvox(*tiny("codesign", *words, wrong), fails=says)
 
@@ -197,8 +197,8 @@ def test_a_policy_for_voxels_of_an_evaluation_of_ones_own_is_played(on_grid: boo
                 outcomes.append(Outcome(best, steps=16, policy=content["actor_state_dict"], spec=content["policy"]))
             return outcomes
 
-    search = wv.GA(population=2, max_evaluations=2, min_survivors=1)
-    found = wv.codesign(search=search, evaluation=Trains(), folder=tmp_path / "search", **SMALL)
+    search = wv.GA(population=2, max_designs=2, min_survivors=1)
+    found = wv.codesign(search=search, fitness=Trains(), folder=tmp_path / "search", **SMALL)
     (row,) = wv.evaluate(found, episodes=1, device="cpu")
     assert row.mean == pytest.approx(found.best.fitness, abs=1e-6)
 

@@ -12,12 +12,12 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from warpvox.algos.archive import FILE, Archive, Finished
 from warpvox.algos.candidate import FINALIST, Candidate, Outcome, best_so_far
 from warpvox.algos.codesign.results import Found
-from warpvox.algos.codesign.settings import EVALUATIONS, Codesign
+from warpvox.algos.codesign.settings import FITNESS, Codesign
 from warpvox.algos.report import report_page
 from warpvox.algos.report.members import read_members
 
 RETURNS = st.lists(st.floats(-10, 10, width=32), min_size=1, max_size=6)
-WITH_FINALISTS = [name for name, one in EVALUATIONS.items() if getattr(one(), "finalists", 0)]
+WITH_FINALISTS = [name for name, one in FITNESS.items() if getattr(one(), "finalists", 0)]
 
 
 def search_in(folder: Path, evaluation: str, screened: list[float], final: list[float]) -> Archive:
@@ -40,7 +40,7 @@ def search_in(folder: Path, evaluation: str, screened: list[float], final: list[
     return archive
 
 
-@pytest.mark.parametrize("evaluation", EVALUATIONS)
+@pytest.mark.parametrize("evaluation", FITNESS)
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(screened=RETURNS, final=RETURNS, data=st.data())
 def test_the_best_so_far_never_falls_and_ends_at_the_best_design(

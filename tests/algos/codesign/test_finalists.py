@@ -22,7 +22,7 @@ def fitness(body: np.ndarray) -> float:
 @EVERY
 def test_after_every_search_the_best_come_again(algorithm: str) -> None:
     def search() -> Finalists:
-        settings = ALGORITHMS[algorithm](population=3, max_evaluations=6, **HASTY.get(algorithm, {}))
+        settings = ALGORITHMS[algorithm](population=3, max_designs=6, **HASTY.get(algorithm, {}))
         return Finalists(make_search(settings, (3, 3), 0), 2)
 
     history = run(search(), fitness)

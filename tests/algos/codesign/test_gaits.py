@@ -11,8 +11,8 @@ import torch
 from population_cases import LIMIT, candidates, factory
 
 from warpvox.algos.candidate import FINALIST, START, Candidate, Outcome, Parent
-from warpvox.algos.codesign.evaluations import Gaits
 from warpvox.algos.codesign.finalists import TwoStages
+from warpvox.algos.codesign.fitness import Gaits
 from warpvox.algos.codesign.gait_actions import actions_of_gaits
 from warpvox.algos.codesign.gait_evaluator import GaitEvaluator
 from warpvox.algos.codesign.gaits import LONGEST, SHORTEST, Gait, draw_gait, mutate_gait, mutate_motion, with_stages

@@ -168,7 +168,7 @@ def test_another_search_is_refused_in_its_first_generation(tmp_path: Path) -> No
 @pytest.mark.parametrize("gone", ["id >= 4 AND generation = 0", "id = 29"])
 def test_where_rows_were_deleted_the_backup_is_named(tmp_path: Path, gone: str) -> None:
     def search() -> Any:
-        return make_search(RandomDesigns(population=6, max_evaluations=30), (3, 3), SEED)
+        return make_search(RandomDesigns(population=6, max_designs=30), (3, 3), SEED)
 
     loop = make_loop(tmp_path, search=search())
     loop.run()
@@ -348,7 +348,7 @@ def test_every_search_goes_on(tmp_path: Path, settings: type) -> None:
     for attempt in ("one", "other"):
         (tmp_path / attempt).mkdir()
         archive = Archive.create(tmp_path / attempt / "a.sqlite", {})
-        search = make_search(settings(population=4, max_evaluations=BUDGET), (3, 3), seed=1)
+        search = make_search(settings(population=4, max_designs=BUDGET), (3, 3), seed=1)
         Loop(search, LocalExecutor(Diverging([0, 2, 5, 6])), archive, seed=0, batch=1).run()
         records = archive.records()
         assert len(records) >= BUDGET

@@ -158,7 +158,7 @@ def test_climbing_ends_where_no_valid_neighbour_is_higher() -> None:
 
 @pytest.mark.parametrize("acquisition", ["paper", "lbfgs", "pathwise"])
 def test_a_fitness_whose_square_overflows_can_be_learned_from(acquisition: str) -> None:
-    search = make_search(hasty(acquisition=acquisition, population=6, max_evaluations=12), (4, 4))
+    search = make_search(hasty(acquisition=acquisition, population=6, max_designs=12), (4, 4))
     search.tell([(-1) ** k * k * 1e300 for k, _ in enumerate(search.ask())])
     assert len({body_key(candidate.body) for candidate in search.ask()}) == 6
 
@@ -167,7 +167,7 @@ def test_a_fitness_whose_square_overflows_can_be_learned_from(acquisition: str) 
 @pytest.mark.parametrize("value", [1e-300, 1e-4, 0.025, 0.05, 1e6, 1e300])
 def test_a_kernel_from_which_no_fit_can_begin_is_refused_before_a_design_is_tried(name: str, value: float) -> None:
     try:
-        settings = hasty(population=3, max_evaluations=6, **{name: value})
+        settings = hasty(population=3, max_designs=6, **{name: value})
     except ConfigError as error:
         assert str(error).startswith(f"search.{name} must be at")  # noqa: PT017  (some values are valid)
         return
@@ -178,7 +178,7 @@ def test_a_kernel_from_which_no_fit_can_begin_is_refused_before_a_design_is_trie
 
 @pytest.mark.parametrize("acquisition", ["paper", "pathwise"])
 def test_proposals_do_not_depend_on_the_threads_of_torch(acquisition: str) -> None:
-    settings = hasty(acquisition=acquisition, population=6, max_evaluations=12)
+    settings = hasty(acquisition=acquisition, population=6, max_designs=12)
     found = []
     before = torch.get_num_threads()
     for threads in (1, 2):
@@ -190,7 +190,7 @@ def test_proposals_do_not_depend_on_the_threads_of_torch(acquisition: str) -> No
 
 def test_mutants_are_those_of_the_best_bodies() -> None:
     bodies = some_bodies(40)
-    search = make_search(hasty(population=40, max_evaluations=60), (4, 4), 0)
+    search = make_search(hasty(population=40, max_designs=60), (4, 4), 0)
     search.bodies, search.fitness = list(bodies), list(map(float, np.random.default_rng(0).permutation(40)))
     pool, parents = search.pool(np.random.default_rng(0), 0, 200)
     assert len(pool) == len(parents) == 200
@@ -209,7 +209,7 @@ def test_each_start_leads_to_a_body_and_says_whether_it_is_another(acquisition: 
         return chosen
 
     monkeypatch.setattr(bo, "thompson_starts", watched)
-    generations = searched(hasty(acquisition=acquisition, population=6, max_evaluations=18))
+    generations = searched(hasty(acquisition=acquisition, population=6, max_designs=18))
     assert len(starts) == len(generations) - 1 == 2
     for begun, generation in zip(starts, generations[1:], strict=True):
         for start, candidate in zip(begun, generation, strict=True):

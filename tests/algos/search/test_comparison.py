@@ -44,7 +44,7 @@ def fitness(body: np.ndarray, optimum: np.ndarray) -> float:
 @cache
 def best(algorithm: str) -> np.ndarray:
     """The best fitness after 250 evaluations, seed by seed."""
-    settings = load("codesign", [f"search={algorithm}", "search.max_evaluations=250"]).search
+    settings = load("codesign", [f"search={algorithm}", "search.max_designs=250"]).search
     found = []
     for seed in range(SEEDS):
         search, optimum, values = make_search(settings, seed=seed), walker(np.random.default_rng(seed)), []

@@ -92,7 +92,7 @@ def own_config(repository: Path, folder: Path, old: str, new: str) -> CppnNeat:
     assert old in text
     file = folder / "own.cfg"
     file.write_text(text.replace(old, new), encoding="utf-8")
-    return CppnNeat(neat_config=str(file), population=10, max_evaluations=60)
+    return CppnNeat(neat_config=str(file), population=10, max_designs=60)
 
 
 def test_an_elite_of_an_own_configuration_is_kept_and_not_proposed_again(repository: Path, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ def test_survivors_of_every_generation(population: int, last: int) -> None:
 
 @pytest.mark.parametrize("evaluations", [10, 25, 26, 250, 500, 750, 100_000])
 def test_the_last_generation_is_the_first_that_uses_up_the_evaluations(evaluations: int) -> None:
-    settings = GA(max_evaluations=evaluations)
+    settings = GA(max_designs=evaluations)
     last = last_generation(settings)
 
     def total(generations: int) -> int:
@@ -76,6 +76,6 @@ def test_all_survivors_breed_alike() -> None:
 
 
 def test_a_child_of_an_exhausted_family_is_random() -> None:
-    search = GeneticSearch(GA(population=4, max_evaluations=8, mutation_rate=1e-9), shape=(5, 5), seed=0)
+    search = GeneticSearch(GA(population=4, max_designs=8, mutation_rate=1e-9), shape=(5, 5), seed=0)
     search.tell([0.0] * len(search.ask()))
     assert all(candidate.origin == "random" and candidate.parents == () for candidate in search.ask())

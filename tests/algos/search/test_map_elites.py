@@ -49,7 +49,7 @@ def test_descriptors_by_hand(seed: int, shape: tuple[int, int]) -> None:
 
 
 def test_the_grid_holds_the_best_of_every_kind_and_they_breed() -> None:
-    settings = MapElites(descriptors=("height", "symmetry"), bins=4, max_evaluations=150)
+    settings = MapElites(descriptors=("height", "symmetry"), bins=4, max_designs=150)
     search = make_search(settings, (5, 7), seed=0)
     best: dict[tuple[int, ...], int] = {}
     bodies, fitness = [], []

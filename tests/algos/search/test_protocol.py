@@ -22,7 +22,7 @@ BUDGET = 20  # evaluations: two generations of eight and half of one
 
 
 def fresh(algorithm: str, shape: tuple[int, int] = (5, 5), seed: int = 0, **changes: object) -> BaseSearch:
-    small = {"population": 8, "max_evaluations": BUDGET, **HASTY.get(algorithm, {})}
+    small = {"population": 8, "max_designs": BUDGET, **HASTY.get(algorithm, {})}
     settings = ALGORITHMS[algorithm](**{**small, **changes})
     search = make_search(settings, shape, seed)
     assert isinstance(search, BaseSearch)
@@ -137,7 +137,7 @@ def test_the_first_generation_contains_the_bodies_that_a_search_starts_with(algo
     again.replay(history[:2])
     assert told_apart(history[2:]) == told_apart(run(again))
     # a search may consist of them alone
-    search = fresh("random", population=3, max_evaluations=3)
+    search = fresh("random", population=3, max_designs=3)
     search.start_with(known)
     assert [candidate.origin for candidate in search.ask()] == [START] * 3
 
@@ -188,7 +188,7 @@ def test_bad_fitness_is_refused_and_a_candidates_body_may_be_painted_over(algori
 
 @EVERY
 def test_a_budget_below_the_population_is_one_short_generation(algorithm: str) -> None:
-    history = run(fresh(algorithm, max_evaluations=3))
+    history = run(fresh(algorithm, max_designs=3))
     assert [len(asked) for asked, _ in history] == [3]
 
 
@@ -232,13 +232,13 @@ def test_bad_arguments_are_told(changes: dict, words: str) -> None:
 
 @EVERY
 def test_a_shape_with_too_few_bodies_is_told_at_once(algorithm: str) -> None:
-    with refused(ConfigError, "only 16 valid bodies of 1x2:", "max_evaluations=8 at most"):
-        fresh(algorithm, shape=(1, 2), max_evaluations=30)
+    with refused(ConfigError, "only 16 valid bodies of 1x2:", "max_designs=8 at most"):
+        fresh(algorithm, shape=(1, 2), max_designs=30)
 
 
 @EVERY
 def test_half_of_all_bodies_of_a_tiny_shape_can_be_had(algorithm: str) -> None:
-    history = run(fresh(algorithm, shape=(1, 3), max_evaluations=43))
+    history = run(fresh(algorithm, shape=(1, 3), max_designs=43))
     candidates = [candidate for asked, _ in history for candidate in asked]
     assert len(candidates) == 43
     assert all_differ(candidates)

@@ -30,10 +30,10 @@ from warpvox.errors import ConfigError, SearchError
 @pytest.mark.parametrize(
     ("words", "settings"),
     [
-        (["search=paper"], GA(population=25, max_evaluations=250)),
+        (["search=paper"], GA(population=25, max_designs=250)),
         (["search=bo_paper"], BO(acquisition="paper")),
         (["search=bo_lbfgs"], BO(acquisition="lbfgs")),
-        (["preset=paper", "search=cppn_neat", "search.max_evaluations=750"], CppnNeat(max_evaluations=750)),
+        (["preset=paper", "search=cppn_neat", "search.max_designs=750"], CppnNeat(max_designs=750)),
     ],
 )
 @pytest.mark.parametrize(("task", "shape"), [("Walker-v0", [5, 5]), ("Lifter-v0", [5, 7])])
@@ -48,7 +48,7 @@ def test_the_papers_searches_have_its_settings_shape_and_training(words, setting
 @pytest.mark.parametrize("algorithm", [name for name in ALGORITHMS if name != "custom"])
 def test_defaults_are_those_of_table_2(algorithm: str) -> None:
     settings = ALGORITHMS[algorithm]()
-    assert (settings.population, settings.max_evaluations) == (25, 250)
+    assert (settings.population, settings.max_designs) == (25, 250)
 
 
 def test_ga_defaults_are_those_of_table_3() -> None:
@@ -108,7 +108,7 @@ def mine(repository: Path, tmp_path: Path) -> Path:
 
 
 def test_a_file_with_a_search(mine: Path) -> None:
-    settings = CustomSearch(make=Code(f"{mine}:BestAndMutants"), population=10, max_evaluations=40)
+    settings = CustomSearch(make=Code(f"{mine}:BestAndMutants"), population=10, max_designs=40)
     search = make_search(settings, (4, 5), seed=3)
     assert isinstance(search, BaseSearch)
     while asked := search.ask():
@@ -133,7 +133,7 @@ class Careless(BaseSearch):
     """Proposes whatever it was given."""
 
     def __init__(self, proposals: list) -> None:
-        super().__init__(CustomSearch(make="here:Careless", population=4, max_evaluations=8))
+        super().__init__(CustomSearch(make="here:Careless", population=4, max_designs=8))
         self.proposals = proposals
 
     def propose(self, rng: np.random.Generator, count: int) -> list:

@@ -19,7 +19,7 @@ ENDLESS = 10**5
 TERMINATED = 143
 COMMANDS = {
     "train": f"train num_envs=32 ppo.steps=8 max_iterations={ENDLESS} eval_interval=20 save_interval=20",
-    "codesign": f"codesign search.population=3 search.max_evaluations={ENDLESS} training.envs=8 training.iterations=4"
+    "codesign": f"codesign search.population=3 search.max_designs={ENDLESS} training.envs=8 training.iterations=4"
     " training.ppo.steps=8",
 }
 

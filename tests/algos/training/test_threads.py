@@ -16,7 +16,7 @@ import warpvox as wv
 from warpvox.algos.candidate import Candidate, Outcome
 
 HOW = {"device": "cpu", "threads": 1, "memory_check": False}
-TRAINED = {"num_envs": 4, "max_iterations": 2, "eval_envs": 1, "folder": None, "progress": False}
+TRAINED = {"num_envs": 4, "max_iterations": 2, "episodes": 1, "folder": None, "progress": False}
 PPO = {"steps": 4, "hidden": [8], "epochs": 2, "minibatches": 2, "random_start": True}
 SEARCHED = {"envs": 2, "iterations": 1, "eval_interval": 1, "ppo": {"steps": 4, "hidden": [8], "epochs": 1}}
 
@@ -38,7 +38,7 @@ def weights_of(policy: torch.nn.Module) -> list[float]:
 
 def searched() -> Any:
     """The best fitness of a small design search."""
-    search = wv.GA(population=2, max_evaluations=2, min_survivors=1)
+    search = wv.GA(population=2, max_designs=2, min_survivors=1)
     how = {"shape": (2, 2), "training": SEARCHED, "folder": None, "progress": False, **HOW}
     return wv.codesign("Walker-v0", search=search, seed=3, **how).summary["best_fitness"]
 
@@ -142,7 +142,7 @@ def test_an_evaluation_may_train_in_threads_of_its_own() -> None:
                 results = list(pool.map(trained, range(len(candidates))))
             return [Outcome(sum(weights)) for weights in results]
 
-    search = wv.GA(population=2, max_evaluations=2, min_survivors=1)
+    search = wv.GA(population=2, max_designs=2, min_survivors=1)
     how = {"shape": (2, 2), "folder": None, "progress": False, **HOW}
-    found = wv.codesign("Walker-v0", search=search, evaluation=Pool(), **how)
+    found = wv.codesign("Walker-v0", search=search, fitness=Pool(), **how)
     assert found.summary["best_fitness"] == max(sum(trained(seed)) for seed in (0, 1))

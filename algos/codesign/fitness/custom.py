@@ -1,4 +1,4 @@
-"""Evaluation by the user's own code, named by file or module."""
+"""Fitness by the user's own code, named by file or module."""
 
 # ruff: noqa: RUF009  (key() is dataclasses.field with a meaning)
 
@@ -8,7 +8,7 @@ import inspect
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
-from warpvox.algos.codesign.settings import Codesign, Evaluation, register_evaluation
+from warpvox.algos.codesign.settings import Codesign, Fitness, register_fitness
 from warpvox.code import check_code, load_code
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from warpvox.algos.candidate import DesignEvaluator
 
 
-@register_evaluation
+@register_fitness
 @dataclass
-class Custom(Evaluation):
-    """Evaluation by the user's own code; see docs/own_search.md."""
+class Custom(Fitness):
+    """Fitness by the user's own code; see docs/own_search.md."""
 
-    name: str = key("custom", "an evaluation of your own", choices=("custom",))
+    name: str = key("custom", "a fitness of your own", choices=("custom",))
     make: str | None = key(
         None,
         "FILE.py:NAME or MODULE:NAME, called with the settings of the search and those below; makes an evaluator",
@@ -31,7 +31,7 @@ class Custom(Evaluation):
 
     def check(self, search: Codesign) -> None:
         """Raise an error unless ``make`` names code that makes an evaluator from these settings."""
-        check_code(self.make, "evaluation=custom needs evaluation.make", "an evaluator of the search's settings")
+        check_code(self.make, "fitness=custom needs fitness.make", "an evaluator of the search's settings")
         self.build(search, None)
 
     def inherits(self, search: Codesign) -> bool:

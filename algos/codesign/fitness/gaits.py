@@ -1,4 +1,4 @@
-"""Evaluation by open-loop gaits that evolve with the designs, without training."""
+"""Fitness by open-loop gaits that evolve with the designs, without training."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpvox.algos.candidate import FINALIST
-from warpvox.algos.codesign.evaluations.specialist import Specialist
-from warpvox.algos.codesign.settings import Codesign, Workload, register_evaluation
-from warpvox.algos.protocols import ROBUST
+from warpvox.algos.codesign.fitness.specialist import Specialist
+from warpvox.algos.codesign.settings import Codesign, Workload, register_fitness
+from warpvox.algos.protocols import NOMINAL
 from warpvox.errors import ConfigError
 from warpvox.keys import key
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec
 
 
-@register_evaluation
+@register_fitness
 @dataclass
 class Gaits(Specialist):
-    """Evaluation by gaits: fitness is the best return of a design's open-loop gaits, which children inherit."""
+    """Fitness by gaits: the best return of a design's open-loop gaits, which children inherit."""
 
     name: str = key("gaits", "open-loop gaits evolve with the designs", choices=("gaits",))
     finalists: int = key(4, "number of best designs that get a training of their own at the end", low=1)
@@ -37,7 +37,7 @@ class Gaits(Specialist):
         20, "control steps of a stage in the first beam search; others have longer and shorter ones", low=1
     )
     episodes: int | None = key(
-        None, "episodes of each gait; null: 1; with fitness=robust and in tasks that draw at random 4", low=1
+        None, "episodes of each gait; null: 1; with protocol=noise and in tasks that draw at random 4", low=1
     )
     final_rounds: int = key(40, "number of rounds for finalists, before their training", low=0)
     final_gaits: int | None = key(None, "gaits that a finalist tries in a round; null: as many as the others", low=1)
@@ -49,13 +49,13 @@ class Gaits(Specialist):
         super().check(search)
         if search.training.inherit:
             raise ConfigError(
-                "training.inherit does not go with evaluation=gaits: the trainings of the finalists begin with new"
+                "training.inherit does not go with fitness=gaits: the trainings of the finalists begin with new"
                 " networks."
             )
         for prefix, passes, rounds in ("", self.passes, self.rounds), ("final_", self.final_passes, self.final_rounds):
             if passes + rounds == 0:
                 raise ConfigError(
-                    f"evaluation.{prefix}passes and evaluation.{prefix}rounds are both 0: one of them must be 1 or"
+                    f"fitness.{prefix}passes and fitness.{prefix}rounds are both 0: one of them must be 1 or"
                     " more, or no gait is tried."
                 )
 
@@ -82,9 +82,9 @@ class Gaits(Specialist):
 
     def workloads(self, search: Codesign) -> list[Workload]:
         """Return the sizes of the largest simulated batches, for memory estimates: trainings and gaits."""
-        first = {"evaluation.gaits": self.gaits, "evaluation.beam": self.beam if self.passes else 1}
-        last = {"evaluation.final_gaits": self._final_gaits}
-        last["evaluation.final_beam"] = self.final_beam if self.final_passes else 1
+        first = {"fitness.gaits": self.gaits, "fitness.beam": self.beam if self.passes else 1}
+        last = {"fitness.final_gaits": self._final_gaits}
+        last["fitness.final_beam"] = self.final_beam if self.final_passes else 1
         found = super().workloads(search)
         for designs, keys in ((search.search.population, first), (self.finalists, last)):
             name = max(keys, key=keys.__getitem__)
@@ -97,11 +97,11 @@ class Gaits(Specialist):
         from warpvox.envs.registry import get_task
 
         # Four episodes where they differ: in random tasks, and with noise on the actions.
-        return self.episodes or (4 if search.fitness == ROBUST or get_task(search.task).is_random else 1)
+        return self.episodes or (4 if search.protocol != NOMINAL or get_task(search.task).is_random else 1)
 
     def _final_episodes(self, search: Codesign) -> int:
         """Return the number of evaluation episodes of a finalist's training."""
-        return search.training.eval_envs or self._episodes(search)
+        return search.training.episodes or self._episodes(search)
 
     @property
     def _final_gaits(self) -> int:
@@ -122,7 +122,7 @@ class Gaits(Specialist):
             passes=self.final_passes,
             beam=self.final_beam,
         )
-        training = dataclasses.replace(search.training, eval_envs=self._final_episodes(search))
+        training = dataclasses.replace(search.training, episodes=self._final_episodes(search))
         return TwoStages(
             GaitEvaluator(factory, self, search.seed, episodes, known),
             GaitEvaluator(factory, more, search.seed, episodes, known),
@@ -132,7 +132,7 @@ class Gaits(Specialist):
     def run_of(self, search: Codesign, candidate: Candidate, outcome: Outcome) -> dict[str, Any]:
         """Return the settings to play a design's policy: observations, lanes and episodes of its gait or training."""
         if not (outcome.spec and outcome.spec.get("gait")):
-            return {"eval_envs": self._final_episodes(search)}
+            return {"episodes": self._final_episodes(search)}
         count = self._final_gaits if candidate.origin == FINALIST else self.gaits
         lanes = search.factory().shared_lanes(count * self._episodes(search))
-        return {"obs": "timed", "lanes": lanes, "eval_envs": self._episodes(search)}
+        return {"obs": "timed", "lanes": lanes, "episodes": self._episodes(search)}

@@ -1,11 +1,11 @@
-"""Evaluation by training a policy for each design."""
+"""Fitness by training a policy for each design."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from warpvox.algos.codesign.settings import Codesign, Evaluation, Workload, register_evaluation
+from warpvox.algos.codesign.settings import Codesign, Fitness, Workload, register_fitness
 from warpvox.algos.protocols import episodes_of
 from warpvox.errors import ConfigError
 from warpvox.keys import key
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from warpvox.envs.spec import TaskSpec
 
 
-@register_evaluation
+@register_fitness
 @dataclass
-class Specialist(Evaluation):
-    """Evaluation by training: fitness is the best return of a policy trained for one design (paper section C.1)."""
+class Specialist(Fitness):
+    """Fitness by training: the best return of a policy trained for one design (paper section C.1)."""
 
     name: str = key("specialist", "each design has a policy of its own", choices=("specialist",))
 
@@ -45,10 +45,10 @@ class Specialist(Evaluation):
         training = search.training
         count = self.finalists or search.search.population
         together = min(search.batch or count, count)
-        judged = episodes_of(training.eval_envs, search.fitness)
+        judged = episodes_of(training.episodes, search.protocol)
         return [
             Workload(together, training.envs, "training.envs", training.envs, ppo=training.ppo),
-            Workload(together, judged, "training.eval_envs", judged),
+            Workload(together, judged, "training.episodes", judged),
         ]
 
     def build(self, search: Codesign, known: Any) -> DesignEvaluator:
