@@ -114,7 +114,7 @@ class Disturbed:
             self.policy.reset()
 
     def _repeat_copies(self, numbers: torch.Tensor) -> torch.Tensor:
-        """Repeat values per copy for all environments."""
+        """Repeat ``numbers``, one row for each disturbed copy, to one row for each environment."""
         return numbers.repeat(len(self.kinds) // len(numbers), 1)
 
     def __call__(self, obs: torch.Tensor) -> torch.Tensor:

@@ -310,7 +310,7 @@ def collect_near(kit: Kit):
 
 @builder
 def collect_pairs(kit: Kit):
-    """Build the stage that searches again for all pairs of voxels that may touch."""
+    """Build the physics stage that rebuilds the list of voxel pairs close enough to touch."""
     grid_from = GRID_FROM if kit.width == 1 else WIDE_GRID_FROM
     all_boxes = kit.stage("native/voxel_boxes.h", precision="float64", movable=0)
     around = hulls(kit)

@@ -137,7 +137,7 @@ def mutate_gait(rng: np.random.Generator, gait: Gait, body: Design, steps: int) 
 
 
 def mutate_motion(rng: np.random.Generator, motion: Motion, body: Design, begin: int) -> Motion:
-    """Mutate ``motion`` by one to three changes; ``begin`` is its first control step."""
+    """Return ``motion`` with one to three random changes that suit ``body``; it begins at control step ``begin``."""
     gait = gait_of([(begin, motion)])
     everywhere = np.ones(1, bool)
     for _ in range(rng.integers(1, 4)):

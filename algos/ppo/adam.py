@@ -67,12 +67,12 @@ class VectorAdam:
 
     @torch.no_grad()
     def descend(self, gradient: torch.Tensor, limit: float, rate: torch.Tensor, number: int, rows: slice) -> None:
-        """Step ``rows`` along their gradients, clipped to a norm of ``limit`` for each network.
+        """Do a step of Adam for the designs ``rows``, with the gradient of each network clipped to a norm of ``limit``.
 
         Args:
             gradient: :meth:`flat`; overwritten.
             rate: learning rates, float64, one for each row.
-            number: which of the steps it is that were prepared, from 0.
+            number: index of the step among those prepared, from 0.
             rows: the designs that the gradients are of. Threads may step different rows at the same time.
         """
         values, means, squares = (matrix[rows] for matrix in (self._values, self._means, self._squares))

@@ -60,12 +60,12 @@ class StackedAdam(VectorAdam):
 
     @torch.no_grad()
     def descend_all(self, gradient: torch.Tensor, limit: float, rates: torch.Tensor, number: int) -> None:
-        """Step all networks along their gradients, each clipped to a norm of ``limit``.
+        """Do a step of Adam for all networks, with the gradient of each clipped to a norm of ``limit``.
 
         Args:
             gradient: float32 ``[2 * designs, parameters]``.
             rates: learning rates, float64 ``[designs]``.
-            number: which of the steps it is that were prepared, from 0.
+            number: index of the step among those prepared, from 0.
         """
         norms = torch.linalg.vector_norm(gradient, dim=1)
         inputs = (gradient, norms, limit, rates, self._corrections[number], self.eps)

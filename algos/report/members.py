@@ -152,7 +152,7 @@ def telling(groups: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> list[st
 
 
 def progress(members: Sequence[SearchResult], x: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the best returns of several searches at common ``evaluations`` or ``steps``.
+    """Return the best return so far of each search ``members`` at shared values of ``evaluations`` or ``steps``.
 
     Begins where each has evaluated a design; one that ends before the others keeps its best return.
 

@@ -148,7 +148,7 @@ def take(kit: Kit):
 
 @builder
 def contacts(kit: Kit):
-    """Build the stage that finds all contacts and sums their forces in the released order."""
+    """Build the physics stage that finds all contacts and sums their forces in the order of released EvoGym."""
     width = kit.width
     search = find(kit, note(kit))
     in_order = take(kit)

@@ -82,7 +82,7 @@ class Engine:
         self._rows = np.concatenate([np.arange(begin)[self._spans[name]] for name in self._bodies])
 
     def step(self, history: int | None = None) -> bool:
-        """Do one control step; return True if the step was undone, after self-folding or divergence.
+        """Advance the world by a control step; return True if self-folding or divergence undid it.
 
         Args:
             history: how many of the last times are kept, besides time 0; None: all.

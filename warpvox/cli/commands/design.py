@@ -19,7 +19,7 @@ def check(config: DesignConfig, given: Collection[str]) -> None:
 
 
 def run(config: DesignConfig, given: Collection[str], console: Console) -> None:
-    """Serve the design editor until Ctrl-C."""
+    """Run the command ``design``: serve the editor until Ctrl-C."""
     with console.status("starting"):
         from warpvox.devices.startup import prepare
         from warpvox.editor.server import EditorServer
