@@ -42,8 +42,8 @@ TEXT = FOLDER / "results_page.txt"
 """Text of the page without its tables."""
 SUMMARY = """\
 Under 1 % Gaussian action noise, {held} of {known} robots match or beat the best published return (mean of {episodes}
-episodes): {networks} networks with feedback and {gaits} open-loop gaits. With sticky actions {sticky} do, after random
-starts {start}."""
+episodes): {networks} networks with feedback and {gaits} open-loop gaits (fixed rhythms without feedback). If actions
+are repeated at random, {sticky} do; if episodes begin with random actions, {start}."""
 
 
 def read_arguments(words: list[str] | None = None) -> argparse.Namespace:

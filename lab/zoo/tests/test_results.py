@@ -82,7 +82,8 @@ def test_robots_without_a_published_return_and_gaits_are_told_apart() -> None:
     ]  # fmt: skip
     text = " ".join(results.summary(robots, rows).split())
     assert "3 of 3 robots match" in text
-    assert "2 networks with feedback and 1 open-loop gaits. With sticky actions 2 do, after random starts 0." in text
+    assert "2 networks with feedback and 1 open-loop gaits (fixed rhythms without feedback)" in text
+    assert "repeated at random, 2 do; if episodes begin with random actions, 0." in text
 
 
 def test_the_mean_of_five_trainings_leaves_the_best_and_the_worst_out() -> None:
