@@ -83,7 +83,7 @@ class VoxelGrid:
             table.copy_(new)  # in place: a captured step may read it
 
     def _make_tables(self) -> tuple[torch.Tensor, ...]:
-        """Build, for every environment, the cells of its actions, the points of its cells, and fixed features.
+        """Build index tables: each environment's cells of actions, points of cells, and fixed features.
 
         The last result is 1 where a cell is not empty.
         """

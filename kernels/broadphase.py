@@ -39,7 +39,7 @@ def boxes_overlap(kit: Kit):
 
 @builder
 def mark_pair(kit: Kit):
-    """Build a function that marks a pair of voxels as contact candidates, except two fixed voxels."""
+    """Build a function that marks two voxels as a pair that may touch, unless both are fixed."""
 
     @kit.func
     def mark(model, data, mesh, unit, v, w):
@@ -60,7 +60,7 @@ def hulls(kit: Kit):
 
 @builder
 def mark_all(kit: Kit):
-    """Build the stage that marks candidate pairs of movable voxels by comparing all with all."""
+    """Build the stage that marks pairs of movable voxels that may touch, by comparing all bounding boxes."""
     return kit.stage("native/mark_all.h", precision="float64")
 
 
@@ -90,7 +90,7 @@ def on_lattice(x0: wp.float64, x1: wp.float64, y0: wp.float64, y1: wp.float64):
 
 @builder
 def mark_grid(kit: Kit):
-    """Build the stage that marks candidate pairs of movable voxels by a hashed grid, one lane after another."""
+    """Build the stage that marks pairs of movable voxels that may touch, by a hashed grid, one lane after another."""
     width = kit.width
     mark = mark_pair(kit)
     near = near_in_lane(kit)
@@ -218,7 +218,7 @@ def lattice_content(kit: Kit):
 
 @builder
 def mark_fixed(kit: Kit):
-    """Build the stage that marks candidate pairs of a movable and a fixed voxel by the terrain lattice."""
+    """Build the stage that marks pairs of a movable and a fixed voxel that may touch, by the terrain lattice."""
     width = kit.width
     mark = mark_pair(kit)
     near = near_in_lane(kit)
@@ -310,7 +310,7 @@ def collect_near(kit: Kit):
 
 @builder
 def collect_pairs(kit: Kit):
-    """Build the stage that recomputes all candidate pairs of voxels."""
+    """Build the stage that searches again for all pairs of voxels that may touch."""
     grid_from = GRID_FROM if kit.width == 1 else WIDE_GRID_FROM
     all_boxes = kit.stage("native/voxel_boxes.h", precision="float64", movable=0)
     around = hulls(kit)
@@ -321,7 +321,7 @@ def collect_pairs(kit: Kit):
 
     @kit.func
     def stage(model, data, mesh, pack, lane, unit, dt):
-        """Find the candidate pairs of the unit: movable with movable, then movable with fixed voxels."""
+        """Find the pairs of voxels that may touch: movable with movable, then movable with fixed ones."""
         if model.movables[mesh] < model.voxels[mesh]:
             all_boxes(model, data, mesh, pack, lane, unit, dt)
         around(model, data, mesh, pack, lane, unit, dt)
@@ -337,7 +337,7 @@ def collect_pairs(kit: Kit):
 
 @builder
 def collect(kit: Kit):
-    """Build the stage that recomputes all contact candidates once points may have moved by half the margin."""
+    """Build the stage that repeats the broad phase once points may have moved by half the margin."""
     pairs = collect_pairs(kit)
     near = collect_near(kit)
 

@@ -84,7 +84,7 @@ def surface_sides(side_lanes: wp.array2d(dtype=wp.vec4i), mesh: int, v: int, k: 
 
 @wp.func
 def leader(twin_range: pairs, twin: pairs, twin_lanes: masks, mesh: int, p: int, k: int):
-    """Return the point that holds point p's state in lane k (twins share one point); -1 for p = -1."""
+    """Return the leader of point p in lane k: where points coincide, one of them holds the state; -1 for p = -1."""
     found = int(p)
     if p >= 0:
         twins = twin_range[mesh, p]
@@ -164,7 +164,7 @@ def voxel_contacts(kit: Kit, act):
 
     @kit.func
     def all_pairs(model, data, mesh, pack, lane, unit, active):
-        """Handle every corner of a candidate pair that lies in the other voxel, lane by lane."""
+        """Handle every corner that lies in the other voxel of its pair, lane by lane."""
         at = corner_from(model, data, mesh, pack, lane, unit, active, 0)
         while at < 8 * data.pair_count[unit]:
             pair = data.pairs[unit, at >> 3]

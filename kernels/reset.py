@@ -103,14 +103,14 @@ def launch_shift(state, mask, cells, points):
 
 @builder
 def follow_kernel(kit: Kit) -> wp.Kernel:
-    """Build the kernel that copies the state of leading points to their twins, over (packs, lanes).
+    """Build the kernel that copies the state of each leading point to the points that coincide with it.
 
     Twins are points that a lane joins into one, the leader.
     """
 
     @kernel
     def follow(model: kit.Model, data: kit.Data):
-        """Copy the state of leaders to their twins in one lane of a pack."""
+        """Copy the state of leading points to the points that coincide with them, in one lane."""
         pack, k = wp.tid()
         mesh = model.pack_mesh[pack]
         for e in range(model.twins[mesh]):
@@ -126,6 +126,6 @@ def follow_kernel(kit: Kit) -> wp.Kernel:
 
 
 def launch_follow(state):
-    """Copy the state of leading points to their twins, after writing leaders only."""
+    """Copy the state of leading points to the points that coincide with them, after writing leaders only."""
     inputs = [state.model, state.data]
     device.launch(follow_kernel(state.precision), (state.packs, state.lanes), inputs, state.device)

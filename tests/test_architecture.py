@@ -233,13 +233,13 @@ def test_simulations_and_environments_are_used_by_their_public_methods() -> None
 
 
 CEILINGS = {
-    "tokens": 267_750,  # PPO, episodes and resets in few launches on CUDA, points that rest come last
+    "tokens": 267_760,  # PPO and resets in few launches on CUDA, old names of keys in files, points that rest last
     "tokens a line of code": 10.65,
     "names at module level": 1_672,
     "public names at module level": 1_258,
     "files that train may load": 152,  # the PPO of populations learns for train on CUDA
     "files in circles, types counted": 0,
-    "lines of tests": 26_717,
+    "lines of tests": 26_718,
     "patterns of sentences in tests": 36,
 }
 """How large the house may be. Lower a figure when a change has brought it down; a higher one needs a reason."""

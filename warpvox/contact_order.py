@@ -120,7 +120,7 @@ class _Tree:
 
 
 def tree_of(body) -> _Tree:
-    """Build the box tree of a mesh (:class:`warpvox.compile.Body`) in the released simulator's order."""
+    """Build the tree of bounding boxes over a mesh (:class:`warpvox.compile.Body`), as the released simulator does."""
     number = {cell: n for n, cell in enumerate(body.corners)}
     surface = HashSet()
     for cell in body.surface:
@@ -295,7 +295,7 @@ class _TreeTable(NamedTuple):
 
 
 def _tree_table(body) -> _TreeTable:
-    """Build the box tree of a mesh, as arrays."""
+    """Build the tree of bounding boxes over a mesh, as arrays."""
     tree = tree_of(body)
     rank, middle = tree.ranks()
     root = len(tree.cells) - 1

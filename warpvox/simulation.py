@@ -236,7 +236,7 @@ class Simulation(Sensing):
         self.invalidate()
 
     def invalidate(self) -> None:
-        """Discard contact candidates and cached centres of mass; call this after writing to points."""
+        """Discard possible contacts and cached centres of mass; call this after writing to points."""
         self._views["drift"].fill_(STALE)
         self._centres_are_new = False
 
@@ -393,7 +393,7 @@ class Simulation(Sensing):
         return self._rows, self._has_row
 
     def rows_of(self, name: str) -> torch.Tensor:
-        """Return a mask of an object's columns among the positions in :meth:`state`, bool ``[num_envs, columns]``."""
+        """Return which columns of the positions in :meth:`state` belong to an object, bool ``[num_envs, columns]``."""
         points = self._objects.point_range[:, self._objects.index(name), :, None]
         point = torch.arange(self._rows.shape[1], device=self.device) // 2
         return (point >= points[:, 0]) & (point < points[:, 1])

@@ -68,7 +68,7 @@ class VoxelLayout:
 
     @property
     def scaled(self) -> int:
-        """Number of observed entries in ``rest``, without the clock."""
+        """Number of normalised entries of an observation behind the grid, without the time."""
         return self.rest - 2 * len(self.periods) * self.timed
 
     @property

@@ -12,29 +12,29 @@ from torch.distributions import Normal
 from torch.nn import functional
 
 LATENT = "latent"
-"""Name of the observation group that holds a network's scaled inputs, once they are computed."""
+"""Name of the observation group with precomputed scaled inputs."""
 
 HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 
 KINDS = 2
-"""Number of actuator types, horizontal and vertical; each has its own deviation."""
+"""Number of actuator types (horizontal, vertical); each has its own standard deviation."""
 
 
 def observations(model: Any, obs: TensorDict) -> torch.Tensor:
-    """Return the observation groups of a model side by side, ``[..., entries]``; a single one is not copied."""
+    """Concatenate the observation groups of a model, ``[..., entries]``; a single group is not copied."""
     groups = [obs[name] for name in model.obs_groups]
     return groups[0] if len(groups) == 1 else torch.cat(groups, dim=-1)
 
 
 class Network(MLPModel):
-    """rsl-rl's network with the same parameters and, up to float32 rounding, the same results."""
+    """rsl-rl's MLP model, faster, with the same parameters and results up to float32 rounding."""
 
     def get_latent(self, obs: TensorDict, masks: object = None, hidden_state: object = None) -> torch.Tensor:
-        """Return the scaled inputs ``[rows, inputs]``, from the group :data:`LATENT` if it is there."""
+        """Return the scaled inputs ``[rows, inputs]``, precomputed in group :data:`LATENT` if present."""
         return obs[LATENT] if LATENT in obs else self.obs_normalizer(observations(self, obs))
 
     def run(self, latent: torch.Tensor) -> torch.Tensor:
-        """Return the outputs ``[rows, outputs]`` for scaled inputs."""
+        """Compute the outputs ``[rows, outputs]`` from scaled inputs."""
         layers = [layer for layer in self.mlp if isinstance(layer, nn.Linear)]
         is_tanh = all(type(layer) in (nn.Linear, nn.Tanh) for layer in self.mlp)
         if latent.device.type != "cpu" or latent.dtype != torch.float32 or not is_tanh:
@@ -55,7 +55,7 @@ class Network(MLPModel):
     def forward(
         self, obs: TensorDict, masks: object = None, hidden_state: object = None, stochastic_output: bool = False
     ) -> torch.Tensor:
-        """Return the outputs, or actions sampled around them if ``stochastic_output``."""
+        """Compute the outputs, or sample actions around the outputs if ``stochastic_output``."""
         out = self.run(self.get_latent(obs))
         if self.distribution is None or not stochastic_output:
             return out
@@ -64,7 +64,7 @@ class Network(MLPModel):
 
 
 class Gaussian(GaussianDistribution):
-    """rsl-rl's distribution that draws nothing during updates, where rsl-rl's PPO ignores what is drawn.
+    """rsl-rl's Gaussian distribution without the unused random draws during updates.
 
     ``generator``: that it draws from; None: torch's own.
     """
@@ -72,12 +72,12 @@ class Gaussian(GaussianDistribution):
     generator: torch.Generator | None = None
 
     def sample(self) -> torch.Tensor:
-        """Return actions ``[rows, actions]``: drawn, or the mean where gradients are enabled."""
+        """Return actions ``[rows, actions]``: random, or the mean while gradients are enabled."""
         return self.mean if torch.is_grad_enabled() else torch.normal(self.mean, self.std, generator=self.generator)
 
 
 class VoxelGaussian(Gaussian):
-    """Gaussian distribution over the actions that each body has.
+    """Gaussian distribution over the actions of each body.
 
     Actions that a body has not are 0, with a deviation of 1, and take no part: nothing is drawn for them, and they add
     nothing to likelihood, entropy, divergence or gradients. :meth:`look` says, before :meth:`update`, which actions
@@ -89,13 +89,13 @@ class VoxelGaussian(Gaussian):
         self.output_dim = output_dim
 
     def look(self, kinds: torch.Tensor) -> None:
-        """Set which actions there are: ``kinds`` ``[rows, actions]``, 0: none, 1: horizontal, 2: vertical actuator."""
+        """Set each action's kind, ``[rows, actions]``: 0 none, 1 horizontal, 2 vertical actuator."""
         self._is_present = kinds > 0
         self._present = kinds.clamp(max=1)
         self._vertical = kinds - self._present
 
     def by_kind(self, values: torch.Tensor) -> torch.Tensor:
-        """Return ``values`` ``[kinds]`` for each action, ``[rows, actions]``; 0 where a body has none."""
+        """Look up ``values`` ``[kinds]`` for each action, ``[rows, actions]``; 0 for absent actions."""
         horizontal, vertical = values.to(self._vertical.dtype).unbind()
         of_actions = torch.lerp(
             horizontal.expand_as(self._vertical), vertical.expand_as(self._vertical), self._vertical
@@ -108,7 +108,7 @@ class VoxelGaussian(Gaussian):
         self._distribution = Normal(torch.where(self._is_present, mlp_output, 0.0), self._log_std.exp())
 
     def sample(self) -> torch.Tensor:
-        """Return actions ``[rows, actions]``: drawn, or the mean where gradients are enabled; 0 if absent."""
+        """Return actions ``[rows, actions]``: random, or the mean while gradients are enabled; 0 if absent."""
         if torch.is_grad_enabled():
             return self.mean
         noise = torch.empty_like(self.mean).normal_(generator=self.generator)
@@ -116,10 +116,10 @@ class VoxelGaussian(Gaussian):
 
     @property
     def entropy(self) -> torch.Tensor:
-        """Entropy of each row, ``[rows]``."""
+        """Entropy of each row's distribution, ``[rows]``."""
         return ((self._log_std + (0.5 + HALF_LOG_2PI)) * self._present).sum(-1)
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
-        """Return the log-probabilities ``[rows]`` of actions ``[rows, actions]``."""
+        """Compute the log-probabilities ``[rows]`` of actions ``[rows, actions]``."""
         squares = ((outputs - self.mean) / self.std).square()
         return -((squares * 0.5 + self._log_std + HALF_LOG_2PI) * self._present).sum(-1)

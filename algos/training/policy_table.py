@@ -42,7 +42,7 @@ class EvaluatedPolicy:
     def each(
         cls, name: str, env: VoxelVecEnv, policy: Any, level: float, parts: Sequence[str], drawn: bool
     ) -> list[EvaluatedPolicy]:
-        """Run one episode in each environment; return a row for each disturbance in ``parts``."""
+        """Run one episode in each environment; return a row per disturbance in ``parts``."""
         blocks = evaluate(env, policy).returns.view(env.num_designs, len(parts), -1).transpose(0, 1)
         rows = []
         for part, block in zip(parts, blocks.tolist(), strict=True):

@@ -33,7 +33,6 @@ def make(sim: EvoSim, **options: object) -> EvoViewer:
 
 
 def at(picture: np.ndarray, x: float, y: float) -> tuple[int, ...]:
-    """The colour of a place in voxels."""
     return tuple(picture[int(150 - (y + 2) * 10), int(x * 10)].tolist())
 
 

@@ -23,7 +23,6 @@ def training_preset(name: str, ppo: dict[str, Any] | None = None, **changes: Any
 
 
 def small(preset: str = "fast", **changes: object) -> DesignTraining:
-    """Return settings with few environments, short rollouts and small networks."""
     quick = {"steps": 4, "epochs": 2, "minibatches": 2, "hidden": [32]}
     return training_preset(preset, quick, **({"envs": 4, "iterations": 6, "eval_interval": 2} | changes))
 

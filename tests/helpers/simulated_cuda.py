@@ -231,7 +231,6 @@ class SimulatedCuda(TorchFunctionMode):
             return tensor.untyped_storage()._cdata in self._memory
 
     def _take(self, found: Any) -> Any:
-        """Move all tensors of a result to the simulated device."""
         for tensor in tree_leaves(found):
             if isinstance(tensor, torch.Tensor):
                 with torch._C.DisableTorchFunction():

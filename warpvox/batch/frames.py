@@ -197,7 +197,7 @@ class _PackTables:
         self._store_count("first_other", self.first_voxel, 0)
 
     def _store_count(self, name: str, robots: np.ndarray, others: int) -> None:
-        """Store the number of elements in each pack: ``robots``, int ``[packs]``, plus the other objects'."""
+        """Store the number of elements in each pack: ``robots``, int ``[packs]``, plus ``others``."""
         self.arrays[name] = (robots + others).astype(np.int32)
 
     def _table(self, count: str, *more: int, kind: type = np.int32, fill: int = 0) -> np.ndarray:
@@ -206,7 +206,7 @@ class _PackTables:
         return np.full((self.packs, rows, *more), fill, kind)
 
     def _append(self, table: np.ndarray, first: np.ndarray, count: int, values: np.ndarray | int) -> None:
-        """Copy rows of the other objects into all packs, from row ``first`` on.
+        """Write rows of the objects that are no robots into the tables of all packs, from row ``first`` on.
 
         Lanes are the last axis of ``values``.
         """
@@ -239,7 +239,7 @@ class _PackTables:
         self.arrays["free_lanes"] = free_lanes
 
     def _twins(self) -> None:
-        """Make the table of twins: pairs of points that coincide in some lanes, with a mask of these lanes."""
+        """Make the table of twins (pairs of points that coincide in some lanes), with a mask of these lanes."""
         twin_slot = [twin for twin, _ in TWIN_PAIRS]
         leader_slot = [leader for _, leader in TWIN_PAIRS]
         all_pairs = [np.zeros((self.packs, 0, 2), int)]

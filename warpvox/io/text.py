@@ -18,7 +18,7 @@ def shown(path: Path) -> str:
 
 
 def escaped(text: object) -> str:
-    """Replace control characters in ``text``, such as escapes and line ends, by codes: ``\x1b``."""
+    """Replace control characters in ``text``, such as escapes and line ends, by codes: ``\\x1b``."""
     written = []
     for character in str(text):
         number = ord(character)

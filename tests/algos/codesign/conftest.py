@@ -6,7 +6,6 @@ from codesign_toys import make_loop
 
 @pytest.fixture(scope="session")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The digest of the whole experiment."""
     loop = make_loop(tmp_path_factory.mktemp("whole"))
     loop.run()
     return loop.archive.digest()

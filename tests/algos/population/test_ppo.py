@@ -29,7 +29,6 @@ class Stock:
         self.random_start = how.ppo.random_start
 
     def iterate(self) -> None:
-        """One iteration."""
         with torch.random.fork_rng():
             torch.set_rng_state(self.random)
             self.runner.learn(1, init_at_random_ep_len=self.random_start)

@@ -45,7 +45,6 @@ def searched(settings: BO, shape: tuple[int, int] = (4, 4), seed: int = 0) -> li
 
 
 def hasty(**changes: object) -> BO:
-    """With a quick fit."""
     return BO(**({"optimizer_restarts": 1, "optimizer_iterations": 10, "candidates": 60} | changes))
 
 

@@ -38,7 +38,6 @@ run = partial(codesign_toys.run, fitness=actuators)
 
 @cache
 def whole(algorithm: str) -> History:
-    """A search from its first to its last generation."""
     return run(fresh(algorithm))
 
 

@@ -39,7 +39,6 @@ def make_runner(refresh: str, total: int, folder: Path | None = None, seed: int 
 
 
 def in_use(runner: Runner) -> list[bytes]:
-    """The body of each environment."""
     env = runner.env.env
     return [env.designs[design].tobytes() for design in env.design_index.tolist()]
 

@@ -37,7 +37,6 @@ def make_runner(kind: str) -> Runner:
 
 @pytest.fixture(scope="module", params=list(KINDS))
 def state(request: pytest.FixtureRequest) -> tuple[str, dict[str, Any]]:
-    """The state of a training after an iteration."""
     runner = make_runner(request.param)
     runner.learn(1)
     return request.param, runner.state()

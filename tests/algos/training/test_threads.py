@@ -50,7 +50,6 @@ def evaluated() -> list[float]:
 
 
 def recorded() -> Any:
-    """Rewards of some steps of a random agent."""
     env = wv.make_vec("Walker-v0", "mini", 2, seed=1, device="cpu", threads=1)
     return wv.record(env, "random", num_steps=5).rewards.tolist()
 
