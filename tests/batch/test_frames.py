@@ -6,7 +6,7 @@ from worlds import ground, world
 
 from warpvox.batch.frames import Frame
 from warpvox.design import full_connections
-from warpvox.types import Physics
+from warpvox.types import VOXEL, Physics
 from warpvox.world import World
 
 LANES = 8
@@ -50,3 +50,20 @@ def test_points_feel_the_springs_of_all_points_that_they_are_one_with(seed: int,
     last = tables["last_spring"][: tables["actives"]].tolist()
     assert last == sorted(last) == [max(touched[p]) for p in active]
     assert set(active) >= {p for p in range(points) if touched[p] != {-1}}
+
+
+def test_points_that_rest_come_last() -> None:
+    """Of a shelf that hangs between fixed cells, behind an anvil that never moves."""
+    blocks = dict(anvil=([[5, 5]], 16, 3), shelf=([[5, 2, 2, 5, 5]], 9, 3), robot=([[1, 3]], 2, 1))
+    frame = Frame([world(20, 10, **blocks)], Physics(), ("anvil",))
+    tables = {name: values[0] for name, values in frame.tables(np.zeros((1, 1), int)).items()}
+    place = tables["rest_pos"].reshape(-1, 2)
+    assert place[tables["order"][6:, 0]].tolist() == [[*point] for body in frame.others.bodies for point in body.points]
+    assert sorted(tables["active"]) == [*range(2 * tables["actives"])]
+    assert tables["actives"] < tables["points"]
+    ends = place[tables["spring_ends"]]
+    assert np.allclose(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), tables["spring_rest"])
+    top_left, _, bottom_right, _ = place[tables["corner"]].transpose(1, 0, 2)
+    assert np.allclose(bottom_right - top_left, [VOXEL, -VOXEL])
+    springs = np.split(tables["link"], tables["link_start"][1:-1])
+    assert all(tables["spring_ends"][max(s, -1 - s), int(s < 0)] == p for p, own in enumerate(springs) for s in own)

@@ -145,12 +145,7 @@ assert sys.path == [before[0], first, *before[1:]]
 
 
 @pytest.mark.parametrize(
-    "code",
-    [
-        "import gym",
-        "import gymnasium; gymnasium.make('Walking-v0')",
-        "obs, reward, done, info = 1, 2, 3, 4, 5",
-    ],
+    "code", ["import gym", "import gymnasium; gymnasium.make('Walking-v0')", "obs, reward, done, info = 1, 2, 3, 4, 5"]
 )
 def test_a_script_for_older_releases_is_told_what_changed(code: str, tmp_path: Path) -> None:
     (tmp_path / "old.py").write_text(code)

@@ -261,17 +261,11 @@ def test_full_bodies_in_the_memory_of_cuda(side):
         run(sims, 1, seed=step)
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (dict(layout="groups"), "'group'"),
-        (dict(layout="group", arithmetic="exact", dtype="float64"), "arithmetic='fast'"),
-        (dict(layout="group", lanes=8), "lanes=None"),
-    ],
-)
-def test_a_layout_that_there_is_not_is_refused(options, says):
-    with pytest.raises(SimulationError):
-        Simulation(crowd(1), device="cpu", **options)
+def test_a_layout_that_there_is_not_is_refused():
+    exact = dict(layout="group", arithmetic="exact", dtype="float64")
+    for asked in (dict(layout="groups"), exact, dict(layout="group", lanes=8)):
+        with pytest.raises(SimulationError):
+            Simulation(crowd(1), device="cpu", **asked)
 
 
 def take_memory_of_cuda(sim):

@@ -10,7 +10,7 @@ from warpvox.kernels.step import step_kernel
 WARPS = {80: 11, 89: 7, 90: 16, 100: 16, 120: 7}
 """Warps of walkers on a multiprocessor, by compute capability: two environments each."""
 WALKER, CARRIER, BEAM = (36, 36, 104, 8), (48, 48, 133, 32), (69, 69, 196, 88)
-CLIMBER, TRAVERSER = (336, 282, 289, 8), (344, 344, 850, 628)
+CLIMBER, TRAVERSER = (336, 146, 289, 8), (344, 344, 850, 628)
 FULL = {15: (256, 256, 930, 240), 25: (676, 676, 2550, 580), 35: (1296, 1296, 4970, 1220)}
 """Points, points that move, springs, and sides of rigid voxels; those of full bodies by the voxels of a side."""
 BLOCK_SHARED = 48 * 1024
@@ -84,8 +84,7 @@ def test_several_warps_of_a_large_world_spill_next_to_nothing(architecture, size
 
 @needs_assembler
 @pytest.mark.parametrize(
-    ("architecture", "side", "parts"),
-    [(90, 35, 512), *(pytest.param(*case, marks=pytest.mark.slow) for case in LARGE)],
+    ("architecture", "side", "parts"), [(90, 35, 512), *(pytest.param(*case, marks=pytest.mark.slow) for case in LARGE)]
 )
 def test_large_bodies_ask_for_shared_memory_and_spill_little(architecture, side, parts, tmp_path):
     room = (SHARED[architecture] - 1) * 1024

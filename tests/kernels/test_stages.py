@@ -31,11 +31,7 @@ def step_by_stages(state):
 
 @pytest.mark.parametrize(
     ("dtype", "arithmetic", "lanes"),
-    [
-        ("float64", "exact", 8),
-        pytest.param("float64", "fast", 8, marks=pytest.mark.slow),
-        ("float32", "fast", 8),
-    ],
+    [("float64", "exact", 8), pytest.param("float64", "fast", 8, marks=pytest.mark.slow), ("float32", "fast", 8)],
 )
 def test_stages_make_up_the_control_step(dtype, arithmetic, lanes):
     fused, staged = make(dtype, arithmetic, lanes), make(dtype, arithmetic, lanes)

@@ -117,8 +117,7 @@ def test_chosen_environments_and_stride(rollouts: Callable[..., Rollout], tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("name", "options"),
-    [("rollout.obj", {}), ("rollout.usdc", {"envs": [9]}), ("rollout.usdc", {"stride": 0})],
+    ("name", "options"), [("rollout.obj", {}), ("rollout.usdc", {"envs": [9]}), ("rollout.usdc", {"stride": 0})]
 )
 def test_wrong_requests_get_one_clear_line(rollouts, tmp_path: Path, name: str, options) -> None:
     with pytest.raises(RolloutError):

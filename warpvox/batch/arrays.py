@@ -67,7 +67,7 @@ def allocate_buffers(batch: Batch, precision: str) -> Buffers | None:
     if batch.layout == "group":
         links = np.diff(tables["link_start"])
         moves = ((links > 0) | (tables["free_lanes"] != 0)).any(0)
-        sizes["mover"] = sizes["point"] if batch.grid else 1 + int(np.flatnonzero(moves).max(initial=0))
+        sizes["mover"] = sizes["active"] if batch.grid else 1 + int(np.flatnonzero(moves).max(initial=0))
         group = choose(sizes, precision, device, shared_memory(device))
         if group is None or batch.cut or links.max(initial=0) > LINKS:
             return None

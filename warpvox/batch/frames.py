@@ -61,7 +61,7 @@ class Frame:
         self.others = compile_objects(others, size, physics, loose)
         if not self.names and not self.others.bodies:
             raise SimulationError(NOTHING_MOVES)
-        self.arrays = _by_first_end(world_arrays(self.others))
+        self.arrays = _by_first_end(_active_first(world_arrays(self.others)))
         self.object_names = [*self.names, *(body.name for body in self.others.bodies)]
 
     @staticmethod
@@ -227,13 +227,11 @@ class _PackTables:
             points.put(free_lanes, pack_bits(mesh.free))
             points.put(tied, mesh.link.any((2, 3)))
 
-        # Other objects
+        # Other objects, active points first
         fixed = self.others["fixed"]
-        others_tied = np.zeros(len(fixed), bool)
-        others_tied[self.others["spring_ends"].ravel()] = True
         self._append(rest_pos, self.first_point, len(fixed), self.others["rest_pos"].reshape(-1, 2, 1))
         self._append(free_lanes, self.first_point, len(fixed), np.where(fixed == 0, -1, 0))
-        self._append(tied, self.first_point, len(fixed), others_tied)
+        self._append(tied, self.first_point, int(self.others["actives"]), 1)
 
         self.active = (free_lanes != 0) | tied  # [packs, points]
         self._store_count("actives", self.active.sum(1), 0)
@@ -513,7 +511,8 @@ class _PackTables:
         # Other objects
         first = np.broadcast_to(self.first_point[:, None, None], (self.packs, self.lanes, 1))
         for body in self.frame.others.bodies:
-            orders.append(first + body.first_point + np.arange(len(body.points)))
+            end = body.first_point + len(body.points)
+            orders.append(first + self.others["order"][body.first_point : end])
             counts.append(np.full((self.packs, self.lanes), len(body.points)))
 
         # Gaps go to the end
@@ -522,6 +521,24 @@ class _PackTables:
         order = np.take_along_axis(rows, present_first, axis=2)
         self.arrays["order"] = order.transpose(0, 2, 1).astype(np.int32)
         self.arrays["object_points"] = np.stack(counts, axis=1).astype(np.int32)
+
+
+def _active_first(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Put the active points, which are free or hang on a spring, before the others in a world's arrays.
+
+    A group of threads goes through the rows up to the last active point. ``order``, the new number of each point, is
+    added; active points remain in their order, and so do the others.
+    """
+    active = np.isin(np.arange(len(arrays["fixed"])), arrays["active"] // 2)
+    former = np.argsort(~active, kind="stable")
+    number = np.argsort(former)
+    return arrays | {
+        "order": number,
+        "fixed": arrays["fixed"][former],
+        "rest_pos": arrays["rest_pos"].reshape(-1, 2)[former].ravel(),
+        "spring_ends": number[arrays["spring_ends"]],
+        "corner": number[arrays["corner"]],
+    }
 
 
 def _by_first_end(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -534,14 +551,14 @@ def _by_first_end(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         new[name] = arrays[name][order]
 
     # Springs have new numbers
-    number = np.empty_like(order)
-    number[order] = np.arange(len(order))
+    number = np.argsort(order)
     new["rigid_spring"] = number[arrays["rigid_spring"]].astype(np.int32)
 
     # Springs point by point
     entry = np.lexsort((np.arange(ends.size), ends.ravel()))
     spring, end = np.divmod(entry, 2)
     new["link"] = np.where(end == 0, spring, -1 - spring).astype(np.int32)
+    new["link_start"] = np.searchsorted(ends.ravel()[entry], np.arange(len(arrays["fixed"]) + 1))
     return new
 
 
@@ -560,10 +577,11 @@ def capacities(frame: Frame, rows: int, columns: int, cut: bool) -> dict[str, in
         doubled += rows * (columns - 1)
     springs = robots * (sides + doubled + 2 * cells)
 
-    points = robots * most_points(rows, columns, cut) + len(others["fixed"])
+    robot_points = robots * most_points(rows, columns, cut)
+    points = robot_points + len(others["fixed"])
     return {
         "point": points,
-        "active": points,
+        "active": robot_points + int(others["actives"]),
         "joint": points + 1,
         "row": points,
         "spring": springs + len(others["spring_rest"]),

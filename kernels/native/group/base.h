@@ -13,6 +13,7 @@ constexpr bool TIGHT = true;  // POINTS and SPRINGS are the sizes of the tables,
 #define KEEP(number) asm("" : "+r"(number))  // computed as it stands
 #define HIDE(number) asm volatile("" : "+r"(number))  // the compiler knows nothing about it from here on
 const unsigned first_thread = PARTS > 32 ? 0 : (threadIdx.x & 31) / PARTS * PARTS, everyone = 0xffffffffu;
+const int warp_start = __shfl_sync(everyone, part, 0);  // shuffled, it tells the compiler that a warp goes one way
 #else
 constexpr bool TIGHT = false;
 #define UNROLL
@@ -21,6 +22,7 @@ constexpr bool TIGHT = false;
 #define EACH_SPRING
 #define KEEP(number)
 #define HIDE(number)
+const int warp_start = part;
 #endif
 
 typedef Real Value;  // as in scalar.h
