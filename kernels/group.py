@@ -90,6 +90,7 @@ class Group:
         in_turn = max(touch, 2 * real * (springs + 2), 2 * real * movers)
         fields = dict(pos=(self.points, 16), disp=(movers, 2 * real), contact=(movers, 2 * real), links=(movers, 16))
         fields |= dict(spring=(springs, 2 * real), length=(springs, 2 * real), rigid=(self.rigids, 2 * real))
+        fields |= dict(tables=(2, 16))
         fields |= dict(tension=(in_turn // (2 * real), 2 * real))
         return fields | dict(close=(8 * parts, 2))
 

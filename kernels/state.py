@@ -82,6 +82,7 @@ MODEL: Table = {
     "spring_drive": (int, "mesh spring lane", "the one or two actions that drive its length, plus 1, 16 bits each"),
     "link_start": (int, "mesh joint", "where in `link` the springs of a point begin; one entry more than points"),
     "link": (int, "mesh link", "springs of the points, fast: ascending: s where it pulls on, -1 - s where off"),
+    "links": (wp.vec4i, "mesh point", "in groups: eight places of 16 bits for the springs of a point"),
     "twin_ends": (int, "mesh", "entries of twin_end in use"),
     "twin_end": (
         wp.vec4i,

@@ -175,12 +175,34 @@ def array_sizes(batch: Batch, tables: dict[str, np.ndarray], room: dict[str, int
 
 def put_tables(state: Buffers, tables: dict[str, np.ndarray], rows: np.ndarray | None = None) -> None:
     """Copy tables to the beginning of the Model's arrays, or into the given ``rows`` of their first axis."""
+    if state.group is not None:
+        tables = tables | {"links": _links(tables["link_start"], tables["link"])}
     for name in MODEL.keys() & tables.keys():
         if not tables[name].size:
             continue
         values = tables[name]
         place = (slice(len(values)) if rows is None else rows, *map(slice, values.shape[1:]))
         put(state.arrays, name, place, values)
+
+
+def _links(link_start: np.ndarray, link: np.ndarray) -> np.ndarray:
+    """Return the table ``links`` of groups, int32 ``[meshes, points, 4]``, from the tables of springs by point.
+
+    Springs s that pull off fill the eight places of a point from the left, those that pull on the last ones, as 2 + s.
+    Places between them hold 0, in the right half 1. Place 3 takes either; its highest bit is that of pulling on.
+    """
+    count = np.diff(link_start)
+    mesh, point, n = np.nonzero(np.arange(LINKS) < count[:, :, None])
+    spring = link[mesh, link_start[mesh, point] + n]
+    pulls_on = spring >= 0
+    place = np.where(pulls_on, LINKS - count[mesh, point] + n, n)
+    marked = pulls_on & (place == LINKS // 2 - 1)
+    number = np.maximum(spring, -1 - spring)
+    shape = (*count.shape, LINKS)
+    places = np.zeros(shape, np.uint16)
+    places[:, :, LINKS // 2 :] = 1
+    places[mesh, point, place] = 2 + number + (marked << 15)
+    return places.view(np.int32)
 
 
 def _capacities(voxels: int, movables: int, width: int, grouped: bool) -> dict[str, int]:

@@ -12,6 +12,7 @@ constexpr bool TIGHT = true;  // POINTS and SPRINGS are the sizes of the tables,
 #define EACH_SPRING _Pragma("unroll SPRINGS_AT_ONCE")
 #define KEEP(number) asm("" : "+r"(number))  // computed as it stands
 #define HIDE(number) asm volatile("" : "+r"(number))  // the compiler knows nothing about it from here on
+#define GLOBAL(pointer) __builtin_assume(__isGlobal(pointer))  // loads need not ask in which memory it points
 const unsigned first_thread = PARTS > 32 ? 0 : (threadIdx.x & 31) / PARTS * PARTS, everyone = 0xffffffffu;
 const int warp_start = __shfl_sync(everyone, part, 0);  // shuffled, it tells the compiler that a warp goes one way
 #else
@@ -22,6 +23,7 @@ constexpr bool TIGHT = false;
 #define EACH_SPRING
 #define KEEP(number)
 #define HIDE(number)
+#define GLOBAL(pointer)
 const int warp_start = part;
 #endif
 
@@ -60,6 +62,12 @@ struct Hit {
     int point[3];  // the corner and the two ends of the side, -1: none
     Push push[3];
 };
+struct alignas(16) Tables {  // looked up in every sub-step; registers are not kept for them
+    const wp::vec_t<4, int>* corner;
+    wp::vec_t<4, int>* candidates;
+    const double* terrain_box;  // left, right, bottom and top of each cell
+    int frame;
+};
 struct Touch {  // what the contacts of a sub-step need
     Place velocity[MOVERS];  // displacement of the last sub-step / dt
     Hit hit[WHOLE];
@@ -72,9 +80,10 @@ struct alignas(16) Shared {
     Spring spring[SPRINGS];
     Length length[SPRINGS];  // elements of 8 bytes: half a warp reads as many words as there are banks
     Side rigid[RIGIDS];      // sides of rigid voxels
+    Tables tables;
     union {  // one after another in a sub-step
         Touch touch;
-        Pair tension[SPRINGS + 2];  // force of a spring on its first end; at last 0 and -0
+        Pair tension[2 + SPRINGS];  // 0 and -0, then force of a spring on its first end
         Pair moved[MOVERS];         // corrections of the strain limit
     };
     unsigned short close[CLOSE];  // corners that are near another voxel
@@ -97,8 +106,9 @@ __shared__ Shared groups[GROUPS];
 #endif
 Shared& at = groups[first_thread / PARTS];
 // Where an element of `disp` or `tension` is, in 16 bits: in bytes, so that nothing is left to compute, or where these are
-// too many in units of 8. ADDED is a bit that no place has.
-constexpr unsigned UNIT = GROUPS * GROUP_BYTES < 1 << 16 ? 1 : 8, ADDED = UNIT == 1 ? 1 : 1u << 15;
+// too many in units of 8; the next is STEP further. ADDED is a bit that no place has.
+constexpr unsigned UNIT = GROUPS * GROUP_BYTES < 1 << 16 ? 1 : 8, STEP = sizeof(Pair) / UNIT;
+constexpr unsigned ADDED = UNIT == 1 ? 1 : 1u << 15;
 char* const memory = reinterpret_cast<char*>(groups);
 auto place_of = [&](const Pair* pairs, int n) -> unsigned {
     return unsigned(reinterpret_cast<const char*>(pairs + n) - memory) / UNIT;
@@ -214,7 +224,7 @@ auto sum_before = [&](unsigned number, int& total) -> int {
 // A group is alone; with WHOLE_WARPS, those of a warp are a block and go the same way, as on CUDA.
 constexpr int GROUPS = WHOLE_WARPS && PARTS < 32 ? 32 / PARTS : 1;
 Shared& at = *reinterpret_cast<Shared*>(&wp::index(scratch, pack, 0));
-constexpr unsigned ADDED = 1u << 15;
+constexpr unsigned STEP = 1, ADDED = 1u << 15;
 auto place_of = [](const Pair*, int n) -> unsigned { return n; };
 auto pair_at = [](const Pair* pairs, unsigned place) -> Pair { return pairs[place]; };
 auto pos_at = [&](unsigned place) -> Place { return at.pos[place]; };

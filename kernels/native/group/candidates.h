@@ -16,17 +16,25 @@ struct alignas(16) Bounds { Single left, right, bottom, top; };  // of a voxel, 
 int here = mesh, frame = 0;
 const wp::vec_t<4, int>* corner = nullptr;
 wp::vec_t<4, int>* candidates = nullptr;
-const double* terrain_box = nullptr;  // left, right, bottom and top of each cell
+const double* terrain_box = nullptr;
 
+auto load_tables = [&]() {
+    if (part) return;
+    const int terrain = wp::index(model.frame, mesh);
+    const double* box = state_of(model.terrain_box, terrain);
+    at.tables = Tables{row_of(model.corner, mesh), row_of(data.pairs, pack), box, terrain};
+};
 auto find_tables = [&]() {
-    int row = pack;
     here = mesh;
-    HIDE(row);
     HIDE(here);
-    frame = wp::index(model.frame, here);
-    corner = row_of(model.corner, here);
-    candidates = row_of(data.pairs, row);
-    terrain_box = &wp::index(model.terrain_box, frame, 0, 0);
+    const Tables tables = at.tables;
+    corner = tables.corner;
+    candidates = tables.candidates;
+    terrain_box = tables.terrain_box;
+    frame = tables.frame;
+    GLOBAL(corner);
+    GLOBAL(candidates);
+    GLOBAL(terrain_box);
 };
 
 auto collect = [&]() {

@@ -18,11 +18,21 @@ bool sound = true;
 // tension is subtracted; then those whose first end it is, up to the right, whose tension is added. Of the former there are
 // up to four, of the latter up to five: place FOURTH may belong to either; ADDED says that it is added.
 constexpr int FOURTH = 3;
-const unsigned to_add = place_of(at.tension, SPRINGS + 1), to_subtract = place_of(at.tension, SPRINGS);  // without a spring
+const unsigned to_subtract = place_of(at.tension, 0), to_add = place_of(at.tension, 1);  // without a spring
+// From numbers of tensions, two to an int; the highest bit of the fourth says that it is added.
+auto links_of = [&](const wp::vec_t<4, int>& numbers) -> Links {
+    Links links;
+    UNROLL for (int k = 0; k < LINKS / 2; ++k) {
+        unsigned two = (numbers[k] & 0x7fff7fff) * STEP + to_subtract * 0x10001;
+        if (k == FOURTH / 2 && numbers[k] < 0) two |= ADDED << 16;
+        links.place[2 * k] = two & 0xffff;
+        links.place[2 * k + 1] = two >> 16;
+    }
+    return links;
+};
 
 auto load_points = [&]() {
-    const int* link_start = row_of(model.link_start, mesh);
-    const int* link = row_of(model.link, mesh);
+    const wp::vec_t<4, int>* links = row_of(model.links, mesh);
     const int* free_lanes = row_of(model.free_lanes, mesh);
     const double* pos = &wp::index(data.pos, pack, 0, 0);
     const double* velocity = &wp::index(data.vel, pack, 0, 0);
@@ -34,11 +44,13 @@ auto load_points = [&]() {
         }
     };
     ROLL for (int p = MOVERS + part; MOVERS < POINTS && p < points; p += PARTS) load_pos(p);
+    ROLL for (int p = part; p < MOVERS; p += PARTS) {
+        at.links[p] = links_of(p < points ? links[p] : wp::vec_t<4, int>(0, 0, 0x10001, 0x10001));
+    }
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
         const int p = part + PARTS * j;
         vel[j][0] = vel[j][1] = 0.0;
         if (!within(j, MOVERS)) break;
-        for (int n = 0; n < LINKS; ++n) at.links[p].place[n] = n > FOURTH ? to_add : to_subtract;
         at.pos[p] = Place{0.0, 1.0};  // above the floor
         at.contact[p] = no_contact;
         at.touch.velocity[p] = Place{0.0, 0.0};
@@ -47,13 +59,7 @@ auto load_points = [&]() {
         at.touch.velocity[p] = Place{true_vel[2 * p], true_vel[2 * p + 1]};
         vel[j][0] = velocity[2 * p];
         vel[j][1] = velocity[2 * p + 1];
-        const int first = link_start[p], count = link_start[p + 1] - first;
         if (free_lanes[p]) loose |= Bits(1) << j;
-        for (int n = 0; n < count; ++n) {
-            const int s = link[first + n];
-            const int to = s < 0 ? n : LINKS - count + n;
-            at.links[p].place[to] = place_of(at.tension, s < 0 ? -1 - s : s) | (s >= 0 && to == FOURTH ? ADDED : 0);
-        }
     }
 };
 

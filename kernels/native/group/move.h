@@ -10,23 +10,24 @@ double* goal = nullptr;
 auto load_springs = [&]() {
     const wp::vec_t<2, int>* spring_ends = row_of(model.spring_ends, mesh);
     const double* spring_rest = row_of(model.spring_rest, mesh);
+    const Real* stiffness = state_of(model.spring_k, mesh);
+    const int* spring_drive = state_of(model.spring_drive, mesh);
+    const double* action = state_of(data.action, pack);
     double* goal = state_of(data.goal, pack);
-    EACH_SPRING for (int j = 0; j < SPRING_ROUNDS; ++j) {
-        if (!within(j, SPRINGS)) break;
-        const int s = part + PARTS * j, t = s < springs ? s : 0;
+    ROLL for (int s = part; s < SPRINGS; s += PARTS) {
+        const int t = s < springs ? s : 0;  // what is no spring is one without stiffness
         const Real rest0 = Real(spring_rest[t]);
         at.spring[s].ends = place_of(at.disp, spring_ends[t][0]) | place_of(at.disp, spring_ends[t][1]) << 16;
-        at.spring[s].stiffness = s < springs ? wp::index(model.spring_k, mesh, t, 0) : Real(0);
+        at.spring[s].stiffness = s < springs ? stiffness[s] : Real(0);
         at.length[s].middle = rest0 * rest0 * (Real(1) + model.strain_limit * model.strain_limit);
         at.length[s].goal = Real(1);
         if (s >= springs) continue;
-        const int drive = wp::index(model.spring_drive, mesh, s, 0);
-        const int first = (drive & 0xffff) - 1, second = (drive >> 16 & 0xffff) - 1;
+        const int drive = spring_drive[s], first = (drive & 0xffff) - 1, second = (drive >> 16 & 0xffff) - 1;
         double length = spring_rest[s];
         if (second >= 0) {
-            length = (wp::index(data.action, pack, first, 0) + wp::index(data.action, pack, second, 0)) * (length * 0.5);
+            length = (action[first] + action[second]) * (length * 0.5);
         } else if (first >= 0) {
-            length = wp::index(data.action, pack, first, 0) * length;
+            length = action[first] * length;
         }
         goal[s] = APPROXIMATE ? length * length : length;
         at.length[s].goal = Real(length);
@@ -34,7 +35,7 @@ auto load_springs = [&]() {
 };
 
 auto pull = [&](int j, Real size, Real x, Real y) {
-    at.tension[part + PARTS * j] = Pair{size * x, size * y};
+    at.tension[2 + part + PARTS * j] = Pair{size * x, size * y};
 };
 // On CUDA the tables have rows for all rounds of springs but some of the last, so that these need no test.
 auto has_row = [](int j) -> bool { return TIGHT && j + 1 < SPRING_ROUNDS; };
@@ -105,7 +106,7 @@ auto runge_kutta = [&]() {
     goal = state_of(data.goal, row);
     if (part < 2) {  // of places without a spring; contacts were here
         const Real none = part ? Real(-0.0) : Real(0);
-        at.tension[SPRINGS + part] = Pair{none, none};
+        at.tension[part] = Pair{none, none};
     }
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
         start_vel[j] = stage_vel[j] = Pair{Real(vel[j][0]), Real(vel[j][1])};

@@ -57,6 +57,7 @@ if (frozen && live && part == 0) wp::index(data.status, pack, 0) = 0;
 if (status & (DIVERGED | STILL)) points = springs = rigids = count = 0;  // nothing to do but come along
 load_springs();
 load_rigids();
+load_tables();
 sync();
 ROLL for (int n = 0; n < substeps; ++n) {
     find_tables();
@@ -90,3 +91,4 @@ if (part == 0) {
 #undef EACH_SPRING
 #undef KEEP
 #undef HIDE
+#undef GLOBAL
