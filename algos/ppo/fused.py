@@ -117,10 +117,12 @@ class FusedPPO(PopulationPPO):
         if step == 0:
             envs = len(mean) // self.num_designs
             self._noise = self.streams.normal(storage.num_transitions_per_env, envs, self.actor.outputs)
-        policy = (self._noise[step].flatten(0, 1), self._log_std, self._losses.limits, self._widths)
-        results = (self._means[step], storage.actions[step], storage.actions_log_prob[step, :, 0])
-        _launch(ppo.draw_actions, len(mean), mean, *policy, *results)
-        return storage.actions[step]
+        noise = self._noise[step].flatten(0, 1)
+        policy = (self._log_std, self._losses.limits, self._widths)
+        actions = storage.actions[step]
+        log_prob = storage.actions_log_prob[step, :, 0]
+        _launch(ppo.draw_actions, len(mean), mean, noise, *policy, self._means[step], actions, log_prob)
+        return actions
 
     @torch.no_grad()
     def process_env_step(
@@ -133,8 +135,9 @@ class FusedPPO(PopulationPPO):
         if "time_outs" in extras:
             time_outs = extras["time_outs"]
             values = self._values_of(extras["final_obs"])
-        results = (storage.rewards[storage.step, :, 0], storage.dones[storage.step, :, 0])
-        _launch(ppo.record_step, len(rewards), rewards, dones, time_outs, values, self.gamma, *results)
+        reward = storage.rewards[storage.step, :, 0]
+        done = storage.dones[storage.step, :, 0]
+        _launch(ppo.record_step, len(rewards), rewards, dones, time_outs, values, self.gamma, reward, done)
         storage.step += 1
 
     def _values_of(self, obs: TensorDict) -> torch.Tensor:
