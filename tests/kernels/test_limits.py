@@ -95,7 +95,7 @@ def test_large_bodies_ask_for_shared_memory_and_spill_little(architecture, side,
     assert found.asked + found.shared <= room
     assert found.registers * parts <= REGISTERS
     if parts > group.WARP:  # else loops are not unrolled
-        assert found.spilled <= 192
+        assert found.spilled <= 196
         assert found.stack <= 48
 
 

@@ -14,7 +14,6 @@ constexpr bool TIGHT = true;  // POINTS and SPRINGS are the sizes of the tables,
 #define HIDE(number) asm volatile("" : "+r"(number))  // the compiler knows nothing about it from here on
 #define GLOBAL(pointer) __builtin_assume(__isGlobal(pointer))  // loads need not ask in which memory it points
 const unsigned first_thread = PARTS > 32 ? 0 : (threadIdx.x & 31) / PARTS * PARTS, everyone = 0xffffffffu;
-const int warp_start = __shfl_sync(everyone, part, 0);  // shuffled, it tells the compiler that a warp goes one way
 #else
 constexpr bool TIGHT = false;
 #define UNROLL
@@ -24,7 +23,6 @@ constexpr bool TIGHT = false;
 #define KEEP(number)
 #define HIDE(number)
 #define GLOBAL(pointer)
-const int warp_start = part;
 #endif
 
 typedef Real Value;  // as in scalar.h

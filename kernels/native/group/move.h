@@ -67,8 +67,7 @@ auto relax = [&](int j) {
 };
 auto own_points = [&](auto&& act) {
     EACH_POINT for (int j = 0; j < POINT_ROUNDS; ++j) {
-        if (MOVERS % PARTS && warp_start + PARTS * j >= MOVERS) break;
-        if (POINT_ROUNDS <= FEW || PARTS * j < points) act(j, part + PARTS * j);
+        if (within(j, MOVERS) && (POINT_ROUNDS <= FEW || PARTS * j < points)) act(j, part + PARTS * j);
     }
 };
 auto own_springs = [&](auto&& act) {
