@@ -98,7 +98,7 @@ class WorldObject:
 
     @functools.cached_property
     def is_static(self) -> bool:
-        """Whether all cells are fixed, so that the object never moves."""
+        """True if all cells are fixed, so that the object never moves."""
         return bool(np.isin(self.grid, (int(Cell.EMPTY), int(Cell.FIXED))).all())
 
     def moved(self, x: int, y: int) -> WorldObject:

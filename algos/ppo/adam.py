@@ -75,7 +75,9 @@ class VectorAdam:
             number: index of the step among those prepared, from 0.
             rows: the designs that the gradients are of. Threads may step different rows at the same time.
         """
-        values, means, squares = (matrix[rows] for matrix in (self._values, self._means, self._squares))
+        values = self._values[rows]
+        means = self._means[rows]
+        squares = self._squares[rows]
         for part in gradient.split(self._sizes, dim=-1):
             part.mul_((limit / (torch.linalg.vector_norm(part, dim=-1, keepdim=True) + 1e-6)).clamp_(max=1.0))
         means.lerp_(gradient, 1 - FIRST)

@@ -53,7 +53,7 @@ def test_points_feel_the_springs_of_all_points_that_they_are_one_with(seed: int,
 
 
 def test_points_that_rest_come_last() -> None:
-    """Of a shelf that hangs between fixed cells, behind an anvil that never moves."""
+    """A shelf hangs between fixed cells, behind an anvil that never moves."""
     blocks = dict(anvil=([[5, 5]], 16, 3), shelf=([[5, 2, 2, 5, 5]], 9, 3), robot=([[1, 3]], 2, 1))
     frame = Frame([world(20, 10, **blocks)], Physics(), ("anvil",))
     tables = {name: values[0] for name, values in frame.tables(np.zeros((1, 1), int)).items()}

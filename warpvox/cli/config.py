@@ -118,7 +118,9 @@ def read_words(command: str, words: Sequence[str]) -> dict[str, Override]:
     for word in words:
         name, given, text = word.partition("=")
         if name not in keys:
-            others = (name.replace(part, other, 1) for part in name.split(".") for other in SYNONYMS.get(part, ()))
+            others: list[str] = []
+            for part in name.split("."):
+                others += [name.replace(part, other, 1) for other in SYNONYMS.get(part, ())]
             name = next((other for other in others if other in keys), name)
         name = renamed.get(command, {}).get(name, name)
         override = _parse_word(f"{name}{given}{text}")

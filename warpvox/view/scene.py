@@ -38,7 +38,7 @@ class SceneObject:
 
     @property
     def is_static(self) -> bool:
-        """Whether the object is fixed terrain."""
+        """True if the object is fixed terrain."""
         return self.num_points == 0
 
     @property

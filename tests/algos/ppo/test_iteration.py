@@ -30,7 +30,7 @@ LIMIT = 7
 ITERATIONS = 6
 """Two run as they are, one is captured, which stands for its first replay, the others are replayed."""
 MOST_NODES = 2_500
-"""Of the graph of an iteration of 16 steps with 20 minibatches."""
+"""Nodes that the graph of an iteration with 16 steps and 20 minibatches may have."""
 TASKS = {
     "Walker-v0": {"normalize_reward": True},
     "Catcher-v0": {"bootstrap_time_limit": False, "clip_values": True},  # draws at random
